@@ -1,0 +1,174 @@
+"""What a platform is made of: gimbals, rotors, torquers, pick-offs. Values only; SI units."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.frozen import FloatArray, value
+
+RotorControl = Literal["regulated", "free"]
+
+
+@value
+class Gimbal:
+    """A body that turns about one axis fixed in its parent.
+
+    Attributes
+    ----------
+    name, parent
+        Names of this gimbal and of the body that carries it (another gimbal or the root).
+    axis : (3,)
+        Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes.
+    inertia : (3, 3)
+        The gimbal's own body without rotors, kg m², in its own axes.
+    angle
+        Name of the coordinate, for example ``alpha4``.
+    stops
+        Lowest and highest angle, rad, or None.
+    """
+
+    name: str
+    parent: str
+    axis: FloatArray
+    inertia: FloatArray
+    angle: str
+    stops: tuple[float, float] | None = None
+
+
+@value
+class Rotor:
+    """A rotor that spins in a carrier.
+
+    Attributes
+    ----------
+    name, carrier
+        Names of the rotor and of the gimbal (or root) that it spins in.
+    axis : (3,)
+        Unit vector of the spin axis in the carrier's axes.
+    axial_inertia, transverse_inertia
+        C and A of the paper, kg m².
+    angular_momentum
+        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p.
+    control
+        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7).
+    """
+
+    name: str
+    carrier: str
+    axis: FloatArray
+    axial_inertia: float
+    transverse_inertia: float
+    angular_momentum: float
+    control: RotorControl = "regulated"
+
+    @property
+    def spin(self) -> float:
+        """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
+        return self.angular_momentum / self.axial_inertia
+
+
+@value
+class Torquer:
+    """A motor that turns a gimbal against its parent, or the root against inertial space.
+
+    Attributes
+    ----------
+    name
+        Signal name, ``Q`` + gimbal or ``M`` + root axis unless the file says otherwise.
+    gimbal, root_axis
+        Exactly one is given: the gimbal's name, or 1, 2 or 3.
+    limit
+        Largest torque, N m, or None.
+    lag
+        Time constant of the first-order lag from command to torque, s.
+    """
+
+    name: str
+    gimbal: str | None = None
+    root_axis: int | None = None
+    limit: float | None = None
+    lag: float = 0.0
+
+
+@value
+class PickOff:
+    """A sensor of a gimbal's angle.
+
+    Attributes
+    ----------
+    name
+        Signal name: the angle that it measures.
+    gimbal
+        Name of the gimbal.
+    noise_rms, noise_bandwidth_hz
+        White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
+    quantisation
+        Step of the reading, rad; 0 for none.
+    """
+
+    name: str
+    gimbal: str
+    noise_rms: float = 0.0
+    noise_bandwidth_hz: float = 1000.0
+    quantisation: float = 0.0
+
+    def sampled_noise(self, period: float) -> float:
+        """Rms of one sample, rad, when sampled every `period` s behind a filter at the Nyquist frequency."""
+        return float(self.noise_rms * np.sqrt(0.5 / period / self.noise_bandwidth_hz))
+
+
+@value
+class Platform:
+    """A root body that carries a tree of gimbals with rotors.
+
+    Coordinates q stand in the order of `gimbals`; generalised velocities are [Omega, q̇].
+    All centres of mass lie at one fixed point.
+
+    Attributes
+    ----------
+    name, source
+        Title, and where the numbers come from.
+    root_name, root_inertia : (3, 3)
+        The body whose rate is Omega, with everything rigidly attached, kg m².
+    gimbals, rotors, torquers, pickoffs
+        In the file's order.
+    """
+
+    name: str
+    root_name: str
+    root_inertia: FloatArray
+    gimbals: tuple[Gimbal, ...]
+    rotors: tuple[Rotor, ...] = ()
+    torquers: tuple[Torquer, ...] = ()
+    pickoffs: tuple[PickOff, ...] = ()
+    source: str = ""
+
+    @property
+    def gimbal_names(self) -> tuple[str, ...]:
+        """Names of the gimbals, in the order of the coordinates."""
+        return tuple(g.name for g in self.gimbals)
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the coordinates q."""
+        return tuple(g.angle for g in self.gimbals)
+
+    @property
+    def rotor_names(self) -> tuple[str, ...]:
+        """Names of the rotors, in the order of the rows of B."""
+        return tuple(r.name for r in self.rotors)
+
+    @property
+    def parents(self) -> NDArray[np.intp]:
+        """Index of each gimbal's parent, (n,); −1 is the root."""
+        index = {self.root_name: -1} | {g.name: k for k, g in enumerate(self.gimbals)}
+        return np.array([index[g.parent] for g in self.gimbals], dtype=np.intp)
+
+    @property
+    def carriers(self) -> NDArray[np.intp]:
+        """Index of each rotor's carrier, (m,); −1 is the root."""
+        index = {self.root_name: -1} | {g.name: k for k, g in enumerate(self.gimbals)}
+        return np.array([index[r.carrier] for r in self.rotors], dtype=np.intp)
