@@ -1,0 +1,141 @@
+"""Where everything points: rotations, gimbal axes and spin axes in root axes, and how they turn with q."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray, value
+
+
+@value
+class Topology:
+    """The tree as arrays, worked out once for each platform.
+
+    Body 0 is the root, body k + 1 is the body of gimbal k.
+
+    Attributes
+    ----------
+    order
+        Gimbal indices, every parent before its children.
+    parents : (n,)
+        Index of the parent gimbal, −1 for the root.
+    on_path : (1 + n, n) bool
+        ``on_path[b, j]``: gimbal j lies between the root and body b (b's own gimbal included).
+    above : (n, n) bool
+        ``above[j, i]``: turning gimbal j turns the axis of gimbal i.
+    carriers : (m,)
+        Body that each rotor spins in.
+    axes : (n, 3)
+        Gimbal axes in the parents' axes.
+    inertias : (1 + n, 3, 3)
+        Bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes.
+    spin_axes : (m, 3)
+        In body axes.
+    C, L : (m,)
+        Axial inertias; relative (regulated) or total axial (free) angular momenta.
+    regulated : (m,) bool
+        Whether the rotor's relative spin is held.
+    """
+
+    order: tuple[int, ...]
+    parents: NDArray[np.intp]
+    on_path: NDArray[np.bool_]
+    above: NDArray[np.bool_]
+    carriers: NDArray[np.intp]
+    axes: FloatArray
+    inertias: FloatArray
+    spin_axes: FloatArray
+    C: FloatArray
+    L: FloatArray
+    regulated: NDArray[np.bool_]
+
+
+@lru_cache(maxsize=256)
+def topology(platform: Platform) -> Topology:
+    """Return the tree of `platform` as arrays (kept for the platforms used last)."""
+    parents = platform.parents
+    n = len(parents)
+    order: list[int] = []
+    on_path = np.zeros((1 + n, n), dtype=bool)
+    waiting = list(range(n))
+    while waiting:
+        ready = [k for k in waiting if parents[k] < 0 or parents[k] in order]
+        for k in ready:
+            on_path[1 + k] = on_path[1 + parents[k]]
+            on_path[1 + k, k] = True
+        order += ready
+        waiting = [k for k in waiting if k not in ready]
+    above = on_path[1:].T.copy()
+    np.fill_diagonal(above, False)
+    rotors = platform.rotors
+    carriers = 1 + platform.carriers
+    inertias = np.array([platform.root_inertia, *(g.inertia for g in platform.gimbals)], dtype=np.float64)
+    for rotor, body in zip(rotors, carriers, strict=True):
+        inertias[body] += rotor.transverse_inertia * (np.eye(3) - np.outer(rotor.axis, rotor.axis))
+    return Topology(
+        order=tuple(order),
+        parents=parents,
+        on_path=on_path,
+        above=above,
+        carriers=carriers,
+        axes=np.array([g.axis for g in platform.gimbals]).reshape(n, 3),
+        inertias=inertias,
+        spin_axes=np.array([r.axis for r in rotors]).reshape(len(rotors), 3),
+        C=np.array([r.axial_inertia for r in rotors], dtype=np.float64),
+        L=np.array([r.angular_momentum for r in rotors], dtype=np.float64),
+        regulated=np.array([r.control == "regulated" for r in rotors], dtype=bool),
+    )
+
+
+@value
+class Kinematics:
+    """Directions in root axes at given angles.
+
+    Attributes
+    ----------
+    rotations : (1 + n, 3, 3)
+        From body axes to root axes.
+    axes : (n, 3)
+        Gimbal axes.
+    spin_axes : (m, 3)
+        Rotor axes.
+    jacobians : (1 + n, 3, 3 + n)
+        Body rates: ω_b = jacobians[b] @ [Omega, q̇].
+    """
+
+    rotations: FloatArray
+    axes: FloatArray
+    spin_axes: FloatArray
+    jacobians: FloatArray
+
+
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """Return the matrices of ``vector ×``, (..., 3, 3)."""
+    out = np.zeros((*vector.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -vector[..., 2], vector[..., 1], -vector[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = vector[..., 2], -vector[..., 1], vector[..., 0]
+    return out
+
+
+def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
+    """Return the directions of everything at the angles `q` (n,), rad."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    turned = cross_matrix(tree.axes)
+    sine, cosine = np.sin(q)[:, None, None], np.cos(q)[:, None, None]
+    own = np.eye(3) + sine * turned + (1.0 - cosine) * (turned @ turned)
+    rotations = np.empty((1 + n, 3, 3))
+    rotations[0] = np.eye(3)
+    for k in tree.order:
+        rotations[1 + k] = rotations[1 + tree.parents[k]] @ own[k]
+    # An axis is fixed in the gimbal as well as in its parent.
+    axes = np.einsum("kij,kj->ki", rotations[1:], tree.axes)
+    jacobians = np.zeros((1 + n, 3, 3 + n))
+    jacobians[:, :, :3] = np.eye(3)
+    jacobians[:, :, 3:] = tree.on_path[:, None, :] * axes.T
+    spin_axes = np.einsum("rij,rj->ri", rotations[tree.carriers], tree.spin_axes)
+    return Kinematics(rotations=rotations, axes=axes, spin_axes=spin_axes, jacobians=jacobians)

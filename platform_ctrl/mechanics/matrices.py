@@ -1,0 +1,148 @@
+"""The matrices of the method: A, B, A* = A + BᵀA_R B (12), G_A (13), G_R (14), with exact derivatives in q."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
+
+
+@value
+class MagnusMatrices:
+    """The matrices of eq. (11) at a state: A* u̇ + (G_A + G_R + G_root) u = Q with u = [Omega, q̇].
+
+    Attributes
+    ----------
+    A : (3 + n, 3 + n)
+        Mass matrix without the rotors' axial inertia, kg m².
+    A_R : (m, m)
+        diag(C), kg m².
+    B : (m, 3 + n)
+        Direction cosines between rotor axes and generalised velocities, eq. (3).
+    A_star : (3 + n, 3 + n)
+        A plus the axial inertia of the regulated rotors, eq. (12).
+    L : (m,)
+        Relative angular momenta (8); for free rotors the cyclic momenta p (4). N m s.
+    G_A, G_R : (3 + n, 3 + n)
+        Coriolis (13) and gyroscopic (14) matrix, N m s; the root columns count as rates of cyclic coordinates.
+    G_root : (3 + n, 3 + n)
+        −[∂T/∂Omega]× in the root block: the Boltzmann-Hamel term, because Omega is no derivative of coordinates.
+    """
+
+    A: FloatArray
+    A_R: FloatArray
+    B: FloatArray
+    A_star: FloatArray
+    L: FloatArray
+    G_A: FloatArray
+    G_R: FloatArray
+    G_root: FloatArray
+
+
+@value
+class Derivatives:
+    """First derivatives in q at given angles.
+
+    Attributes
+    ----------
+    A_star : (n, 3 + n, 3 + n)
+        ∂A*/∂q_j.
+    B : (n, m, 3 + n)
+        ∂B/∂q_j.
+    """
+
+    A_star: FloatArray
+    B: FloatArray
+
+
+def world_inertias(platform: Platform, at: Kinematics) -> FloatArray:
+    """Return the bodies' inertias in root axes, C of regulated rotors included, (1 + n, 3, 3)."""
+    tree = topology(platform)
+    inertias: FloatArray = at.rotations @ tree.inertias @ at.rotations.transpose(0, 2, 1)
+    for rotor in np.flatnonzero(tree.regulated):
+        axis = at.spin_axes[rotor]
+        inertias[tree.carriers[rotor]] += tree.C[rotor] * np.outer(axis, axis)
+    return inertias
+
+
+def mass_matrix(jacobians: FloatArray, inertias: FloatArray) -> FloatArray:
+    """Return Σ Wᵀ I W over the bodies, (3 + n, 3 + n)."""
+    out: FloatArray = np.einsum("bij,bik->jk", jacobians, inertias @ jacobians)
+    return 0.5 * (out + out.T)
+
+
+def directions(platform: Platform, at: Kinematics) -> FloatArray:
+    """Return B (3), (m, 3 + n)."""
+    tree = topology(platform)
+    out: FloatArray = np.einsum("ri,rij->rj", at.spin_axes, at.jacobians[tree.carriers])
+    return out
+
+
+def derivatives(platform: Platform, at: Kinematics) -> Derivatives:
+    """Return ∂A*/∂q and ∂B/∂q, exact: each axis turns with the gimbals above it."""
+    tree = topology(platform)
+    n, m = len(tree.parents), len(tree.carriers)
+    inertias = world_inertias(platform, at)
+    cross = cross_matrix(at.axes)
+    # Column i of every Jacobian turns with gimbal j if j carries gimbal i.
+    turned_axes = np.einsum("jab,ib->jai", cross, at.axes) * tree.above[:, None, :]
+    d_jacobians = np.zeros((n, 1 + n, 3, 3 + n))
+    d_jacobians[..., 3:] = turned_axes[:, None] * tree.on_path[None, :, None, :]
+    product = np.einsum("jab,kbc->jkac", cross, inertias)
+    d_inertias = (product + product.transpose(0, 1, 3, 2)) * tree.on_path.T[:, :, None, None]
+    half = np.einsum("jkax,kab,kby->jxy", d_jacobians, inertias, at.jacobians, optimize=True)
+    whole = np.einsum("kax,jkab,kby->jxy", at.jacobians, d_inertias, at.jacobians, optimize=True)
+    d_spin = np.einsum("jab,rb->jra", cross, at.spin_axes) * tree.on_path[tree.carriers].T[:, :, None]
+    if m:
+        d_B = np.einsum("jra,rax->jrx", d_spin, at.jacobians[tree.carriers])
+        d_B += np.einsum("ra,jrax->jrx", at.spin_axes, d_jacobians[:, tree.carriers])
+    else:
+        d_B = np.zeros((n, 0, 3 + n))
+    return Derivatives(A_star=half + half.transpose(0, 2, 1) + whole, B=d_B)
+
+
+def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> MagnusMatrices:
+    """Return the matrices of the method at a state.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    q : (n,)
+        Gimbal angles in the file's order, rad; default zero.
+    velocity : (3 + n,)
+        [Omega, q̇], rad/s; default zero. Only G_A and G_root depend on it.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape or not finite.
+    """
+    tree = topology(platform)
+    n, m = len(tree.parents), len(tree.carriers)
+    angles = real_array("q", q, (n,), 0.0)
+    u = real_array("velocity", velocity, (3 + n,), 0.0)
+    at = kinematics(platform, angles)
+    B = directions(platform, at)
+    A_star = mass_matrix(at.jacobians, world_inertias(platform, at))
+    change = derivatives(platform, at)
+    momentum_columns = np.zeros((3 + n, 3 + n))
+    momentum_columns[:, 3:] = (change.A_star @ u).T
+    spin_columns = np.zeros((3 + n, 3 + n))
+    spin_columns[:, 3:] = np.einsum("jrx,r->xj", change.B, tree.L)
+    G_root = np.zeros((3 + n, 3 + n))
+    G_root[:3, :3] = -cross_matrix((A_star @ u + B.T @ tree.L)[:3])
+    return MagnusMatrices(
+        A=mass_matrix(at.jacobians, at.rotations @ tree.inertias @ at.rotations.transpose(0, 2, 1)),
+        A_R=np.diag(tree.C) if m else np.zeros((0, 0)),
+        B=B,
+        A_star=A_star,
+        L=tree.L,
+        G_A=momentum_columns - 0.5 * momentum_columns.T,
+        G_R=spin_columns - spin_columns.T,
+        G_root=G_root,
+    )

@@ -1,0 +1,82 @@
+"""Trees of the reference file, and random trees, as Platform values."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from platform_ctrl.description import Gimbal, Platform, Rotor
+
+
+def platform_of_case(tree):
+    """Return the Platform of a tree in tests/data/dynamics-cases.json."""
+    joints = tree["joints"]
+    names = ["root"] + [joint["name"] for joint in joints]
+    return Platform(
+        name=tree["name"],
+        root_name="root",
+        root_inertia=np.array(tree["root_inertia"]),
+        gimbals=tuple(
+            Gimbal(
+                name=joint["name"],
+                parent=names[1 + joint["parent"]],
+                axis=np.array(joint["axis"]) / np.linalg.norm(joint["axis"]),
+                inertia=np.array(joint["inertia"]),
+                angle="q_" + joint["name"],
+            )
+            for joint in joints
+        ),
+        rotors=tuple(
+            Rotor(
+                name=rotor["name"],
+                carrier=names[1 + rotor["carrier"]],
+                axis=np.array(rotor["axis"]) / np.linalg.norm(rotor["axis"]),
+                axial_inertia=rotor["C"],
+                transverse_inertia=rotor["A"],
+                angular_momentum=rotor["C"] * rotor["rate"],
+            )
+            for rotor in tree["rotors"]
+        ),
+    )
+
+
+@st.composite
+def platforms(draw, max_gimbals=6, max_rotors=3, controls=("regulated", "free")):
+    """Draw a platform: any tree, any axes, admissible inertias, rotors anywhere."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(1, max_gimbals))
+    parents = [draw(st.integers(-1, k - 1)) for k in range(n)]
+    m = draw(st.integers(0, max_rotors))
+    carriers = [draw(st.integers(-1, n - 1)) for _ in range(m)]
+    kinds = [draw(st.sampled_from(controls)) for _ in range(m)]
+    names = ["base"] + [f"g{k}" for k in range(n)]
+
+    def unit():
+        axis = rng.normal(size=3)
+        return axis / np.linalg.norm(axis)
+
+    def inertia(size):
+        basis, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        points = rng.uniform(0.2, 1.0, 3) * size
+        # Principal moments from positive second moments keep the triangle inequality.
+        return basis @ np.diag(points.sum() - points) @ basis.T
+
+    gimbals = [
+        Gimbal(name=names[1 + k], parent=names[1 + parents[k]], axis=unit(), inertia=inertia(0.5), angle=f"q{k}")
+        for k in range(n)
+    ]
+    rotors = [
+        Rotor(
+            name=f"r{k}",
+            carrier=names[1 + carriers[k]],
+            axis=unit(),
+            axial_inertia=0.3,
+            transverse_inertia=0.2,
+            angular_momentum=float(rng.normal() * 20),
+            control=kinds[k],
+        )
+        for k in range(m)
+    ]
+    # The file may list gimbals in any order.
+    shuffled = [gimbals[k] for k in rng.permutation(n)]
+    return Platform(
+        name="random tree", root_name="base", root_inertia=inertia(3.0), gimbals=tuple(shuffled), rotors=tuple(rotors)
+    )
