@@ -1,0 +1,179 @@
+"""Linear equations in the gimbal angles, eq. (19), about any constant platform rate.
+
+About angles q0 at rest in the platform and a constant rate Omega0 the gimbal rows are
+
+    M q̈ + G q̇ + K q + M_Omega ω' + G_Omega ω = Q − Q0
+
+with ω the deviation of Omega. They follow from T = T2 + T1 alone: with p(q, Omega) = ∂T/∂q̇ at q̇ = 0,
+G = ∂p/∂q − (∂p/∂q)ᵀ and K = −∂²T/∂q², so that G is skew and K symmetric.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
+from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
+
+Terms = Literal["exact", "paper"]
+
+
+@value
+class LinearModel:
+    """Linear equations of the gimbals, and of the root when it is free.
+
+    Attributes
+    ----------
+    platform, terms
+        What was linearised, and which terms were kept.
+    q0 : (n,)
+        Angles of the trim, rad.
+    Omega0 : (3,)
+        Constant platform rate of the trim, rad/s.
+    Q0 : (n,)
+        Torques that hold the trim, N m.
+    M, G, K : (n, n)
+        Inertia (symmetric), gyroscopic (skew) and stiffness (symmetric) matrix.
+    M_Omega, G_Omega : (n, 3)
+        Coefficients of ω' and ω.
+    M_Omega_q : (n, 3, n)
+        Coefficient of Omega'_a q_j in row i, ``[i, a, j]``: for rates that change during a manoeuvre.
+    root_inertia : (3, 3)
+        A* of the root rows.
+    root_momentum : (3,)
+        ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
+    """
+
+    platform: Platform
+    terms: Terms
+    q0: FloatArray
+    Omega0: FloatArray
+    Q0: FloatArray
+    M: FloatArray
+    G: FloatArray
+    K: FloatArray
+    M_Omega: FloatArray
+    G_Omega: FloatArray
+    M_Omega_q: FloatArray
+    root_inertia: FloatArray
+    root_momentum: FloatArray
+
+    @property
+    def gimbal_names(self) -> tuple[str, ...]:
+        """Names of the gimbals, in the order of the rows."""
+        return self.platform.gimbal_names
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self.platform.angle_names
+
+
+def linearise(
+    platform: Platform, Omega: ArrayLike = (0.0, 0.0, 0.0), terms: Terms = "exact", q: ArrayLike | None = None
+) -> LinearModel:
+    """Linearise in the gimbal angles about a constant platform rate.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    Omega : (3,)
+        Constant rate of the root in its own axes, rad/s.
+    terms
+        ``"exact"``: every term linear in the angles. ``"paper"``: the rule behind (27): A constant, BᵀA_R B and G_R to
+        first order, G_A dropped; what is left out is of the order J Omega against L.
+    q : (n,)
+        Angles of the trim, rad; default zero.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape, not finite, or unknown `terms`.
+    """
+    tree = topology(platform)
+    n = len(tree.parents)
+    rate = real_array("Omega", Omega, (3,))
+    angles = real_array("q", q, (n,), 0.0)
+    if terms not in ("exact", "paper"):
+        raise ArgumentError(f"terms: given {terms!r}; expected 'exact' or 'paper'")
+    at = kinematics(platform, angles)
+    inertias = world_inertias(platform, at)
+    A_star, B = mass_matrix(at.jacobians, inertias), directions(platform, at)
+    change = derivatives(platform, at)
+    spin_momentum = B.T @ tree.L
+    # ∂/∂q of the momenta at q̇ = 0: the rotors' part, and with "exact" that of A* Omega.
+    momentum_change = np.einsum("jrx,r->xj", change.B, tree.L)
+    stiffness = _spin_stiffness(platform, at, rate)
+    root_momentum = spin_momentum[:3].copy()
+    if terms == "exact":
+        momentum_change = momentum_change + np.einsum("jxa,a->xj", change.A_star[:, :, :3], rate)
+        stiffness = stiffness + _inertia_stiffness(platform, at, inertias, rate)
+        root_momentum += A_star[:3, :3] @ rate
+        rate_change = np.einsum("jia->iaj", change.A_star[:, 3:, :3])
+        slope = np.einsum("a,jab,b->j", rate, change.A_star[:, :3, :3], rate)
+    else:
+        axial = tree.C * tree.regulated
+        half = np.einsum("jri,r,ra->iaj", change.B[:, :, 3:], axial, B[:, :3])
+        rate_change = half + np.einsum("ri,r,jra->iaj", B[:, 3:], axial, change.B[:, :, :3])
+        slope = np.zeros(n)
+    spin_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, rate)
+    gyro = momentum_change[3:] - momentum_change[3:].T
+    return LinearModel(
+        platform=platform,
+        terms=terms,
+        q0=angles,
+        Omega0=rate,
+        Q0=-(0.5 * slope + spin_slope),
+        M=A_star[3:, 3:],
+        G=gyro,
+        K=-stiffness,
+        M_Omega=A_star[3:, :3],
+        G_Omega=-momentum_change[:3].T,
+        M_Omega_q=rate_change,
+        root_inertia=A_star[:3, :3],
+        root_momentum=root_momentum,
+    )
+
+
+def _spin_stiffness(platform: Platform, at: Kinematics, rate: FloatArray) -> FloatArray:
+    """∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    out = np.zeros((n, n))
+    for rotor, body in enumerate(tree.carriers):
+        for j in np.flatnonzero(tree.on_path[body]):
+            for i in np.flatnonzero(tree.on_path[1 + j]):
+                # The outer gimbal turns what the inner one has turned.
+                second = np.cross(at.axes[i], np.cross(at.axes[j], at.spin_axes[rotor]))
+                out[i, j] += tree.L[rotor] * (second @ rate)
+    return _mirrored(out)
+
+
+def _inertia_stiffness(platform: Platform, at: Kinematics, inertias: FloatArray, rate: FloatArray) -> FloatArray:
+    """∂²(½ Omegaᵀ A*_OmegaOmega Omega)/∂q², (n, n)."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    out = np.zeros((n, n))
+    turned = np.cross(rate, at.axes)
+    for body in range(1, 1 + n):
+        momentum = inertias[body] @ rate
+        for j in np.flatnonzero(tree.on_path[body]):
+            for i in np.flatnonzero(tree.on_path[1 + j]):
+                # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j.
+                second = np.cross(at.axes[j], np.cross(at.axes[i], rate))
+                out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
+    return _mirrored(out)
+
+
+def _mirrored(upper: FloatArray) -> FloatArray:
+    """Fill in [j, i] from [i, j]: only pairs with i above j were set."""
+    out: FloatArray = upper + upper.T - np.diag(np.diag(upper))
+    return out

@@ -1,0 +1,173 @@
+"""Linear models as control.StateSpace with momentum states: exact and proper, without the derivative of Omega.
+
+With p = M q̇ + M_Omega ω the gimbal rows become
+
+    q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − G q̇ − K q − G_Omega ω.
+
+With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.mechanics.kinematics import cross_matrix
+
+if TYPE_CHECKING:
+    import control
+
+OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
+ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
+
+# An entry counts as zero where it is this small against the diagonal of its rows and columns.
+_STRUCTURAL_ZERO = 1e-12
+
+
+def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals whose equations are coupled when Omega is given, in the file's order.
+
+    Found from the non-zero entries of M, G and K at the model's trim, relative to what the rows' inertias make of
+    them; not from the tree.
+    """
+    n = len(model.gimbal_names)
+    scale = 1.0 / np.sqrt(np.diag(model.M))
+    coupled = np.zeros((n, n), dtype=bool)
+    for matrix in (model.M, model.G, model.K, *np.moveaxis(model.M_Omega_q, 1, 0)):
+        size = np.abs(scale[:, None] * matrix * scale)
+        coupled |= size > _STRUCTURAL_ZERO * max(size.max(initial=0.0), np.finfo(float).tiny)
+    coupled |= coupled.T
+    groups: list[tuple[str, ...]] = []
+    left = list(range(n))
+    while left:
+        group, frontier = {left[0]}, [left[0]]
+        while frontier:
+            for k in np.flatnonzero(coupled[frontier.pop()]):
+                if k not in group:
+                    group.add(int(k))
+                    frontier.append(int(k))
+        groups.append(tuple(model.gimbal_names[k] for k in sorted(group)))
+        left = [k for k in left if k not in group]
+    return tuple(groups)
+
+
+def state_space(
+    model: LinearModel,
+    root: Literal["prescribed", "free"] = "prescribed",
+    gimbals: Sequence[str] | None = None,
+) -> control.StateSpace:
+    """Return the linear model as a state-space system.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    root
+        ``"prescribed"``: Omega is an input, the platform feels no reaction. ``"free"``: the platform reacts.
+    gimbals
+        Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
+
+    Returns
+    -------
+    control.StateSpace
+        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3).
+        Inputs: the torquers in the file's order, then Omega1 to Omega3 (free root: the gimbals' torquers, then M1 to
+        M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All are deviations from the trim.
+
+    Raises
+    ------
+    ArgumentError
+        Unknown gimbal or `root`; `gimbals` cuts through a subsystem; `gimbals` with a free root.
+    """
+    if root not in ("prescribed", "free"):
+        raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
+    if root == "free":
+        if gimbals is not None:
+            raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
+        return _free(model)
+    rows = _rows(model, gimbals)
+    names = [model.angle_names[k] for k in rows]
+    chosen = [model.gimbal_names[k] for k in rows]
+    torquers, torque_map = _gimbal_torquers(model, chosen)
+    part = np.ix_(rows, rows)
+    M, G, K = model.M[part], model.G[part], model.K[part]
+    M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
+    n = len(rows)
+    mobility = np.linalg.inv(M)
+    A = np.block([[np.zeros((n, n)), mobility], [-K, -G @ mobility]])
+    B = np.block(
+        [
+            [np.zeros((n, len(torquers))), -mobility @ M_Omega],
+            [torque_map, G @ mobility @ M_Omega - G_Omega],
+        ]
+    )
+    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    return _named(A, B, C, [*torquers, *OMEGA_NAMES], names, [*names, *(f"p_{name}" for name in names)])
+
+
+def _free(model: LinearModel) -> control.StateSpace:
+    n = len(model.gimbal_names)
+    names = list(model.angle_names)
+    torquers, torque_map = _gimbal_torquers(model, list(model.gimbal_names))
+    inertia = np.block([[model.M, model.M_Omega], [model.M_Omega.T, model.root_inertia]])
+    to_rates = np.linalg.inv(inertia)
+    q_dot, omega = to_rates[:n], to_rates[n:]
+    turn = cross_matrix(model.Omega0)
+    # Root rows: δp = P − G_Omegaᵀ q, and d(δp)/dt + Omega0 × δp + ω × p0 = δM.
+    root_rates = model.G_Omega.T @ q_dot - turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+    root_rates += cross_matrix(model.root_momentum) @ omega
+    A = np.zeros((2 * n + 3, 2 * n + 3))
+    A[:n, n:] = q_dot
+    A[n : 2 * n, :n] = -model.K
+    A[n : 2 * n, n:] = -model.G @ q_dot - model.G_Omega @ omega
+    A[2 * n :, :n] = turn @ model.G_Omega.T
+    A[2 * n :, n:] = root_rates
+    if model.terms == "paper":
+        # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
+        A[2 * n :, n:] += turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+    B = np.zeros((2 * n + 3, len(torquers) + 3))
+    B[n : 2 * n, : len(torquers)] = torque_map
+    B[2 * n :, len(torquers) :] = np.eye(3)
+    C = np.zeros((n + 3, 2 * n + 3))
+    C[:n, :n] = np.eye(n)
+    C[n:, n:] = omega
+    states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
+    return _named(A, B, C, [*torquers, *ROOT_TORQUE_NAMES], [*names, *OMEGA_NAMES], states)
+
+
+def _rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
+    if gimbals is None:
+        return list(range(len(model.gimbal_names)))
+    if isinstance(gimbals, str):
+        raise ArgumentError(f"gimbals: given the string {gimbals!r}; expected a sequence of names, for example ({gimbals!r},)")
+    chosen = {known_name("gimbals", name, model.gimbal_names) for name in gimbals}
+    for group in subsystems(model):
+        members = {model.gimbal_names.index(name) for name in group}
+        if members & chosen and not members <= chosen:
+            inside = ", ".join(model.gimbal_names[k] for k in sorted(members & chosen))
+            outside = ", ".join(model.gimbal_names[k] for k in sorted(members - chosen))
+            raise ArgumentError(f"gimbals: {inside} and {outside} are coupled; expected whole subsystems, here {group}")
+    return sorted(chosen)
+
+
+def _gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
+    torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
+    torque_map = np.zeros((len(gimbals), len(torquers)))
+    for column, torquer in enumerate(torquers):
+        torque_map[list(gimbals).index(str(torquer.gimbal)), column] = 1.0
+    return [t.name for t in torquers], torque_map
+
+
+def _named(
+    A: FloatArray, B: FloatArray, C: FloatArray, inputs: list[str], outputs: list[str], states: list[str]
+) -> control.StateSpace:
+    import control
+
+    D = np.zeros((len(C), B.shape[1]))
+    return control.StateSpace(A, B, C, D, inputs=inputs, outputs=outputs, states=states, remove_useless_states=False)

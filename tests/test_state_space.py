@@ -1,0 +1,146 @@
+"""State-space models: signals, physics of section 4 of the paper, and agreement with the second-order equations."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.linearisation import linearise
+from platform_ctrl.mechanics import inverse_dynamics
+from platform_ctrl.reading import read_platform
+from platform_ctrl.state_space import state_space, subsystems
+from tree_cases import platforms
+
+L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
+
+
+@pytest.fixture(scope="module")
+def platform():
+    return read_platform("three_gyro_platform")
+
+
+def test_signal_names_and_order(platform):
+    sys = state_space(linearise(platform))
+    assert sys.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10", "Omega1", "Omega2", "Omega3"]
+    assert sys.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
+    free = state_space(linearise(platform), root="free")
+    assert free.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
+    assert free.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10", "Omega1", "Omega2", "Omega3"]
+    assert sys[["alpha9"], ["Omega1"]].ninputs == 1
+
+
+@pytest.mark.parametrize("Omega", [(0, 0, 0), (1, 0, 0), (0.3, -0.8, 0.5)])
+@pytest.mark.parametrize("terms", ["exact", "paper"])
+def test_the_gimbals_fall_apart_into_4_5_7_and_9_10(platform, Omega, terms):
+    assert subsystems(linearise(platform, Omega=Omega, terms=terms)) == (("4", "5", "7"), ("9", "10"))
+
+
+def test_nutation_frequencies(platform):
+    model = linearise(platform)
+    fast = np.abs(state_space(model, gimbals=("9", "10")).poles()).max()
+    assert fast == pytest.approx(L / np.sqrt(J9 * J10), rel=1e-9)
+    fast = np.abs(state_space(model, gimbals=("4", "5", "7")).poles()).max()
+    assert fast == pytest.approx(np.sqrt(2) * L / np.sqrt(J4 * J5), rel=1e-9)
+
+
+def test_free_gyros_keep_their_direction_on_a_slowly_turning_platform(platform):
+    """α4 = −θ2, α9 = −θ3, β10 = −θ1, β5 = −θ3, β7 = +θ3: the transfer functions Omega → angle at low frequency."""
+    sys = state_space(linearise(platform))
+    s = 1e-3j
+    response = np.asarray(sys(s))[:, 5:] * s
+    expected = np.array([[0, -1, 0], [0, 0, -1], [0, 0, 1], [0, 0, -1], [-1, 0, 0]])
+    np.testing.assert_allclose(response, expected, atol=1e-5)
+
+
+def test_caged_gyros_measure_the_rate(platform):
+    """Steady torques that hold the angles at zero: Q9 = L Omega1, Q10 = −L Omega3, Q5 + Q7 = −2 L Omega2."""
+    model = linearise(platform)
+    torque = model.G_Omega
+    np.testing.assert_allclose(torque[3], [L, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(torque[4], [0, 0, -L], atol=1e-15)
+    np.testing.assert_allclose(torque[1] + torque[2], [0, -2 * L, 0], atol=1e-15)
+    np.testing.assert_allclose(torque[0], 0, atol=1e-15)
+
+
+def test_two_axis_gyro_conserves_its_momentum_component(platform):
+    """J9 α̇9 + L11 β10 is constant on a fixed platform while Q9 = 0: a left null vector of A."""
+    sys = state_space(linearise(platform), gimbals=("9", "10"))
+    conserved = np.array([0, L, 1, 0])  # states α9, β10, p9 = J9 α̇9, p10
+    np.testing.assert_allclose(conserved @ sys.A, 0, atol=1e-12)
+    assert np.abs(conserved @ sys.B[:, sys.input_labels.index("Q10")]) == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1), st.sampled_from(["exact", "paper"]))
+def test_momentum_states_solve_the_second_order_equations(platform, seed, terms):
+    """q(s) from the state space satisfies (M s² + G s + K) q = Q − (M_Omega s + G_Omega) ω at any s."""
+    rng = np.random.default_rng(seed)
+    platform = with_torquers(platform)
+    model = linearise(platform, Omega=rng.normal(size=3), terms=terms)
+    sys = state_space(model)
+    s = complex(rng.normal(), 3 * rng.normal()) * 2
+    response = np.asarray(sys(s))
+    n = len(platform.gimbals)
+    left = (model.M * s**2 + model.G * s + model.K) @ response
+    right = np.hstack([np.eye(n), -(model.M_Omega * s + model.G_Omega)])
+    np.testing.assert_allclose(left, right, atol=1e-8 * (1 + np.abs(right).max()))
+
+
+@settings(max_examples=30, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_free_root_model_is_the_tangent_of_the_non_linear_equations(platform, seed):
+    """Given q(t), ω(t) ~ e^{st}, the torques that inverse dynamics asks for are those that the model answers to."""
+    rng = np.random.default_rng(seed)
+    platform = with_torquers(platform)
+    n = len(platform.gimbals)
+    Omega = rng.normal(size=3)
+    sys = state_space(linearise(platform, Omega=Omega), root="free")
+    s = float(rng.uniform(0.5, 2.0))  # a real exponential, so that the motion is real
+    response = np.asarray(sys(s)).real
+    trim = np.concatenate([Omega, np.zeros(n)])
+    h = 1e-6
+    for column in range(n + 3):
+        q, omega = response[:n, column], response[n:, column]
+        size = h / max(1.0, np.abs(response[:, column]).max())
+        motion = np.concatenate([omega, s * q])
+        torque = [
+            inverse_dynamics(platform, sign * size * q, trim + sign * size * motion, sign * size * s * motion)
+            for sign in (1, -1)
+        ]
+        slope = (torque[0] - torque[1]) / (2 * size)
+        expected = np.zeros(3 + n)
+        expected[3 + column if column < n else column - n] = 1.0
+        scale = 1 + np.abs(response[:, column]).max() * 100
+        np.testing.assert_allclose(slope, expected, atol=1e-7 * scale)
+
+
+def with_torquers(platform):
+    from platform_ctrl.description import Platform, Torquer
+
+    return Platform(
+        name=platform.name,
+        root_name=platform.root_name,
+        root_inertia=platform.root_inertia,
+        gimbals=platform.gimbals,
+        rotors=platform.rotors,
+        torquers=tuple(Torquer(name=f"Q{g.name}", gimbal=g.name) for g in platform.gimbals),
+    )
+
+
+def test_wrong_questions_get_one_line(platform):
+    model = linearise(platform)
+    with pytest.raises(ArgumentError, match="coupled"):
+        state_space(model, gimbals=("9",))
+    with pytest.raises(ArgumentError, match="did you mean"):
+        state_space(model, gimbals=("9", "100"))
+    with pytest.raises(ArgumentError, match="expected a sequence"):
+        state_space(model, gimbals="9")
+    with pytest.raises(ArgumentError, match="expected 'prescribed' or 'free'"):
+        state_space(model, root="fixed")
+    with pytest.raises(ArgumentError, match="leave it out"):
+        state_space(model, root="free", gimbals=("9", "10"))
+    with pytest.raises(ArgumentError, match="expected 'exact' or 'paper'"):
+        linearise(platform, terms="both")
+    with pytest.raises(ArgumentError, match=r"shape \(2,\); expected \(3,\)"):
+        linearise(platform, Omega=(0, 1))
