@@ -1,0 +1,96 @@
+"""Control loops of gimballed platforms with fast rotors: equations of motion, design, check, report.
+
+The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space` is both
+a function and the module that holds it; ``platform_ctrl.state_space`` is always the function.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from platform_ctrl import analysis, check, design, report, requirements, simulation
+    from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, Torquer
+    from platform_ctrl.errors import PlatformCtrlError
+    from platform_ctrl.job import Job
+    from platform_ctrl.linearisation import LinearModel, linearise
+    from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
+    from platform_ctrl.reading import read_job, read_platform
+    from platform_ctrl.state_space import state_space, subsystems
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Gimbal",
+    "Job",
+    "LinearModel",
+    "PickOff",
+    "Platform",
+    "PlatformCtrlError",
+    "Rotor",
+    "Torquer",
+    "analysis",
+    "check",
+    "design",
+    "forward_dynamics",
+    "inverse_dynamics",
+    "linearise",
+    "matrices",
+    "read_job",
+    "read_platform",
+    "report",
+    "requirements",
+    "simulation",
+    "state_space",
+    "subsystems",
+]
+
+_SUBMODULES = frozenset({"analysis", "check", "design", "report", "requirements", "simulation"})
+
+_HOME = {
+    "Gimbal": "description",
+    "Job": "job",
+    "LinearModel": "linearisation",
+    "PickOff": "description",
+    "Platform": "description",
+    "PlatformCtrlError": "errors",
+    "Rotor": "description",
+    "Torquer": "description",
+    "forward_dynamics": "mechanics",
+    "inverse_dynamics": "mechanics",
+    "linearise": "linearisation",
+    "matrices": "mechanics",
+    "read_job": "reading",
+    "read_platform": "reading",
+    "state_space": "state_space",
+    "subsystems": "state_space",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _SUBMODULES:
+        return import_module(f"{__name__}.{name}")
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
+    found: object = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    """Whoever imports a submodule, the import system stores it here: a public function of that name stays on top."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if isinstance(value, ModuleType) and _HOME.get(name) == name:
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,117 @@
+"""The house itself: linters, import contract, import cost, public names, the README's commands."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+import platform_ctrl as pc
+
+HOUSE = Path(__file__).resolve().parent.parent
+HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "pydantic", "rich", "scipy", "sympy", "typer"}
+
+TOOLS = {
+    "ruff": [sys.executable, "-m", "ruff", "check", "."],
+    "mypy": [sys.executable, "-m", "mypy"],
+    "import-linter": [str(Path(sysconfig.get_path("scripts")) / "lint-imports"), "--no-logo"],
+}
+
+
+def python(code: str) -> str:
+    """Run `code` in a fresh interpreter and return what it prints."""
+    done = subprocess.run([sys.executable, "-c", code], cwd=HOUSE, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_is_content(tool: str) -> None:
+    environment = os.environ | {"NO_COLOR": "1", "COLUMNS": "200", "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(TOOLS[tool], cwd=HOUSE, capture_output=True, encoding="utf-8", env=environment, check=False)
+    assert done.returncode == 0, f"{tool}:\n{done.stdout}\n{done.stderr}"
+
+
+def test_importing_the_package_loads_nothing_heavy_and_none_of_its_modules() -> None:
+    loaded = set(json.loads(python("import sys, json, platform_ctrl; print(json.dumps(list(sys.modules)))")))
+    assert not {name.partition(".")[0] for name in loaded} & HEAVY
+    assert {name for name in loaded if name.partition(".")[0] == "platform_ctrl"} == {"platform_ctrl"}
+
+
+@pytest.mark.parametrize("name", pc.__all__)
+def test_every_public_name_is_there_and_listed(name: str) -> None:
+    assert getattr(pc, name) is not None
+    assert name in dir(pc)
+
+
+def test_type_checkers_see_the_same_names_as_the_running_program() -> None:
+    tree = ast.parse(Path(pc.__file__).read_text(encoding="utf-8"))
+    [guarded] = [node for node in tree.body if isinstance(node, ast.If)]
+    seen = {
+        alias.name: (node.module or "").removeprefix("platform_ctrl").lstrip(".")
+        for node in guarded.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == pc._HOME | dict.fromkeys(pc._SUBMODULES, "")
+    assert sorted(seen) == pc.__all__
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'lineariser'"):
+        pc.lineariser  # noqa: B018
+    assert not hasattr(pc, "lineariser")
+
+
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import platform_ctrl.state_space",
+        "import platform_ctrl; platform_ctrl.state_space; import platform_ctrl.state_space",
+        "import platform_ctrl.state_space as module, platform_ctrl; module.__call__",
+        "import platform_ctrl; from platform_ctrl.state_space import subsystems",
+        "import platform_ctrl; from platform_ctrl import analysis, design",
+        "import platform_ctrl, importlib; importlib.import_module('platform_ctrl.state_space')",
+    ],
+)
+def test_state_space_is_the_function_however_it_was_imported(imports: str) -> None:
+    python(
+        f"{imports}\n"
+        "import sys\n"
+        "from platform_ctrl import state_space as name\n"
+        "from platform_ctrl.state_space import state_space as function\n"
+        "assert platform_ctrl.state_space is name is function, platform_ctrl.state_space\n"
+        "assert sys.modules['platform_ctrl.state_space'].state_space is function\n"
+    )
+
+
+def test_state_space_is_the_function_that_makes_models_after_the_module_was_imported() -> None:
+    printed = python(
+        "import platform_ctrl.state_space\n"
+        "model = platform_ctrl.linearise(platform_ctrl.read_platform('three_gyro_platform'))\n"
+        "print(*platform_ctrl.state_space(model).output_labels)"
+    )
+    assert printed.split() == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
+
+
+def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None:
+    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    commands = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
+    assert len(commands) == 2
+    assert "platform-ctrl design examples/three_gyro_platform.toml" in commands[0]
+    assert commands[1].endswith("pytest")
+    assert commands[1] in (HOUSE / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+
+
+def test_the_readme_names_files_that_exist() -> None:
+    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\b(?:examples|models|benchmarks|tests)/[\w/]+\.\w+", readme))
+    assert named
+    assert [name for name in sorted(named) if not (HOUSE / name).is_file()] == []
