@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -17,8 +18,10 @@ HOUSE = Path(__file__).resolve().parent.parent
 SHIPPED = (".py", ".typed", ".toml", ".html", ".css", ".j2")
 
 
-def run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run([str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=False)
+def run(*command: str | Path, cwd: Path, **environment: str) -> str:
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -59,7 +62,7 @@ def test_the_wheel_holds_every_file_of_the_package_and_of_models_and_no_other(wh
 
 def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_path: Path) -> None:
     code = (
-        "import sys, json; sys.path.insert(0, sys.argv[1])\n"
+        "import sys, json\n"
         "import importlib.metadata as metadata, importlib.resources as resources\n"
         "import platform_ctrl as pc\n"
         "models = resources.files('platform_ctrl.models')\n"
@@ -70,20 +73,22 @@ def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_
         "    'typed': resources.files('platform_ctrl').joinpath('py.typed').is_file(),\n"
         "    'models': sorted(m.name for m in models.iterdir() if m.name.endswith('.toml') and m.read_text('utf-8')),\n"
         "    'angles': platform.angle_names,\n"
+        "    'commands': [entry.name for entry in distribution.entry_points if callable(entry.load())],\n"
         "    'version': distribution.version,\n"
         "    'licence': distribution.metadata['License-Expression'],\n"
         "}))\n"
     )
-    seen = json.loads(run(sys.executable, "-c", code, site, cwd=tmp_path))
+    seen = json.loads(run(sys.executable, "-c", code, site, cwd=tmp_path, PYTHONPATH=str(site)))
     assert Path(seen["file"]).is_relative_to(site)
     assert seen["typed"]
     assert seen["models"] == sorted(path.name for path in (HOUSE / "models").glob("*.toml"))
     assert seen["angles"] == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
+    assert seen["commands"] == ["platform-ctrl"]
     assert seen["version"] == pc.__version__
     assert seen["licence"] == "BSD-3-Clause"
 
 
 def test_the_installed_command_lists_the_shipped_models(site: Path, tmp_path: Path) -> None:
-    command = f"import sys; sys.path.insert(0, {str(site)!r}); sys.argv = ['platform-ctrl', 'models']\n"
-    printed = run(sys.executable, "-c", command + "import runpy; runpy.run_module('platform_ctrl')", cwd=tmp_path)
+    printed = run(sys.executable, "-m", "platform_ctrl", "models", cwd=tmp_path, PYTHONPATH=str(site))
     assert "three_gyro_platform" in printed
+    assert len(printed.splitlines()) >= len(list((HOUSE / "models").glob("*.toml")))
