@@ -1,0 +1,157 @@
+"""State-space arrays: in and out of `control.StateSpace`, and the scaling that every computation starts with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+ComplexArray = NDArray[np.complex128]
+
+
+class StateArrays(NamedTuple):
+    """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous)."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    dt: float
+
+
+def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
+    """Return the arrays of `system`, or raise `ArgumentError` in the name of `where`.
+
+    A system without a time base (``dt=None``, a static gain) counts as continuous.
+    """
+    try:
+        A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
+    except AttributeError:
+        raise ArgumentError(
+            f"{where}: got {type(system).__name__}, expected a control.StateSpace; convert it with control.ss"
+        ) from None
+    if dt is True:
+        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
+    out = StateArrays(
+        np.asarray(A, dtype=np.float64),
+        np.asarray(B, dtype=np.float64),
+        np.asarray(C, dtype=np.float64),
+        np.asarray(D, dtype=np.float64),
+        0.0 if dt is None else float(dt),
+    )
+    for name, item in zip("ABCD", out[:4], strict=True):
+        if not np.all(np.isfinite(item)):
+            raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
+    return out
+
+
+def state_space(
+    arrays: StateArrays,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    states: Sequence[str] | None = None,
+    name: str | None = None,
+) -> control.StateSpace:
+    """Return a `control.StateSpace` with named signals; names that occur twice are numbered."""
+    import control
+
+    options = {} if name is None else {"name": name}
+    if states is not None:
+        options["states"] = _distinct(states)  # type: ignore[assignment]
+    return control.StateSpace(
+        arrays.A,
+        arrays.B,
+        arrays.C,
+        arrays.D,
+        arrays.dt,
+        inputs=_distinct(inputs),
+        outputs=_distinct(outputs),
+        remove_useless_states=False,
+        **options,
+    )
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    used: set[str] = set()
+    out = []
+    for name in names:
+        new, count = name, 1
+        while new in used:
+            count += 1
+            new = f"{name}_{count}"
+        used.add(new)
+        out.append(new)
+    return out
+
+
+def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
+    """Return `frequency` as a vector of finite numbers >= 0, rad/s, or raise `ArgumentError`."""
+    out = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+    if out.ndim != 1 or not np.all(np.isfinite(out)) or np.any(out < 0.0):
+        raise ArgumentError(
+            f"{where}: frequency has shape {np.shape(frequency)}, expected a vector of finite numbers >= 0 in rad/s"
+        )
+    return out
+
+
+def positive(number: float, name: str, where: str) -> float:
+    """Return a finite number > 0, or raise `ArgumentError`."""
+    out = float(number)
+    if not (math.isfinite(out) and out > 0.0):
+        raise ArgumentError(f"{where}: {name} = {number!r}, expected a finite number > 0")
+    return out
+
+
+def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
+    """Return powers of two s such that states x / s make [A B; C 0] balanced (Osborne).
+
+    Parameters
+    ----------
+    A, B, C
+        Arrays of one system, or stacks of them: then one scaling serves the whole stack.
+
+    Returns
+    -------
+    (n,)
+        Scaled arrays are ``A * s / s[:, None]``, ``B / s[:, None]``, ``C * s``: exact in floating point.
+    """
+    from scipy.linalg import matrix_balance
+
+    A, B, C = (_mean_magnitude(item) for item in (A, B, C))
+    n, m, p = A.shape[0], B.shape[1], C.shape[0]
+    if n == 0:
+        return np.ones(0)
+    whole = np.zeros((n + m + p, n + m + p))
+    _, (s, _) = matrix_balance(A, permute=False, separate=True)
+    s = s.copy()
+    # B and C count as much as A does; their rows and columns themselves stay unscaled because
+    # LAPACK leaves out states with an empty row or column.
+    size = max(float(np.linalg.norm(A * s / s[:, None])), np.finfo(float).tiny)
+    scaled_B, scaled_C = B / s[:, None], C * s
+    whole[:n, n : n + m] = scaled_B * (size / max(float(np.linalg.norm(scaled_B)), np.finfo(float).tiny))
+    whole[n + m :, :n] = scaled_C * (size / max(float(np.linalg.norm(scaled_C)), np.finfo(float).tiny))
+    whole[:n, :n] = A * s / s[:, None]
+    _, (more, _) = matrix_balance(whole, permute=False, separate=True)
+    out: FloatArray = s * more[:n]
+    return out
+
+
+def _mean_magnitude(array: FloatArray) -> FloatArray:
+    magnitude = np.abs(array)
+    out: FloatArray = magnitude.reshape(-1, *magnitude.shape[-2:]).mean(axis=0) if magnitude.ndim > 2 else magnitude
+    return out
+
+
+def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C in balanced states: the same transfer function, better conditioned."""
+    s = state_scaling(A, B, C)
+    return A * s / s[:, None], B / s[:, None], C * s

@@ -1,0 +1,291 @@
+"""Loops closed: u = K y, torque = K(pick-off), no hidden sign.
+
+::
+
+        d ----+                                  +---- n
+              v                                  v
+      u ----> + ----> plant P ----+----> y ----> +
+      ^                                          |
+      +---------------- controller K <-----------+
+
+Sensitivities are written for the negative-feedback loop transfer L = -K P (broken at the plant's input) or
+L = -P K (at its output), so that S = (I + L)^-1 and T = L S as in the books.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays, state_space
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    import control
+
+At = Literal["input", "output"]
+
+
+@value
+class Gang:
+    """The responses of a closed loop, each complex (rows, columns, N).
+
+    Attributes
+    ----------
+    frequency : (N,)
+        rad/s.
+    S_input, T_input : (m, m, N)
+        Sensitivity and complementary sensitivity at the plant's input: S + T = I.
+    S_output, T_output : (p, p, N)
+        The same at the plant's output.
+    angle_per_torque : (p, m, N)
+        From torque disturbance d to angle y: P S_input.
+    torque_per_noise : (m, p, N)
+        From pick-off noise n to torque u: K S_output.
+    """
+
+    frequency: FloatArray
+    S_input: ComplexArray
+    T_input: ComplexArray
+    S_output: ComplexArray
+    T_output: ComplexArray
+    angle_per_torque: ComplexArray
+    torque_per_noise: ComplexArray
+
+
+def loop_transfer(plant: control.StateSpace, controller: control.StateSpace, at: At = "input") -> control.StateSpace:
+    """Return L = -K P (``at="input"``) or -P K (``at="output"``): S = (I + L)^-1.
+
+    Plant and controller are joined by signal names where all of the controller's names exist in the plant, by
+    position otherwise.
+
+    Raises
+    ------
+    ArgumentError
+        If sizes, names or sample periods do not fit.
+    """
+    P, K, torques, angles = _matched(plant, controller, "loop_transfer")
+    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
+    if _checked(at) == "input":
+        first, second, names = P, K, list(controller.output_labels)
+    else:
+        first, second, names = K, P, list(controller.input_labels)
+    return state_space(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names)
+
+
+def closed_loop(plant: control.StateSpace, controller: control.StateSpace) -> control.StateSpace:
+    """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
+
+    Parameters
+    ----------
+    plant
+        May have more inputs and outputs than the controller uses: joined by name (see `loop_transfer`). All of
+        its inputs become inputs of the result, all of its outputs outputs.
+    controller
+        u = K y, same sample period.
+
+    Returns
+    -------
+    control.StateSpace
+        Inputs: the plant's inputs (a disturbance that adds to the controller's torque, or for example Omega1),
+        then ``noise_`` + name for every pick-off that the controller uses. Outputs: the controller's torques, then
+        the plant's outputs (without the noise). States: the plant's, then the controller's.
+
+    Raises
+    ------
+    ArgumentError
+        If sizes, names or sample periods do not fit, or the algebraic loop I - D_K D_P is singular.
+    """
+    P, K, torques, angles = _matched(plant, controller, "closed_loop")
+    arrays = closed_loop_arrays(*P[:4], *K[:4], torques=torques, angles=angles)
+    measured = [plant.output_labels[i] for i in angles]
+    commanded = [plant.input_labels[i] for i in torques]
+    return state_space(
+        StateArrays(*arrays, dt=P.dt),
+        list(plant.input_labels) + [f"noise_{name}" for name in measured],
+        commanded + list(plant.output_labels),
+        list(plant.state_labels) + [f"controller_{name}" for name in controller.state_labels],
+    )
+
+
+def gang(plant: control.StateSpace, controller: control.StateSpace, frequency: ArrayLike) -> Gang:
+    """Return the sensitivities at the plant's input and output, and P S and K S, over `frequency` in rad/s.
+
+    They are computed from the closed loop's own equations, not from P and K: integrators do no harm at DC.
+
+    Raises
+    ------
+    ArgumentError
+        As in `closed_loop`, and if `frequency` is not a vector of finite numbers >= 0.
+    """
+    P, K, torques, angles = _matched(plant, controller, "gang")
+    w = frequencies(frequency, "gang")
+    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
+    m = len(torques)
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    H = np.moveaxis(frequency_response_arrays(A, B, C, D, P.dt, w), 0, -1)
+    T_input, T_output = -H[:m, :m], -H[m:, m:]
+    return Gang(
+        frequency=w,
+        S_input=np.eye(m)[:, :, None] - T_input,
+        T_input=T_input,
+        S_output=np.eye(len(angles))[:, :, None] - T_output,
+        T_output=T_output,
+        angle_per_torque=H[m:, :m],
+        torque_per_noise=H[:m, m:],
+    )
+
+
+def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return S = (I + L)^-1 and T = I - S for responses L of shape (..., m, m).
+
+    For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
+    """
+    eye = np.eye(loop.shape[-1])
+    S = np.asarray(np.linalg.inv(eye + loop), dtype=np.complex128)
+    return S, eye - S
+
+
+def series_arrays(
+    A1: FloatArray,
+    B1: FloatArray,
+    C1: FloatArray,
+    D1: FloatArray,
+    A2: FloatArray,
+    B2: FloatArray,
+    C2: FloatArray,
+    D2: FloatArray,
+    sign: float = 1.0,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return `sign` times system 2 after system 1; leading batch axes broadcast."""
+    n1, n2 = A1.shape[-1], A2.shape[-1]
+    batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A1, B1, C1, D1, A2, B2, C2, D2)))
+    A = np.zeros((*batch, n1 + n2, n1 + n2))
+    A[..., :n1, :n1] = A1
+    A[..., n1:, :n1] = B2 @ C1
+    A[..., n1:, n1:] = A2
+    B = np.zeros((*batch, n1 + n2, B1.shape[-1]))
+    B[..., :n1, :] = B1
+    B[..., n1:, :] = B2 @ D1
+    C = np.zeros((*batch, C2.shape[-2], n1 + n2))
+    C[..., :n1] = sign * (D2 @ C1)
+    C[..., n1:] = sign * C2
+    D = np.array(np.broadcast_to(sign * (D2 @ D1), (*batch, C2.shape[-2], B1.shape[-1])))
+    return A, B, C, D
+
+
+def closed_loop_arrays(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    A_K: FloatArray,
+    B_K: FloatArray,
+    C_K: FloatArray,
+    D_K: FloatArray,
+    torques: Sequence[int] | None = None,
+    angles: Sequence[int] | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C, D of `closed_loop` for a stack of plants with one controller (or a stack of both).
+
+    Parameters
+    ----------
+    A, B, C, D
+        Plant, ``(..., n, n)``, ``(..., n, m)``, ``(..., p, n)``, ``(..., p, m)``; batch axes broadcast.
+    A_K, B_K, C_K, D_K
+        Controller from the plant's outputs `angles` to its inputs `torques`.
+    torques, angles
+        Indices of the plant's inputs and outputs that the controller uses, in its order; default all.
+
+    Returns
+    -------
+    A, B, C, D
+        Inputs [d (m), n (as many as `angles`)], outputs [u (as many as `torques`), y (p)].
+
+    Raises
+    ------
+    ArgumentError
+        If I - D_K D_P is singular for one of the plants.
+    """
+    m, p = B.shape[-1], C.shape[-2]
+    at = list(range(m)) if torques is None else list(torques)
+    seen = list(range(p)) if angles is None else list(angles)
+    n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
+    batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A, B, C, D, A_K, B_K, C_K, D_K)))
+    # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
+    direct = np.zeros((*batch, q, n + n_K + m + q))
+    direct[..., :n] = C[..., seen, :]
+    direct[..., n + n_K : n + n_K + m] = D[..., seen, :]
+    direct[..., n + n_K + m :] = np.eye(q)
+    u = D_K @ direct
+    u[..., n : n + n_K] += C_K
+    D_loop = D[..., seen, :][..., :, at]
+    if np.any(D_loop) and np.any(D_K):
+        u = _solve_algebraic_loop(np.eye(k) - D_K @ D_loop, u)
+    y = np.zeros((*batch, p, n + n_K + m + q))
+    y[..., :n] = C
+    y[..., n + n_K : n + n_K + m] = D
+    y += D[..., :, at] @ u
+    seen_y = y[..., seen, :].copy()
+    seen_y[..., n + n_K + m :] += np.eye(q)
+    rate = np.empty((*batch, n + n_K, n + n_K + m + q))
+    rate[..., :n, :] = B[..., :, at] @ u
+    rate[..., :n, :n] += A
+    rate[..., :n, n + n_K : n + n_K + m] += B
+    rate[..., n:, :] = B_K @ seen_y
+    rate[..., n:, n : n + n_K] += A_K
+    outputs = np.concatenate([u, y], axis=-2)
+    N = n + n_K
+    return rate[..., :N], rate[..., N:], outputs[..., :N], outputs[..., N:]
+
+
+def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
+    if not smallest > 1e-12 * max(1.0, float(np.abs(matrix).max())):
+        raise ArgumentError(
+            "closed_loop: the algebraic loop I - D_K D_P is singular (smallest singular value "
+            f"{smallest:.1e}), expected a well-posed loop; add a lag or a delay, or change a direct gain"
+        )
+    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+
+
+def _checked(at: str) -> str:
+    if at not in ("input", "output"):
+        raise ArgumentError(f"at = {at!r}, expected 'input' or 'output'")
+    return at
+
+
+def _matched(
+    plant: control.StateSpace, controller: control.StateSpace, where: str
+) -> tuple[StateArrays, StateArrays, list[int], list[int]]:
+    """Return both systems' arrays and the plant's inputs and outputs that the controller uses, in its order."""
+    P, K = state_arrays(plant, f"{where} (plant)"), state_arrays(controller, f"{where} (controller)")
+    if plant.dt is None or controller.dt is None:
+        # A static gain without a time base takes the other's.
+        dt = max(P.dt, K.dt)
+        P, K = P._replace(dt=dt), K._replace(dt=dt)
+    if abs(P.dt - K.dt) > 1e-9 * max(P.dt, K.dt):
+        raise ArgumentError(
+            f"{where}: the plant has dt = {P.dt} s and the controller {K.dt} s, expected the same; "
+            "see platform_ctrl.analysis.sampled"
+        )
+    inputs, outputs = list(plant.input_labels), list(plant.output_labels)
+    if set(controller.output_labels) <= set(inputs) and set(controller.input_labels) <= set(outputs):
+        return (
+            P,
+            K,
+            [inputs.index(name) for name in controller.output_labels],
+            [outputs.index(name) for name in controller.input_labels],
+        )
+    if (K.D.shape[1], K.D.shape[0]) != P.D.shape:
+        raise ArgumentError(
+            f"{where}: the controller has inputs {list(controller.input_labels)} and outputs "
+            f"{list(controller.output_labels)}, the plant outputs {outputs} and inputs {inputs}; "
+            "expected the same names, or the same numbers"
+        )
+    return P, K, list(range(P.D.shape[1])), list(range(P.D.shape[0]))

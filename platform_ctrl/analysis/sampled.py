@@ -1,0 +1,249 @@
+"""From continuous to sampled and back: exact hold with lag and delay, and the bilinear map.
+
+The delay is exact (no Padé): the part of it that is not a whole number of periods splits each period
+into two intervals of constant input, and each is integrated with the matrix exponential
+(Åström and Wittenmark, Computer-Controlled Systems, sec. 2.3).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import StateArrays, positive, scaled, state_arrays, state_scaling, state_space
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+
+def sampled(
+    system: control.StateSpace, period: float, delay: float = 0.0, lag: ArrayLike | None = None
+) -> control.StateSpace:
+    """Return the system as a sampled controller sees it: hold, delay, actuator lag, plant, sampler.
+
+    ::
+
+        u[k] -> hold -> delay -> 1/(lag s + 1) -> system -> y(k period)
+
+    Exact at the samples. States: those of `system`, one per lag that is not zero, and the held
+    inputs u[k-1], u[k-2], ... that the delay still needs. Nothing is reduced.
+
+    Parameters
+    ----------
+    system
+        Continuous `control.StateSpace`, m inputs.
+    period
+        Sample period, s; the result's `dt`.
+    delay
+        From the sample to the time at which the hold's output acts, s; any number >= 0, also more than a period.
+    lag : (m,) or scalar, optional
+        Time constant of the first-order lag in front of each input, s; 0 for none.
+
+    Returns
+    -------
+    control.StateSpace
+        With the input and output names of `system`.
+
+    Raises
+    ------
+    ArgumentError
+        If the system is not continuous, or `period`, `delay` or `lag` make no sense.
+    """
+    arrays = state_arrays(system, "sampled")
+    if arrays.dt != 0.0:
+        raise ArgumentError(f"sampled: the system has dt = {arrays.dt} s already, expected a continuous system")
+    A, B, C, D, lags = _sampled(arrays.A, arrays.B, arrays.C, arrays.D, period, delay, lag)
+    inputs = list(system.input_labels)
+    states = list(system.state_labels) + [f"lag_{name}" for name, one in zip(inputs, lags, strict=True) if one > 0.0]
+    held = (A.shape[-1] - len(states)) // max(len(inputs), 1)
+    states += [f"{name}_held{j + 1}" for j in range(held) for name in inputs]
+    return state_space(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
+
+
+def sampled_arrays(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    period: float,
+    delay: float = 0.0,
+    lag: ArrayLike | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C, D of `sampled` for arrays with any leading batch axes.
+
+    Parameters
+    ----------
+    A, B, C, D
+        ``(..., n, n)``, ``(..., n, m)``, ``(..., p, n)``, ``(..., p, m)``; batch axes broadcast.
+    period, delay, lag
+        As in `sampled`; the same for the whole stack.
+
+    Returns
+    -------
+    A, B, C, D
+        With n + (number of lags) + m (number of periods that the delay reaches back) states.
+    """
+    return _sampled(A, B, C, D, period, delay, lag)[:4]
+
+
+def _sampled(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float, delay: float, lag: ArrayLike | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    period = positive(period, "period", "sampled")
+    if not (math.isfinite(delay) and delay >= 0.0):
+        raise ArgumentError(f"sampled: delay = {delay!r} s, expected a finite number >= 0")
+    m = B.shape[-1]
+    lags = np.zeros(m) if lag is None else np.array(np.broadcast_to(np.asarray(lag, dtype=np.float64), (m,)))
+    if not np.all(np.isfinite(lags)) or np.any(lags < 0.0):
+        raise ArgumentError(f"sampled: lag = {lag!r}, expected one time constant >= 0 in s for each of {m} inputs")
+    A, B, C, D = with_lag(A, B, C, D, lags)
+
+    whole = math.floor(delay / period + 1e-9)
+    part = delay / period - whole
+    # A delay given as a decimal fraction is rarely a multiple of the period to the last bit.
+    part = 0.0 if part < 1e-9 else part
+    reach = whole + (1 if part > 0.0 else 0)
+
+    phi, late = held_input(A, B, (1.0 - part) * period)
+    if part > 0.0:
+        phi_early, early = held_input(A, B, part * period)
+        early = phi @ early
+        phi = phi @ phi_early
+    if reach == 0:
+        return phi, late, C, D, lags
+
+    n, p = A.shape[-1], C.shape[-2]
+    batch = phi.shape[:-2]
+    Ad = np.zeros((*batch, n + reach * m, n + reach * m))
+    Bd = np.zeros((*batch, n + reach * m, m))
+    Cd = np.zeros((*batch, p, n + reach * m))
+    Ad[..., :n, :n] = phi
+    Cd[..., :, :n] = C
+    # Held states are u[k-1], ..., u[k-reach]. With a fractional part the oldest acts first in each period.
+    oldest = slice(n + (reach - 1) * m, n + reach * m)
+    Cd[..., :, oldest] = D
+    if part > 0.0:
+        Ad[..., :n, oldest] = early
+        if whole == 0:
+            Bd[..., :n, :] = late
+        else:
+            Ad[..., :n, n + (whole - 1) * m : n + whole * m] = late
+    else:
+        Ad[..., :n, oldest] = late
+    Bd[..., n : n + m, :] = np.eye(m)
+    for j in range(1, reach):
+        Ad[..., n + j * m : n + (j + 1) * m, n + (j - 1) * m : n + j * m] = np.eye(m)
+    return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
+
+
+def with_lag(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lags: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C, D with a first-order lag in front of every input whose time constant is not zero."""
+    slow = np.flatnonzero(lags > 0.0)
+    if slow.size == 0:
+        return A, B, C, D
+    n, m, p, k = A.shape[-1], B.shape[-1], C.shape[-2], slow.size
+    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], C.shape[:-2], D.shape[:-2])
+    new_A = np.zeros((*batch, n + k, n + k))
+    new_A[..., :n, :n] = A
+    new_A[..., :n, n:] = B[..., :, slow]
+    new_A[..., np.arange(n, n + k), np.arange(n, n + k)] = -1.0 / lags[slow]
+    new_B = np.zeros((*batch, n + k, m))
+    new_B[..., :n, :] = B
+    new_B[..., :n, slow] = 0.0
+    new_B[..., np.arange(n, n + k), slow] = 1.0 / lags[slow]
+    new_C = np.zeros((*batch, p, n + k))
+    new_C[..., :, :n] = C
+    new_C[..., :, n:] = D[..., :, slow]
+    new_D = np.array(np.broadcast_to(D, (*batch, p, m)))
+    new_D[..., :, slow] = 0.0
+    return new_A, new_B, new_C, new_D
+
+
+def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
+    """Return exp(A h) and its integral times B over `duration` h: one step with the input held."""
+    from scipy.linalg import expm
+
+    n, m = A.shape[-1], B.shape[-1]
+    batch = np.broadcast_shapes(A.shape[:-2], B.shape[:-2])
+    if n == 0:
+        return np.zeros((*batch, 0, 0)), np.zeros((*batch, 0, m))
+    # Balanced states: expm would otherwise square too often and lose digits.
+    s = state_scaling(A, B, np.zeros((0, n)))
+    whole = np.zeros((*batch, n + m, n + m))
+    whole[..., :n, :n] = A * s / s[:, None] * duration
+    # A power of two that makes the input matrix as large as A is exact to undo.
+    size = np.abs(whole).max(initial=0.0)
+    gain = np.abs(B / s[:, None]).max(initial=0.0) * duration
+    unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
+    whole[..., :n, n:] = B / s[:, None] * (duration / unit)
+    power = expm(whole)
+    return power[..., :n, :n] * s[:, None] / s, power[..., :n, n:] * s[:, None] * unit
+
+
+def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
+    """Return a discrete system in the w-plane, w = (2/T) (z - 1)/(z + 1).
+
+    The map is exact: stability, the H-infinity norm and the values along the frequency axis are kept, the
+    latter at w = j (2/T) tan(frequency T/2).
+
+    Raises
+    ------
+    ArgumentError
+        If the system is continuous, or has a pole at z = -1 (which would go to infinity).
+    """
+    arrays = state_arrays(system, "bilinear_to_continuous")
+    if arrays.dt == 0.0:
+        raise ArgumentError("bilinear_to_continuous: the system is continuous already, expected dt > 0")
+    A, B, C, D = to_w_plane(arrays.A, arrays.B, arrays.C, arrays.D, arrays.dt)
+    return state_space(StateArrays(A, B, C, D, 0.0), list(system.input_labels), list(system.output_labels))
+
+
+def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.StateSpace:
+    """Return a w-plane (continuous) system in z, the inverse of `bilinear_to_continuous` (Tustin's map).
+
+    Raises
+    ------
+    ArgumentError
+        If the system is discrete, `period` is not > 0, or a pole lies at 2/period (which would go to infinity).
+    """
+    arrays = state_arrays(system, "bilinear_to_discrete")
+    if arrays.dt != 0.0:
+        raise ArgumentError(f"bilinear_to_discrete: the system has dt = {arrays.dt} s, expected a continuous system")
+    period = positive(period, "period", "bilinear_to_discrete")
+    A, B, C, D = from_w_plane(arrays.A, arrays.B, arrays.C, arrays.D, period)
+    return state_space(StateArrays(A, B, C, D, period), list(system.input_labels), list(system.output_labels))
+
+
+def to_w_plane(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the arrays of `bilinear_to_continuous`, in balanced states."""
+    A, B, C = scaled(A, B, C)
+    eye = np.eye(A.shape[-1])
+    inverse = _inverse(A + eye, "bilinear_to_continuous: the system has a pole at z = -1")
+    root = 2.0 / math.sqrt(period)
+    return 2.0 / period * (inverse @ (A - eye)), root * (inverse @ B), root * (C @ inverse), D - C @ inverse @ B
+
+
+def from_w_plane(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the arrays of `bilinear_to_discrete`, in balanced states."""
+    A, B, C = scaled(A, B, C)
+    half, root, eye = 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
+    inverse = _inverse(eye - half * A, f"bilinear_to_discrete: the system has a pole at 2/period = {2.0 / period:g}")
+    return inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B)
+
+
+def _inverse(matrix: FloatArray, where: str) -> FloatArray:
+    smallest = np.linalg.svd(matrix, compute_uv=False).min(initial=np.inf)
+    if smallest < 1e-14 * max(1.0, float(np.abs(matrix).max(initial=0.0))):
+        raise ArgumentError(f"{where}, which the map sends to infinity; use another period, or remove that pole")
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
