@@ -1,0 +1,222 @@
+"""How single values are judged: numbers, names, vectors, inertias. The words that a message expects come along."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from platform_ctrl.frozen import FloatArray, read_only
+from platform_ctrl.reading.mistakes import given, nearest
+
+# Relative rounding that a printed number may carry: symmetry, the triangle inequality, C = 2 A.
+ROUNDING = 1e-9
+
+
+class Unfit(Exception):
+    """A value is refused; the text says what is wrong with it beyond not being what was expected."""
+
+
+class Expected:
+    """Annotation of a key: `judge` returns the value or raises `Unfit`; `words` name what is expected."""
+
+    def __init__(self, words: str, judge: Callable[[Any], Any]) -> None:
+        self.words = words
+        self.judge = judge
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let pydantic ask `judge` alone."""
+        return core_schema.no_info_plain_validator_function(self._validate)
+
+    def _validate(self, item: object) -> Any:
+        try:
+            return self.judge(item)
+        except Unfit as error:
+            detail = f"{error}; " if str(error) else ""
+            raise ValueError(f"{detail}expected {self.words}") from None
+
+
+def number(item: object) -> float:
+    """Return a finite float."""
+    if isinstance(item, bool) or not isinstance(item, int | float):
+        raise Unfit
+    try:
+        out = float(item)
+    except OverflowError:
+        raise Unfit("too large for a floating-point number") from None
+    if not math.isfinite(out):
+        raise Unfit("not finite")
+    return out
+
+
+def _number(fits: Callable[[float], bool]) -> Callable[[object], float]:
+    def judge(item: object) -> float:
+        out = number(item)
+        if not fits(out):
+            raise Unfit
+        return out
+
+    return judge
+
+
+def integer(lowest: int, highest: int) -> Callable[[object], int]:
+    """Return the judge of an integer between two bounds."""
+
+    def judge(item: object) -> int:
+        if isinstance(item, bool) or not isinstance(item, int) or not lowest <= item <= highest:
+            raise Unfit
+        return item
+
+    return judge
+
+
+def numbers(item: object, count: int) -> list[float]:
+    """Return `count` finite floats."""
+    if not isinstance(item, list):
+        raise Unfit
+    if len(item) != count:
+        raise Unfit(f"has {len(item)} element{'' if len(item) == 1 else 's'}")
+    out = []
+    for k, entry in enumerate(item):
+        try:
+            out.append(number(entry))
+        except Unfit as error:
+            raise Unfit(f"element {k + 1}, {given(entry)}, is {str(error) or 'not a number'}") from None
+    return out
+
+
+def _text(item: object) -> str:
+    if not isinstance(item, str):
+        raise Unfit
+    if not item.strip():
+        raise Unfit("empty")
+    if not item.isprintable():
+        raise Unfit("holds characters that cannot be printed")
+    return item
+
+
+def _any_text(item: object) -> str:
+    if not isinstance(item, str):
+        raise Unfit
+    return item
+
+
+def _truth(item: object) -> bool:
+    if not isinstance(item, bool):
+        raise Unfit
+    return item
+
+
+def one_of(names: Sequence[str]) -> Expected:
+    """Return the annotation of a key that takes one of a few words."""
+
+    def judge(item: object) -> str:
+        if isinstance(item, str) and item in names:
+            return item
+        close = nearest(item, names) if isinstance(item, str) else None
+        raise Unfit(f'did you mean "{close}"?' if close else "")
+
+    return Expected(" or ".join(f'"{name}"' for name in names), judge)
+
+
+def axis(item: object) -> FloatArray:
+    """Return a unit vector."""
+    vector = numbers(item, 3)
+    largest = max(map(abs, vector))
+    if largest == 0:
+        raise Unfit("of length zero")
+    scaled = [entry / largest for entry in vector]  # its length neither overflows nor vanishes
+    return read_only([entry / math.hypot(*scaled) for entry in scaled])
+
+
+def inertia(item: object) -> FloatArray:
+    """Return the 3 x 3 inertia matrix of a body that can exist."""
+    if isinstance(item, list) and item and all(isinstance(row, list) for row in item):
+        if len(item) != 3:
+            raise Unfit(f"has {len(item)} row{'' if len(item) == 1 else 's'}")
+        rows = []
+        for k, row in enumerate(item):
+            try:
+                rows.append(numbers(row, 3))
+            except Unfit as error:
+                raise Unfit(f"row {k + 1} {error}") from None
+        matrix = np.array(rows)
+        # A singular matrix has eigenvalues of rounding size, not zero.
+        zero = 1e-12
+    else:
+        matrix = np.diag(numbers(item, 3))
+        zero = 0.0
+    largest = np.abs(matrix).max()
+    if largest == 0:
+        raise Unfit("not positive definite")
+    scaled = matrix / largest
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        if abs(scaled[i, j] - scaled[j, i]) > ROUNDING:
+            raise Unfit(f"not symmetric, element ({i + 1}, {j + 1}) differs from ({j + 1}, {i + 1})")
+    symmetric = (scaled + scaled.T) / 2
+    low, middle, high = np.sort(np.diag(symmetric)) if zero == 0 else np.linalg.eigvalsh(symmetric)
+    if low <= zero:
+        raise Unfit(f"not positive definite, its smallest principal moment is {low * largest:.4g}")
+    if high > (low + middle) * (1 + ROUNDING):
+        raise Unfit(
+            f"no body has it, the principal moment {high * largest:.4g} exceeds the sum of the others, "
+            f"{low * largest:.4g} + {middle * largest:.4g}"
+        )
+    return read_only(matrix / 2 + matrix.T / 2)
+
+
+def stops(item: object) -> tuple[float, float]:
+    """Return the lowest and the highest angle."""
+    low, high = numbers(item, 2)
+    if not low < high:
+        raise Unfit("the lower is not below the upper")
+    if not low <= 0 <= high:
+        raise Unfit("0 is not between them")
+    return low, high
+
+
+def _rates(item: object) -> FloatArray:
+    rates = numbers(item, 3)
+    if min(rates) < 0:
+        raise Unfit
+    return read_only(rates)
+
+
+def _names(item: object) -> tuple[str, ...]:
+    if not isinstance(item, list) or not all(isinstance(name, str) for name in item):
+        raise Unfit
+    return tuple(item)
+
+
+def _plant(item: object) -> Any:
+    return item if isinstance(item, dict) else _text(item)
+
+
+NUMBER = Expected("a number", number)
+POSITIVE = Expected("a number > 0", _number(lambda x: x > 0))
+NOT_NEGATIVE = Expected("a number >= 0", _number(lambda x: x >= 0))
+
+Number = Annotated[float, NUMBER]
+Positive = Annotated[float, POSITIVE]
+NotNegative = Annotated[float, NOT_NEGATIVE]
+Text = Annotated[str, Expected("a name: a line of text that is not empty", _text)]
+AnyText = Annotated[str, Expected("a text", _any_text)]
+Truth = Annotated[bool, Expected("true or false", _truth)]
+SchemaOne = Annotated[int, Expected("1, the format that this version reads", integer(1, 1))]
+RootAxis = Annotated[int, Expected("1, 2 or 3", integer(1, 3))]
+Axis = Annotated[FloatArray, Expected("a vector of three numbers that is not zero", axis)]
+Inertia = Annotated[FloatArray, Expected("three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2", inertia)]
+Stops = Annotated[tuple[float, float], Expected("[lower, upper] with 0 between them", stops)]
+NotZero = Annotated[float, Expected("a number other than 0", _number(lambda x: x != 0))]
+Frequency = Annotated[float, Expected("a number > 0, Hz", _number(lambda x: x > 0 and math.isfinite(1 / x)))]
+Share = Annotated[float, Expected("a number from 0 to 0.9", _number(lambda x: 0 <= x <= 0.9))]
+Seed = Annotated[int, Expected("a whole number >= 0", integer(0, 2**63 - 1))]
+Rates = Annotated[FloatArray, Expected("the largest rate about each root axis, three numbers >= 0, rad/s", _rates)]
+Names = Annotated[tuple[str, ...], Expected("a list of names", _names)]
+Plant = Annotated[
+    str | dict[str, Any], Expected("the name of a shipped model, a path relative to this file, or a table", _plant)
+]

@@ -1,0 +1,247 @@
+"""Job files: TOML or dict -> Job."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+from pydantic import ConfigDict, Field
+
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import InputError
+from platform_ctrl.job import (
+    CoupledLimits,
+    DesignSpec,
+    Job,
+    LoopKind,
+    LoopLimits,
+    LoopSpec,
+    Manoeuvre,
+    Method,
+    Mode,
+    Sampling,
+    Spread,
+)
+from platform_ctrl.reading import fields
+from platform_ctrl.reading.job_checks import job_mistakes
+from platform_ctrl.reading.mistakes import Mistake, report
+from platform_ctrl.reading.plant import judge_plant, open_plant
+from platform_ctrl.reading.source import Document, open_file, open_mapping, path_of
+from platform_ctrl.reading.structure import Table, structure
+
+# The numbers that each method takes, by the names of the job file.
+OPTIONS: dict[str, frozenset[str]] = {
+    "classical": frozenset(
+        {
+            "crossover_hz",
+            "integral_hz",
+            "inertial_crossover_hz",
+            "direct_gain",
+            "lead_hz",
+            "rolloff_hz",
+            "notch_hz",
+            "notch_depth",
+            "notch_width",
+        }
+    ),
+    "hinf": frozenset({"crossover_hz", "inertial_crossover_hz", "integral_hz", "rolloff_hz", "backoff"}),
+    "platform-servo": frozenset({"crossover_hz", "integral_hz", "position_hz", "filter_hz", "filter_damping"}),
+}
+
+
+class OperationTable(Table):
+    """``[operation]``."""
+
+    Omega: fields.Rates
+    seed: fields.Seed = 0
+
+
+class SpreadTable(Table):
+    """``[spread]``."""
+
+    inertia: fields.Share = 0.0
+    spin: fields.Share = 0.0
+
+
+class SamplingTable(Table):
+    """``[sampling]``."""
+
+    rate_hz: fields.Frequency
+    delay: fields.NotNegative
+
+
+class LoopLimitsTable(Table):
+    """``[loop.limits]``."""
+
+    bandwidth_hz: fields.Positive | None = None
+    disk_margin: fields.Positive | None = None
+    damping: fields.Positive | None = None
+    torque_noise: fields.Positive | None = None
+    disk_margin_spread: fields.Positive | None = None
+    damping_spread: fields.Positive | None = None
+
+
+class DesignTable(Table):
+    """``[[loop.design]]``: every other key is a number for the method."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, fields.Number] = Field(init=False)
+
+    name: fields.Text
+    method: Annotated[Method, fields.one_of(get_args(Method))]
+    tune: fields.Truth = False
+
+
+class LoopTable(Table):
+    """``[[loop]]``."""
+
+    name: fields.Text
+    kind: Annotated[LoopKind, fields.one_of(get_args(LoopKind))]
+    gimbals: fields.Names = ()
+    use: fields.Text
+    limits: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
+    design: list[DesignTable] = Field(min_length=1)
+
+
+class CoupledTable(Table):
+    """``[coupled]``."""
+
+    disk_margin: fields.Positive | None = None
+    coupling_cost: fields.Positive | None = None
+
+
+class ManoeuvreLimitsTable(Table):
+    """``limits`` of a manoeuvre."""
+
+    angle: fields.Positive | None = None
+    attitude: fields.Positive | None = None
+    torque_share: fields.Positive | None = None
+
+
+class ManoeuvreTable(Table):
+    """``[[manoeuvre]]``."""
+
+    name: fields.Text
+    mode: Annotated[Mode, fields.one_of(get_args(Mode))]
+    axis: fields.RootAxis
+    duration: fields.Positive
+    rate: fields.NotZero | None = None
+    rise: fields.Positive | None = None
+    hold: fields.NotNegative | None = None
+    torque: fields.NotZero | None = None
+    limits: ManoeuvreLimitsTable = Field(default_factory=ManoeuvreLimitsTable)
+
+
+class JobFile(Table):
+    """The whole file."""
+
+    schema_: fields.SchemaOne = Field(alias="schema")
+    name: fields.Text
+    plant: fields.Plant
+    operation: OperationTable
+    spread: SpreadTable = Field(default_factory=SpreadTable)
+    sampling: SamplingTable
+    loop: list[LoopTable] = Field(min_length=1)
+    coupled: CoupledTable = Field(default_factory=CoupledTable)
+    manoeuvre: list[ManoeuvreTable] = Field(default_factory=list)
+
+
+def read_job(
+    source: str | os.PathLike[str] | Mapping[str, Any], *, folder: str | os.PathLike[str] | None = None
+) -> Job:
+    """Read a job and the plant that it names.
+
+    Parameters
+    ----------
+    source
+        The path of a TOML file, or a dict of the same structure.
+    folder
+        Where a relative path of the plant starts: by default the folder of the job file, for a dict the
+        current one. The plant may also be a shipped name, or a table with the plant itself.
+
+    Returns
+    -------
+    Job
+        In SI units, with the platform read.
+
+    Raises
+    ------
+    InputError
+        One line: which file, table and key, what was given, what is expected.
+    """
+    start = None if folder is None else path_of(folder, "a folder")
+    if isinstance(source, Mapping):
+        document = open_mapping(source, "job given as a dict", start or Path())
+    else:
+        document = open_file(path_of(source, "the path of a job file or a dict"))
+    platform, plant_wrong = _plant(document, start or document.folder)
+    file, wrong = structure(JobFile, document.data)
+    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform, OPTIONS), *wrong]
+    if mistakes or file is None or platform is None:
+        raise report(document.label, document.data, mistakes)
+    return _job(file, platform)
+
+
+def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
+    """Return the platform of a job, or None and what is wrong with it, by its place in the job."""
+    plant = document.data.get("plant")
+    if isinstance(plant, dict):
+        platform, mistakes = judge_plant(Document(document.label, plant, [], folder))
+        return platform, [Mistake(("plant", *mistake.path), mistake.text) for mistake in mistakes]
+    if not isinstance(plant, str) or not plant.strip():
+        return None, []
+    try:
+        of_plant = open_plant(plant, folder)
+        platform, mistakes = judge_plant(of_plant)
+        if platform is None:
+            raise report(of_plant.label, of_plant.data, mistakes)
+    except InputError as error:
+        return None, [Mistake(("plant",), f"plant: {error}")]
+    return platform, []
+
+
+def _job(file: JobFile, platform: Platform) -> Job:
+    return Job(
+        name=file.name,
+        plant=file.plant if isinstance(file.plant, str) else platform.name,
+        platform=platform,
+        Omega=file.operation.Omega,
+        spread=Spread(inertia=file.spread.inertia, spin=file.spread.spin),
+        sampling=Sampling(period=1.0 / file.sampling.rate_hz, delay=file.sampling.delay),
+        loops=tuple(_loop(table) for table in file.loop),
+        coupled=CoupledLimits(**file.coupled.model_dump()),
+        manoeuvres=tuple(_manoeuvre(table) for table in file.manoeuvre),
+        seed=file.operation.seed,
+    )
+
+
+def _loop(table: LoopTable) -> LoopSpec:
+    return LoopSpec(
+        name=table.name,
+        kind=table.kind,
+        gimbals=table.gimbals,
+        designs=tuple(
+            DesignSpec(
+                name=design.name, method=design.method, options=dict(design.__pydantic_extra__), tune=design.tune
+            )
+            for design in table.design
+        ),
+        use=table.use,
+        limits=LoopLimits(**table.limits.model_dump()),
+    )
+
+
+def _manoeuvre(table: ManoeuvreTable) -> Manoeuvre:
+    return Manoeuvre(
+        name=table.name,
+        mode=table.mode,
+        axis=table.axis,
+        duration=table.duration,
+        rate=table.rate or 0.0,
+        rise=table.rise or 0.0,
+        hold=table.hold or 0.0,
+        torque=table.torque or 0.0,
+        limits=table.limits.model_dump(exclude_none=True),
+    )

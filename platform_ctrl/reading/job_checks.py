@@ -1,0 +1,156 @@
+"""What must fit together in a job file: loops, their designs, the plant's gimbals, the manoeuvres.
+
+Like the checks of the plant, these read the plain data and pass over what the structure check refuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from platform_ctrl.description import Platform
+from platform_ctrl.reading.fields import ROUNDING
+from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
+from platform_ctrl.reading.plant_checks import ROOT_TORQUES, number_of
+from platform_ctrl.reading.structure import unknown_key
+
+Data = dict[str, Any]
+
+# Every other method designs a caging loop.
+STABILISING = frozenset({"platform-servo"})
+
+# What a manoeuvre of each mode needs; the keys of the other mode would be silently ignored.
+MODE_KEYS = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
+
+
+def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, frozenset[str]]) -> list[Mistake]:
+    """Return what does not fit together in a job file; without a platform, what can be said without it."""
+    return [
+        *_unique_names(data, (), "loop"),
+        *_unique_names(data, (), "manoeuvre"),
+        *_designs(data, options),
+        *_loops(data, platform),
+        *_manoeuvres(data),
+    ]
+
+
+def _unique_names(data: Data, path: Path, key: str) -> Iterator[Mistake]:
+    taken: dict[str, int] = {}
+    for k, table in tables(data, key):
+        name = text_of(table, "name")
+        if name is None:
+            continue
+        if name in taken:
+            header = ".".join([*(step for step in path if isinstance(step, str)), key])
+            wrong = f"name = {given(name)}: is the name of [[{header}]] {taken[name] + 1} already"
+            yield Mistake((*path, key, k, "name"), f"{wrong}; expected another")
+        taken.setdefault(name, k)
+
+
+def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
+    for i, loop in tables(data, "loop"):
+        path: Path = ("loop", i)
+        yield from _unique_names(loop, path, "design")
+        names = []
+        for k, design in tables(loop, "design"):
+            names.append(text_of(design, "name"))
+            yield from _design(design, (*path, "design", k), text_of(loop, "kind"), options)
+        use = text_of(loop, "use")
+        known = [name for name in names if name is not None]
+        if use is not None and known and len(known) == len(names) and use not in known:
+            wrong = f"use = {given(use)}: no design of this loop has that name"
+            yield Mistake((*path, "use"), f"{wrong}; {suggestion(use, known)}")
+
+
+def _design(design: Data, path: Path, kind: str | None, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
+    method = text_of(design, "method")
+    if method is None or method not in options:
+        return
+    known = ["name", "method", "tune", *sorted(options[method])]
+    yield from (unknown_key((*path, key), item, known) for key, item in design.items() if key not in known)
+    for key in options[method]:
+        value = number_of(design, key)
+        if key.endswith("_hz") and value is not None and value < 0:
+            yield Mistake((*path, key), f"{key} = {given(value)}: expected a number >= 0")
+    if kind in ("caging", "stabilisation") and (method in STABILISING) != (kind == "stabilisation"):
+        fitting = [name for name in options if (name in STABILISING) == (kind == "stabilisation")]
+        expected = " or ".join(given(name) for name in fitting)
+        yield Mistake((*path, "method"), f"method = {given(method)}: does not make a {kind} loop; expected {expected}")
+
+
+def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    caged_by: dict[str, int] = {}
+    stabilisation = None
+    for i, loop in tables(data, "loop"):
+        path: Path = ("loop", i)
+        match text_of(loop, "kind"):
+            case "caging" if "gimbals" not in loop or loop["gimbals"] == []:
+                yield Mistake((*path, "gimbals"), "gimbals: expected the names of the gimbals that the loop cages")
+            case "caging":
+                yield from _caged_gimbals(loop["gimbals"], (*path, "gimbals"), i, caged_by, platform)
+            case "stabilisation":
+                if "gimbals" in loop:
+                    wrong = f"gimbals = {given(loop['gimbals'])}: a stabilisation loop turns the root"
+                    yield Mistake((*path, "gimbals"), f"{wrong}; leave the key out")
+                if stabilisation is not None:
+                    yield Mistake((*path, "kind"), f"kind: [[loop]] {stabilisation + 1} stabilises the root already")
+                else:
+                    stabilisation = i
+                    yield from _root_torquers((*path, "kind"), platform)
+
+
+def _caged_gimbals(
+    gimbals: object, path: Path, loop: int, caged_by: dict[str, int], platform: Platform | None
+) -> Iterator[Mistake]:
+    if not isinstance(gimbals, list) or not all(isinstance(name, str) for name in gimbals):
+        return
+    for name in gimbals:
+        wrong = f"gimbals = {given(gimbals)}: {given(name)}"
+        if name in caged_by:
+            yield Mistake(path, f"{wrong} is caged by [[loop]] {caged_by[name] + 1} already; expected it once")
+        caged_by.setdefault(name, loop)
+        if platform is None:
+            continue
+        if name not in platform.gimbal_names:
+            yield Mistake(path, f"{wrong} is no gimbal of the plant; {suggestion(name, platform.gimbal_names)}")
+            continue
+        have = {
+            "torquer": any(torquer.gimbal == name for torquer in platform.torquers),
+            "pick-off": any(pickoff.gimbal == name for pickoff in platform.pickoffs),
+        }
+        for part, there in have.items():
+            if not there:
+                yield Mistake(path, f"{wrong} has no {part} in the plant; expected one on every caged gimbal")
+
+
+def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
+    if platform is None:
+        return
+    there = {torquer.root_axis for torquer in platform.torquers}
+    lacking = [name for axis, name in enumerate(ROOT_TORQUES, 1) if axis not in there]
+    if lacking:
+        wrong = f'kind = "stabilisation": the plant has no root torquer {", ".join(lacking)}'
+        yield Mistake(path, f"{wrong}; expected [[torquer]] with root_axis 1, 2 and 3")
+
+
+def _manoeuvres(data: Data) -> Iterator[Mistake]:
+    for k, table in tables(data, "manoeuvre"):
+        path: Path = ("manoeuvre", k)
+        mode = text_of(table, "mode")
+        if mode not in MODE_KEYS:
+            continue
+        for key in MODE_KEYS[mode]:
+            if key not in table:
+                needed = ", ".join(MODE_KEYS[mode])
+                yield Mistake((*path, key), f'missing key "{key}": a {mode} manoeuvre needs {needed}')
+        for other, keys in MODE_KEYS.items():
+            for key in keys:
+                if other != mode and key in table:
+                    wrong = f"{key} = {given(table[key])}: belongs to a {other} manoeuvre"
+                    yield Mistake((*path, key), f"{wrong}; leave it out where mode = {given(mode)}")
+        duration, rise, hold = (number_of(table, key) for key in ("duration", "rise", "hold"))
+        if mode == "caged" and duration is not None and rise is not None and hold is not None:
+            least = 2 * rise + hold
+            if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
+                wrong = f"duration = {given(duration)}: shorter than 2 rise + hold"
+                yield Mistake((*path, "duration"), f"{wrong}; expected at least {least:.6g} s")

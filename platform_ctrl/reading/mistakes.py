@@ -1,0 +1,140 @@
+"""Mistakes in an input, in the file's order, as one line."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from platform_ctrl.errors import InputError
+
+Path = tuple[str | int, ...]
+
+LONGEST = 60
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What is wrong (`text`), and where in the nested tables (`path`: keys, and indices of arrays)."""
+
+    path: Path
+    text: str
+
+
+def given(item: object, depth: int = 0) -> str:
+    """Show a value as it would stand in a TOML file, shortened."""
+    match item:
+        case bool():
+            text = "true" if item else "false"
+        case str():
+            text = f'"{item[:LONGEST]}"'
+        case int() if item.bit_length() > 200:
+            text = f"an integer of {item.bit_length()} bits"  # Python refuses to print very long integers
+        case int() | float() | complex():
+            text = repr(item)
+        case Mapping():
+            text = "a table"
+        case list() | tuple() if any(isinstance(entry, Mapping) for entry in item):
+            text = "an array of tables"
+        case list() | tuple() if item and depth > 1:
+            text = "[...]"
+        case list() | tuple():
+            text = "[" + ", ".join(given(entry, depth + 1) for entry in item[:10]) + "]"
+        case None:
+            text = "None"
+        case _:
+            text = f"an object of type {type(item).__name__}"
+    text = one_line(text)
+    return text if len(text) <= LONGEST or depth else text[: LONGEST - 4] + " ..."
+
+
+def one_line(text: str) -> str:
+    """Escape whatever would break the line or cannot be printed."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that `word` was probably meant to be, or None."""
+    by_lower = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower()[:LONGEST], by_lower, n=1)
+    return by_lower[close[0]] if close else None
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return ``did you mean "..."?``, or the list of what is known."""
+    known = list(known)
+    close = nearest(word, known)
+    if close is not None:
+        return f'did you mean "{close}"?'
+    return "known: " + ", ".join(f'"{name}"' for name in known) if known else "none is known"
+
+
+def tables(data: Any, key: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Walk the array of tables `key` of `data`, passing over whatever is no table."""
+    entries = data.get(key)
+    if isinstance(entries, list):
+        yield from ((k, entry) for k, entry in enumerate(entries) if isinstance(entry, dict))
+
+
+def text_of(table: dict[str, Any], key: str) -> str | None:
+    """Return the string under `key`, or None where there is none (the structure check says so)."""
+    item = table.get(key)
+    return item if isinstance(item, str) else None
+
+
+def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> InputError:
+    """Return the error that names the first mistake in the file's order and counts the others."""
+    first_at: dict[Path, Mistake] = {}
+    for mistake in mistakes:
+        first_at.setdefault(mistake.path, mistake)
+    first, *others = sorted(first_at.values(), key=lambda mistake: _position(data, mistake.path))
+    parts = [label, *_headers(data, first.path), first.text]
+    more = f" (and {len(others)} more)" if others else ""
+    return InputError(one_line(": ".join(parts)) + more)
+
+
+def _position(data: Any, path: Path) -> tuple[int, ...]:
+    """Return where `path` stands in the file; a key that is missing stands at the head of its table."""
+    position = []
+    for step in path:
+        if isinstance(step, int):
+            position.append(step)
+        elif isinstance(data, dict) and step in data:
+            position.append(list(data).index(step))
+        else:
+            return (*position, -1)
+        data = _entry(data, step)
+    return tuple(position)
+
+
+def _headers(data: Any, path: Path) -> list[str]:
+    """Return the TOML headers on the way to `path`: ``[[loop]] 1 "caging"``, ``[loop.limits]``."""
+    headers: list[str] = []
+    names: list[str] = []
+    table = ""
+    for step, following in zip(path, (*path[1:], None), strict=True):
+        data = _entry(data, step)
+        if isinstance(step, int):
+            headers.append(f"[[{'.'.join(names)}]] {step + 1}{_title(data)}")
+            table = ""
+        elif following is not None:
+            names.append(step)
+            table = f"[{'.'.join(names)}]"
+    return [*headers, table] if table else headers
+
+
+def _entry(data: Any, step: str | int) -> Any:
+    if isinstance(data, dict):
+        return data.get(step)
+    return data[step] if isinstance(data, list) and isinstance(step, int) and step < len(data) else None
+
+
+def _title(entry: Any) -> str:
+    if isinstance(entry, dict):
+        for key, form in (("name", " {}"), ("gimbal", " (gimbal {})"), ("root_axis", " (root_axis {})")):
+            if isinstance(entry.get(key), str | int):
+                return form.format(given(entry[key]))
+    return ""

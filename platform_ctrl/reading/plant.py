@@ -1,0 +1,197 @@
+"""Plant files: TOML or dict -> Platform."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+from pydantic import Field
+
+from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, RotorControl, Torquer
+from platform_ctrl.frozen import read_only
+from platform_ctrl.reading import fields
+from platform_ctrl.reading.mistakes import Mistake, report
+from platform_ctrl.reading.plant_checks import default_angle, default_torquer, plant_mistakes
+from platform_ctrl.reading.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
+from platform_ctrl.reading.structure import Table, structure
+
+
+class RootTable(Table):
+    """``[root]``."""
+
+    name: fields.Text
+    inertia: fields.Inertia
+
+
+class GimbalTable(Table):
+    """``[[gimbal]]``."""
+
+    name: fields.Text
+    parent: fields.Text
+    axis: fields.Axis
+    inertia: fields.Inertia
+    angle: fields.Text | None = None
+    stops: fields.Stops | None = None
+    stops_deg: fields.Stops | None = None
+
+
+class RotorTable(Table):
+    """``[[rotor]]``."""
+
+    name: fields.Text
+    carrier: fields.Text
+    axis: fields.Axis
+    axial_inertia: fields.Positive
+    transverse_inertia: fields.Positive
+    spin: fields.Number | None = None
+    angular_momentum: fields.Number | None = None
+    control: Annotated[RotorControl, fields.one_of(get_args(RotorControl))] = "regulated"
+
+
+class TorquerTable(Table):
+    """``[[torquer]]``."""
+
+    name: fields.Text | None = None
+    gimbal: fields.Text | None = None
+    root_axis: fields.RootAxis | None = None
+    limit: fields.Positive | None = None
+    lag: fields.NotNegative = 0.0
+
+
+class PickOffTable(Table):
+    """``[[pickoff]]``."""
+
+    gimbal: fields.Text
+    noise_rms: fields.NotNegative = 0.0
+    noise_bandwidth_hz: fields.Positive = 1000.0
+    quantisation: fields.NotNegative = 0.0
+
+
+class PlantFile(Table):
+    """The whole file."""
+
+    schema_: fields.SchemaOne = Field(alias="schema")
+    name: fields.Text
+    source: fields.AnyText = ""
+    root: RootTable
+    gimbal: list[GimbalTable] = Field(default_factory=list)
+    rotor: list[RotorTable] = Field(default_factory=list)
+    torquer: list[TorquerTable] = Field(default_factory=list)
+    pickoff: list[PickOffTable] = Field(default_factory=list)
+
+
+def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platform:
+    """Read a plant.
+
+    Parameters
+    ----------
+    source
+        The name of a shipped model (no suffix, no path separator), the path of a TOML file, or a dict of the
+        same structure, in which tuples and NumPy arrays serve as vectors.
+
+    Returns
+    -------
+    Platform
+        In SI units; axes of unit length; every angular momentum in place of the spin.
+
+    Raises
+    ------
+    InputError
+        One line: which file, table and key, what was given, what is expected.
+    """
+    document = open_plant(source, Path())
+    platform, mistakes = judge_plant(document)
+    if platform is None:
+        raise report(document.label, document.data, mistakes)
+    return platform
+
+
+def open_plant(source: object, folder: Path) -> Document:
+    """Return the document of a plant: a dict, a shipped model, or a file whose path starts from `folder`.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is not TOML.
+    """
+    if isinstance(source, Mapping):
+        return open_mapping(source, "plant given as a dict", folder)
+    path = path_of(source, "the name of a shipped model, a path or a dict")
+    if isinstance(source, str) and is_shipped_name(source):
+        return open_shipped(source)
+    return open_file(folder / path)
+
+
+def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
+    """Return the platform that a document describes, or None and its mistakes."""
+    file, wrong = structure(PlantFile, document.data)
+    mistakes = [*document.mistakes, *plant_mistakes(document.data), *wrong]
+    return (None, mistakes) if mistakes or file is None else (_platform(file), [])
+
+
+def _platform(file: PlantFile) -> Platform:
+    gimbals = tuple(_gimbal(table) for table in file.gimbal)
+    angle = {gimbal.name: gimbal.angle for gimbal in gimbals}
+    return Platform(
+        name=file.name,
+        source=file.source,
+        root_name=file.root.name,
+        root_inertia=read_only(file.root.inertia),
+        gimbals=gimbals,
+        rotors=tuple(_rotor(table) for table in file.rotor),
+        torquers=tuple(_torquer(table) for table in file.torquer),
+        pickoffs=tuple(
+            PickOff(
+                name=angle[table.gimbal],
+                gimbal=table.gimbal,
+                noise_rms=table.noise_rms,
+                noise_bandwidth_hz=table.noise_bandwidth_hz,
+                quantisation=table.quantisation,
+            )
+            for table in file.pickoff
+        ),
+    )
+
+
+def _gimbal(table: GimbalTable) -> Gimbal:
+    stops = table.stops
+    if table.stops_deg is not None:
+        low, high = table.stops_deg
+        stops = (math.radians(low), math.radians(high))
+    return Gimbal(
+        name=table.name,
+        parent=table.parent,
+        axis=table.axis,
+        inertia=table.inertia,
+        angle=table.angle or default_angle(table.name),
+        stops=stops,
+    )
+
+
+def _rotor(table: RotorTable) -> Rotor:
+    momentum = table.angular_momentum
+    if momentum is None:
+        assert table.spin is not None  # exactly one is given: plant_checks
+        momentum = table.axial_inertia * table.spin
+    return Rotor(
+        name=table.name,
+        carrier=table.carrier,
+        axis=table.axis,
+        axial_inertia=table.axial_inertia,
+        transverse_inertia=table.transverse_inertia,
+        angular_momentum=momentum,
+        control=table.control,
+    )
+
+
+def _torquer(table: TorquerTable) -> Torquer:
+    return Torquer(
+        name=table.name or default_torquer(table.gimbal, table.root_axis),
+        gimbal=table.gimbal,
+        root_axis=table.root_axis,
+        limit=table.limit,
+        lag=table.lag,
+    )

@@ -1,0 +1,185 @@
+"""What must fit together in a plant file: names, the tree, alternatives, signals.
+
+These checks read the plain data and pass over whatever the structure check refuses anyway, so that all
+mistakes of a file are known at once and the first can be reported.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from platform_ctrl.reading.fields import ROUNDING, Unfit, number
+from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
+
+Data = dict[str, Any]
+
+PLATFORM_RATES = ("Omega1", "Omega2", "Omega3")
+ROOT_TORQUES = ("M1", "M2", "M3")
+
+
+def default_angle(gimbal: str) -> str:
+    """Return the name of a gimbal's angle where the file gives none."""
+    return f"q_{gimbal}"
+
+
+def default_torquer(gimbal: str | None, root_axis: object) -> str:
+    """Return the name of a torquer where the file gives none."""
+    return f"Q{gimbal}" if gimbal is not None else f"M{root_axis}"
+
+
+def plant_mistakes(data: Data) -> list[Mistake]:
+    """Return what does not fit together in a plant file."""
+    return [
+        *_names(data),
+        *_tree(data),
+        *_alternatives(data),
+        *_rotor_inertias(data),
+        *_actuators_and_sensors(data),
+        *_signals(data),
+    ]
+
+
+def _root_name(data: Data) -> str | None:
+    root = data.get("root")
+    return text_of(root, "name") if isinstance(root, dict) else None
+
+
+def _gimbal_names(data: Data) -> list[str] | None:
+    """Return the gimbals' names, or None if one cannot be read: references to it are not to blame."""
+    entries = data.get("gimbal", [])
+    if not isinstance(entries, list):
+        return None
+    names = [text_of(entry, "name") if isinstance(entry, dict) else None for entry in entries]
+    return None if None in names else [name for name in names if name is not None]
+
+
+def _names(data: Data) -> Iterator[Mistake]:
+    root = _root_name(data)
+    for kind in ("gimbal", "rotor"):
+        taken = {root: "the root"} if kind == "gimbal" and root is not None else {}
+        for k, table in tables(data, kind):
+            name = text_of(table, "name")
+            if name is None:
+                continue
+            if name in taken:
+                yield Mistake((kind, k, "name"), f"name = {given(name)}: is the name of {taken[name]} already")
+            else:
+                taken[name] = f"[[{kind}]] {k + 1}"
+
+
+def _tree(data: Data) -> Iterator[Mistake]:
+    root, gimbals = _root_name(data), _gimbal_names(data)
+    if root is None or gimbals is None:
+        return
+    bodies = [root, *gimbals]
+    for kind, key in (("gimbal", "parent"), ("rotor", "carrier")):
+        for k, table in tables(data, kind):
+            body = text_of(table, key)
+            if body is not None and body not in bodies:
+                yield _no_such((kind, k, key), body, "the root or a gimbal", bodies)
+    parent = {text_of(table, "name"): text_of(table, "parent") for _, table in reversed([*tables(data, "gimbal")])}
+    parent.pop(root, None)
+    reported: set[str | None] = set()
+    for k, table in tables(data, "gimbal"):
+        chain = [text_of(table, "name")]
+        while (above := parent.get(chain[-1])) is not None and above not in chain:
+            chain.append(above)
+        # A gimbal that only hangs on a cycle is not part of it.
+        if above is not None and above == chain[0] and above not in reported:
+            reported.update(chain)
+            cycle = " -> ".join(given(name) for name in [*chain, above])
+            wrong = f"parent = {given(table['parent'])}: the parents run in a circle, {cycle}"
+            yield Mistake(("gimbal", k, "parent"), f"{wrong}; expected a chain that ends at the root")
+
+
+def _no_such(path: Path, name: str, what: str, known: list[str]) -> Mistake:
+    wrong = f"{path[-1]} = {given(name)}: does not exist"
+    return Mistake(path, f"{wrong}; expected the name of {what}, {suggestion(name, known)}")
+
+
+def _alternatives(data: Data) -> Iterator[Mistake]:
+    for kind, one, other in (("rotor", "spin", "angular_momentum"), ("torquer", "gimbal", "root_axis")):
+        for k, table in tables(data, kind):
+            if (one in table) == (other in table):
+                have = "both are given" if one in table else "neither is given"
+                yield Mistake((kind, k), f'{have}; expected either "{one}" or "{other}"')
+    for k, table in tables(data, "gimbal"):
+        if "stops" in table and "stops_deg" in table:
+            yield Mistake(("gimbal", k), 'both are given; expected either "stops" or "stops_deg"')
+
+
+def number_of(table: Data, key: str) -> float | None:
+    """Return the number under `key`, or None where there is none."""
+    try:
+        return number(table.get(key))
+    except Unfit:
+        return None
+
+
+def _rotor_inertias(data: Data) -> Iterator[Mistake]:
+    for k, table in tables(data, "rotor"):
+        axial, transverse = number_of(table, "axial_inertia"), number_of(table, "transverse_inertia")
+        if axial is None or axial <= 0:
+            continue
+        if transverse is not None and 0 < transverse < axial / 2 * (1 - ROUNDING):
+            yield Mistake(
+                ("rotor", k, "transverse_inertia"),
+                f"transverse_inertia = {given(transverse)}: no body has it with axial_inertia = {given(axial)}; "
+                f"expected at least half the axial inertia",
+            )
+        spin = number_of(table, "spin")
+        if spin is not None and not math.isfinite(axial * spin):
+            yield Mistake(("rotor", k, "spin"), f"spin = {given(spin)}: the angular momentum is not finite")
+
+
+def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
+    gimbals = _gimbal_names(data)
+    if gimbals is None:
+        return
+    for kind in ("torquer", "pickoff"):
+        seen: dict[str, int] = {}
+        for k, table in tables(data, kind):
+            gimbal = text_of(table, "gimbal")
+            if gimbal is None:
+                continue
+            path: Path = (kind, k, "gimbal")
+            if gimbal not in gimbals:
+                on_root = kind == "torquer" and gimbal == _root_name(data)
+                what = "a gimbal (root_axis turns the root)" if on_root else "a gimbal"
+                yield _no_such(path, gimbal, what, gimbals)
+            elif kind == "pickoff" and gimbal in seen:
+                wrong = f"gimbal = {given(gimbal)}: has a pick-off already, [[pickoff]] {seen[gimbal] + 1}"
+                yield Mistake(path, f"{wrong}; expected one on a gimbal")
+            seen.setdefault(gimbal, k)
+
+
+def _signals(data: Data) -> Iterator[Mistake]:
+    """Angles, torques and rates are inputs and outputs of one system: no name twice."""
+    of_root = "a torque about a root axis"
+    taken = dict.fromkeys(PLATFORM_RATES, "a platform rate") | dict.fromkeys(ROOT_TORQUES, of_root)
+    for path, name, own in _signal_names(data):
+        if name in taken and not (name == own and taken[name] == of_root):
+            what = path[2] if len(path) > 2 else "the default name"
+            wrong = f"{what} = {given(name)}: names {taken[name]} already"
+            yield Mistake(path, f"{wrong}; expected a signal name of its own")
+        else:
+            taken[name] = f"the {'angle' if path[0] == 'gimbal' else 'torque'} of [[{path[0]}]] {int(path[1]) + 1}"
+
+
+def _signal_names(data: Data) -> Iterator[tuple[Path, str, str]]:
+    """Walk the path, the name, and the reserved name that a root torquer may bear."""
+    for k, table in tables(data, "gimbal"):
+        name, angle = text_of(table, "name"), text_of(table, "angle")
+        if angle is not None:
+            yield ("gimbal", k, "angle"), angle, ""
+        elif name is not None and "angle" not in table:
+            yield ("gimbal", k), default_angle(name), ""
+    for k, table in tables(data, "torquer"):
+        name, gimbal, root_axis = text_of(table, "name"), text_of(table, "gimbal"), table.get("root_axis")
+        own = f"M{root_axis}" if isinstance(root_axis, int) and root_axis in (1, 2, 3) else ""
+        if name is not None:
+            yield ("torquer", k, "name"), name, own
+        elif "name" not in table and (gimbal is not None or own):
+            yield ("torquer", k), default_torquer(gimbal, root_axis), own

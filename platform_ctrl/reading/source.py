@@ -1,0 +1,138 @@
+"""Where the text comes from: a shipped model, a file, or a dict."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from platform_ctrl.errors import InputError
+from platform_ctrl.reading.mistakes import Mistake, given, one_line, suggestion
+from platform_ctrl.reading.plain import plain
+
+Source = str | os.PathLike[str] | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Document:
+    """An input in plain types, what it is called in messages, and the folder that its paths start from."""
+
+    label: str
+    data: dict[str, Any]
+    mistakes: list[Mistake]
+    folder: Path
+
+
+def shipped_models() -> tuple[str, ...]:
+    """Return the names of the plants that come with the package, sorted."""
+    return tuple(sorted(_shipped_files()))
+
+
+def platform_source(name: str) -> str:
+    """Return the TOML text of a shipped plant: what to copy in order to describe another one.
+
+    Raises
+    ------
+    InputError
+        No shipped model has this name.
+    """
+    files = _shipped_files()
+    if name not in files:
+        hint = f'; a file of that name is read as "./{name}"' if _is_file(name) else ""
+        raise InputError(f"there is no shipped model {given(name)}: {suggestion(str(name), sorted(files))}{hint}")
+    return files[name].read_text(encoding="utf-8")
+
+
+def is_shipped_name(source: str) -> bool:
+    """Return whether `source` is meant as a shipped name: no suffix and no path separator."""
+    separators = {"/", os.sep, os.altsep or os.sep}
+    return not any(separator in source for separator in separators) and not Path(source).suffix
+
+
+def open_shipped(name: str) -> Document:
+    """Return a shipped plant.
+
+    Raises
+    ------
+    InputError
+        No shipped model has this name.
+    """
+    return _document(f"shipped model {name}", platform_source(name), Path())
+
+
+def open_file(path: Path) -> Document:
+    """Return the file at `path`.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not TOML in UTF-8.
+    """
+    label = one_line(str(path))
+    try:
+        # utf-8-sig: some editors put a byte order mark at the head, which TOML does not know.
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{label}: there is no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{label}: is a directory; expected a TOML file") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected a TOML file") from None
+    except OSError as error:
+        raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
+    except ValueError as error:  # a path that no file can have
+        raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+    return _document(label, text, path.parent)
+
+
+def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
+    """Return a dict given in Python, in plain types."""
+    data, mistakes = plain(source)
+    return Document(label, data, mistakes, folder)
+
+
+def path_of(source: object, expected: str) -> Path:
+    """Return the path that a caller gave.
+
+    Raises
+    ------
+    InputError
+        It is neither a string nor a path, or empty.
+    """
+    if not isinstance(source, str | os.PathLike) or not os.fspath(source):
+        raise InputError(f"given {given(source)}; expected {expected}")
+    return Path(os.fsdecode(source))
+
+
+def _document(label: str, text: str, folder: Path) -> Document:
+    try:
+        parsed = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{label}: is not TOML: {one_line(str(error))}") from None
+    except ValueError:  # the digits of an integer are limited by Python itself
+        raise InputError(f"{label}: is not TOML: an integer has too many digits") from None
+    except RecursionError:
+        raise InputError(f"{label}: is not TOML: arrays or tables are nested too deeply") from None
+    return open_mapping(parsed, label, folder)
+
+
+def _shipped_files() -> dict[str, Traversable]:
+    try:
+        folder = resources.files("platform_ctrl.models")
+    except ModuleNotFoundError:
+        # A plain checkout on the path, not installed: the models are the sibling folder of the package, which
+        # only an installation places inside it.
+        folder = Path(__file__).parents[2] / "models"
+    return {file.name.removesuffix(".toml"): file for file in folder.iterdir() if file.name.endswith(".toml")}
+
+
+def _is_file(name: str) -> bool:
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,95 @@
+"""Keys and types by pydantic, its errors turned into our mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+
+from platform_ctrl.reading.fields import Expected
+from platform_ctrl.reading.mistakes import Mistake, Path, given, nearest, suggestion
+
+
+class Table(BaseModel):
+    """A table of an input file: no key beyond those named here."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+
+def structure(model: type[AnyTable], data: dict[str, Any]) -> tuple[AnyTable | None, list[Mistake]]:
+    """Return `data` as `model`, or None and what is wrong with its keys and values."""
+    try:
+        return model.model_validate(data), []
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    missing = {tuple(e["loc"]) for e in found if e["type"] == "missing"}
+    mistakes = []
+    for e in found:
+        path: Path = tuple(e["loc"])
+        if e["type"] == "extra_forbidden":
+            known = keys_of(_model_at(model, path[:-1]))
+            # A misspelt key is one mistake, not an unknown one and a missing one.
+            missing.discard((*path[:-1], nearest(str(path[-1]), known) or ""))
+            mistakes.append(unknown_key(path, e["input"], known))
+        elif e["type"] != "missing":
+            mistakes.append(Mistake(path, _wrong_value(path, e["input"], e["type"], e.get("ctx", {}))))
+    for path in sorted(missing, key=str):
+        field = _fields(_model_at(model, path[:-1]))[str(path[-1])]
+        mistakes.append(Mistake(path, _missing(path, field)))
+    return None, mistakes
+
+
+def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
+    """Return the mistake of a key or table that nobody knows."""
+    is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
+    what = "table" if is_table else "key"
+    return Mistake(path, f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}")
+
+
+def keys_of(model: type[BaseModel]) -> list[str]:
+    """Return the keys of a table as the file spells them."""
+    return list(_fields(model))
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def _model_at(model: type[BaseModel], path: Path) -> type[BaseModel]:
+    for step in path:
+        if isinstance(step, str):
+            model = _tables_in(_fields(model)[step])[0]
+    return model
+
+
+def _tables_in(field: FieldInfo) -> list[type[BaseModel]]:
+    """Return the table that a field holds, alone or in an array; nothing for a plain value."""
+    kinds = [field.annotation, *get_args(field.annotation)]
+    return [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+
+
+def _missing(path: Path, field: FieldInfo) -> str:
+    words = [mark.words for mark in field.metadata if isinstance(mark, Expected)]
+    if words:
+        return f'missing key "{path[-1]}": expected {words[0]}'
+    names = ".".join(step for step in path if isinstance(step, str))
+    is_array = field.annotation is not _tables_in(field)[0]
+    return f"missing table {f'[[{names}]]' if is_array else f'[{names}]'}"
+
+
+def _wrong_value(path: Path, item: object, kind: str, context: Mapping[str, Any]) -> str:
+    key = next(step for step in reversed(path) if isinstance(step, str))
+    match kind:
+        case "value_error":
+            return f"{key} = {given(item)}: {context['error']}"
+        case "list_type":
+            return f"{key} = {given(item)}: expected an array of tables, each headed [[{key}]]"
+        case "too_short":
+            return f"{key} = {given(item)}: expected at least one [[{key}]]"
+        case _:
+            return f"{key} = {given(item)}: expected a table"
