@@ -1,0 +1,134 @@
+"""Many runs of the exact plant with a free root and forces held constant."""
+
+from __future__ import annotations
+
+import itertools
+import operator
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.simulation.plant import pack, positive, unit_quaternions
+
+
+@value
+class Rollout:
+    """Where N runs ended, and with `every` how they got there.
+
+    Attributes
+    ----------
+    q : (N, n), velocity : (N, 3 + n), attitude : (N, 4)
+        Gimbal angles, [Omega, q̇] and the root's unit quaternion w, x, y, z at the end. A run that overflowed or met a
+        singular mass matrix holds NaN.
+    t : (S,)
+        Times that were recorded, s: the start, every `every` steps, and the end. Only the end without `every`.
+    q_history : (N, S, n), velocity_history : (N, S, 3 + n), attitude_history : (N, S, 4)
+        The runs at those times.
+    """
+
+    q: FloatArray
+    velocity: FloatArray
+    attitude: FloatArray
+    t: FloatArray
+    q_history: FloatArray
+    velocity_history: FloatArray
+    attitude_history: FloatArray
+
+
+def rollout(
+    platform: Platform,
+    q: ArrayLike,
+    velocity: ArrayLike,
+    step: float = 1e-3,
+    steps: int = 1000,
+    attitude: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    every: int | None = None,
+    threads: int | None = None,
+) -> Rollout:
+    """Integrate N runs of the exact non-linear coupled plant with a free root by the classical Runge-Kutta method.
+
+    Gimbal stops do not act here; the forces are what is given.
+
+    Parameters
+    ----------
+    platform
+        The plant.
+    q : (N, n), velocity : (N, 3 + n)
+        Initial gimbal angles, rad, and [Omega, q̇], rad/s.
+    step, steps
+        Step, s, and number of steps.
+    attitude : (N, 4), optional
+        Initial unit quaternions w, x, y, z that take root axes to inertial axes; default identity.
+    force : (N, 3 + n), optional
+        [M, Q] in root axes and at the joints, N m, held constant; default zero.
+    every
+        Record the runs every so many steps; the result does not depend on it.
+    threads
+        Number of threads that share the runs; default: the processors available, for more than a few runs.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument has the wrong shape, is not finite or is out of range.
+    """
+    n = len(platform.gimbals)
+    try:
+        runs = len(np.atleast_2d(np.asarray(q)))
+    except ValueError:
+        raise ArgumentError(f"q: given rows of different lengths; expected (N, {n}) real numbers") from None
+    angles = real_array("q", q, (runs, n))
+    rates = real_array("velocity", velocity, (runs, n + 3))
+    turned = unit_quaternions(attitude, (runs, 4))
+    held = np.ascontiguousarray(real_array("force", force, (runs, n + 3), 0.0))
+    step = positive("step", step)
+    steps = _count("steps", steps, 0)
+    every = None if every is None else _count("every", every, 1)
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    threads = min(processors, 1 + runs // 4) if threads is None else _count("threads", threads, 1)
+
+    from platform_ctrl.simulation import kernel
+
+    plant = pack(platform)
+    states = np.concatenate([angles, rates, turned], axis=1)
+    bounds = [0, steps] if every is None else [*range(0, steps, every), steps]
+    marks = bounds[-1:] if every is None else bounds
+    history = np.empty((len(marks), *states.shape))
+    slices = [slice(part[0], part[-1] + 1) for part in np.array_split(np.arange(runs), threads) if part.size]
+    with ThreadPoolExecutor(max_workers=max(len(slices), 1)) as pool:
+        if every is not None:
+            history[0] = states
+        for k, (begin, end) in enumerate(itertools.pairwise(bounds)):
+            jobs = [pool.submit(kernel.advance, plant, states[s], held[s], step, end - begin) for s in slices]
+            for job in jobs:
+                job.result()
+            if every is not None:
+                history[k + 1] = states
+    if every is None:
+        history[0] = states
+    along = history.transpose(1, 0, 2)
+    return Rollout(
+        q=states[:, :n],
+        velocity=states[:, n : 2 * n + 3],
+        attitude=states[:, 2 * n + 3 :],
+        t=step * np.array(marks, dtype=np.float64),
+        q_history=along[..., :n],
+        velocity_history=along[..., n : 2 * n + 3],
+        attitude_history=along[..., 2 * n + 3 :],
+    )
+
+
+def _count(what: str, given: int, least: int) -> int:
+    try:
+        number = operator.index(given)
+    except TypeError:
+        raise ArgumentError(f"{what}: given {given!r}; expected a whole number >= {least}") from None
+    if number < least:
+        raise ArgumentError(f"{what}: given {given!r}; expected a whole number >= {least}")
+    return number
