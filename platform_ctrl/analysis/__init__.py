@@ -1,7 +1,20 @@
-"""What design and check both measure with: responses, sampling, closed loops, poles, norms, margins."""
+"""What design and check both measure with: responses, sampling, closed loops, poles, norms, margins.
+
+Everything takes continuous (dt = 0) and discrete (dt > 0) systems. Functions whose names end in ``_arrays`` (and
+those that take poles or responses) work on plain arrays with leading batch axes: they are what a tuner calls.
+"""
 
 from __future__ import annotations
 
+from platform_ctrl.analysis.arrays import (
+    StateArrays,
+    state_arrays,
+    state_space,
+)
+from platform_ctrl.analysis.bandwidth import (
+    bandwidth,
+    bandwidth_of_response,
+)
 from platform_ctrl.analysis.feedback import (
     Gang,
     closed_loop,
@@ -10,6 +23,25 @@ from platform_ctrl.analysis.feedback import (
     loop_transfer,
     sensitivities,
     series_arrays,
+)
+from platform_ctrl.analysis.norms import (
+    h2_norm,
+    hinf_norm,
+    hinf_norm_arrays,
+    noise_rms,
+    noise_rms_arrays,
+)
+from platform_ctrl.analysis.poles import (
+    Damping,
+    continuous_poles,
+    damping,
+    damping_ratio,
+    is_stable,
+    minimum_damping,
+    pole_arrays,
+    poles,
+    spectral_abscissa,
+    spectral_radius,
 )
 from platform_ctrl.analysis.response import (
     frequency_response,
@@ -25,19 +57,39 @@ from platform_ctrl.analysis.sampled import (
 )
 
 __all__ = [
+    "Damping",
     "Gang",
+    "StateArrays",
+    "bandwidth",
+    "bandwidth_of_response",
     "bilinear_to_continuous",
     "bilinear_to_discrete",
     "closed_loop",
     "closed_loop_arrays",
+    "continuous_poles",
+    "damping",
+    "damping_ratio",
     "frequency_response",
     "frequency_response_arrays",
     "gang",
+    "h2_norm",
+    "hinf_norm",
+    "hinf_norm_arrays",
+    "is_stable",
     "loop_transfer",
+    "minimum_damping",
+    "noise_rms",
+    "noise_rms_arrays",
+    "pole_arrays",
+    "poles",
     "response_arrays",
     "sampled",
     "sampled_arrays",
     "sensitivities",
     "series_arrays",
+    "spectral_abscissa",
+    "spectral_radius",
+    "state_arrays",
+    "state_space",
     "time_response",
 ]

@@ -135,14 +135,18 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     s = s.copy()
     # B and C count as much as A does; their rows and columns themselves stay unscaled because
     # LAPACK leaves out states with an empty row or column.
-    size = max(float(np.linalg.norm(A * s / s[:, None])), np.finfo(float).tiny)
-    scaled_B, scaled_C = B / s[:, None], C * s
-    whole[:n, n : n + m] = scaled_B * (size / max(float(np.linalg.norm(scaled_B)), np.finfo(float).tiny))
-    whole[n + m :, :n] = scaled_C * (size / max(float(np.linalg.norm(scaled_C)), np.finfo(float).tiny))
+    size = float(np.linalg.norm(A * s / s[:, None])) or 1.0
+    whole[:n, n : n + m] = _resized(B / s[:, None], size)
+    whole[n + m :, :n] = _resized(C * s, size)
     whole[:n, :n] = A * s / s[:, None]
     _, (more, _) = matrix_balance(whole, permute=False, separate=True)
     out: FloatArray = s * more[:n]
     return out
+
+
+def _resized(block: FloatArray, size: float) -> FloatArray:
+    norm = float(np.linalg.norm(block))
+    return block * (size / norm) if norm > 0.0 else block
 
 
 def _mean_magnitude(array: FloatArray) -> FloatArray:

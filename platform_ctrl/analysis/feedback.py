@@ -141,6 +141,17 @@ def gang(plant: control.StateSpace, controller: control.StateSpace, frequency: A
     )
 
 
+def closed_loop_with_sensitivity(plant: control.StateSpace, controller: control.StateSpace, at: At) -> StateArrays:
+    """Return the arrays of S at the plant's input or output, with every state of plant and controller."""
+    P, K, torques, angles = _matched(plant, controller, "sensitivity")
+    P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    m = len(torques)
+    # S = I - T, and the closed loop from d to u (from n to y) is -T.
+    part = slice(0, m) if _checked(at) == "input" else slice(m, None)
+    return StateArrays(A, B[:, part], C[part], D[part, part] + np.eye(D[part, part].shape[0]), P.dt)
+
+
 def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I + L)^-1 and T = I - S for responses L of shape (..., m, m).
 

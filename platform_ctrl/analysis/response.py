@@ -53,7 +53,7 @@ def frequency_response_arrays(
 ) -> ComplexArray:
     """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0."""
     if dt == 0.0:
-        return response_arrays(A, B, C, D, 1j * frequency)
+        return response_arrays(A, B, C, D, np.asarray(1j * frequency, dtype=np.complex128))
     # z - 1 and A - I instead of z and A: nothing cancels far below the sample rate.
     return response_arrays(
         A - np.eye(A.shape[-1]), B, C, D, np.asarray(np.expm1(1j * frequency * dt), dtype=np.complex128)

@@ -1,0 +1,126 @@
+"""Bandwidth of a loop: the lowest frequency at which the largest singular value of S reaches 1/sqrt(2)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
+from platform_ctrl.analysis.norms import gains, level_crossings, resonances
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+LEVEL = math.sqrt(0.5)
+
+
+def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
+    """Return the lowest frequency, rad/s, at which the largest singular value of S reaches 1/sqrt(2).
+
+    Found among the crossings that the Hamiltonian of S shows, so that a narrow peak between grid points is not missed,
+    and refined by root finding.
+
+    Parameters
+    ----------
+    plant, controller
+        Joined as u = K y (see `loop_transfer`).
+    at
+        Where S is taken: the plant's ``"input"`` or ``"output"``.
+
+    Returns
+    -------
+    float
+        0 if the closed loop is not stable or S is that large at the lowest frequencies already; the Nyquist frequency
+        (infinity for a continuous loop) if S never gets there.
+
+    Raises
+    ------
+    ArgumentError
+        If plant and controller do not fit together.
+    """
+    from scipy.optimize import brentq
+
+    S = closed_loop_with_sensitivity(plant, controller, at)
+    s = continuous_poles(pole_arrays(S.A), S.dt)
+    if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
+        return 0.0
+    w = _grid(S, s)
+    sizes = gains(S, w)
+    above = np.flatnonzero(sizes >= LEVEL)
+    if above.size == 0:
+        return math.inf if S.dt == 0.0 else math.pi / S.dt
+    first = int(above[0])
+    if first == 0:
+        return 0.0
+    if sizes[first] <= LEVEL * (1.0 + 1e-12):
+        return float(w[first])
+    root = brentq(
+        lambda x: math.log(gains(S, np.array([math.exp(x)]))[0] / LEVEL),
+        math.log(w[first - 1]),
+        math.log(w[first]),
+        rtol=1e-12,
+    )
+    return math.exp(root)
+
+
+def _grid(S: StateArrays, s: ComplexArray) -> FloatArray:
+    """Return frequencies fine enough that the first crossing lies between the first pair that differs in sign."""
+    try:
+        w_plane = to_w_plane(*S[:4], period=S.dt) if S.dt > 0.0 else S[:4]
+        crossings = level_crossings(*w_plane, level=LEVEL)
+    except ArgumentError:
+        crossings = np.zeros(0)
+    if S.dt > 0.0:
+        crossings = 2.0 / S.dt * np.arctan(0.5 * S.dt * crossings)
+    own = np.concatenate([crossings, resonances(s)])
+    own = own[own > 0.0]
+    if own.size == 0:
+        own = np.ones(1)
+    low, high = 1e-3 * float(own.min()), 1e3 * float(own.max())
+    # An integrator in the loop makes S as small as the frequency; below 1e-9 of the fastest pole rounding rules.
+    low = max(low, 1e-9 * float(own.max()))
+    if S.dt > 0.0:
+        high = math.pi / S.dt
+        low = min(low, 1e-3 * high)
+    decades = math.log10(high / low)
+    grid = np.concatenate([own, np.geomspace(low, high, 2 + int(20 * decades))])
+    grid = np.unique(grid[(grid >= low) & (grid <= high)])
+    # Midpoints, so that a peak between two crossings shows.
+    return np.unique(np.concatenate([grid, np.sqrt(grid[1:] * grid[:-1])]))
+
+
+def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
+    """Return the bandwidth from sensitivities on a grid, for a tuner: no state-space computations.
+
+    Parameters
+    ----------
+    frequency : (N,)
+        Rising, rad/s.
+    S : complex (..., N, m, m)
+        Sensitivity at those frequencies, batch axes first.
+
+    Returns
+    -------
+    (...)
+        rad/s, interpolated on logarithmic axes; the first frequency if S is that large there already, the
+        last if it never gets there.
+    """
+    sizes = np.linalg.norm(S, 2, axis=(-2, -1)) / LEVEL
+    above = sizes >= 1.0
+    first = np.argmax(above, axis=-1)
+    never = ~np.any(above, axis=-1)
+    right = np.clip(first, 1, None)
+    y = np.log(np.maximum(sizes, np.finfo(float).tiny))
+    y0 = np.take_along_axis(y, right[..., None] - 1, -1)[..., 0]
+    y1 = np.take_along_axis(y, right[..., None], -1)[..., 0]
+    x = np.log(frequency)
+    share = np.where(first > 0, -y0 / np.where(y1 > y0, y1 - y0, 1.0), 0.0)
+    out = np.exp(x[right - 1] + np.clip(share, 0.0, 1.0) * (x[right] - x[right - 1]))
+    return np.asarray(np.where(never, frequency[-1], out), dtype=np.float64)

@@ -1,0 +1,287 @@
+"""Norms of systems: H-infinity with its frequency, H2, and the rms that sampled white noise causes.
+
+The H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan
+(ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a level.
+Here they only propose frequencies; what decides is the response evaluated there. So a widely spread
+system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+
+def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple[float, float]:
+    """Return the H-infinity norm of `system` and the frequency where it is reached.
+
+    Parameters
+    ----------
+    system
+        Continuous or discrete, stable.
+    allow_unstable
+        Take unstable systems too and return the L-infinity norm, the peak along the frequency axis.
+
+    Returns
+    -------
+    norm, frequency
+        Largest singular value and its frequency in rad/s; ``inf`` as the frequency of a continuous system whose
+        norm is that of D, ``inf`` as the norm of a system with a pole on the stability boundary.
+
+    Raises
+    ------
+    ArgumentError
+        If the system is unstable and `allow_unstable` is not set.
+    """
+    arrays = state_arrays(system, "hinf_norm")
+    s = continuous_poles(pole_arrays(scaled(*arrays[:3])[0]), arrays.dt)
+    if not allow_unstable and spectral_abscissa(s) > boundary_width(s):
+        worst = s[np.argmax(s.real)]
+        raise ArgumentError(
+            f"hinf_norm: the system is unstable (pole at s = {worst:.6g}), expected a stable one; "
+            "allow_unstable=True gives the L-infinity norm"
+        )
+    return hinf_norm_arrays(*arrays)
+
+
+def boundary_width(s: ComplexArray) -> float:
+    """Return the distance from the stability boundary, 1/s, that rounding cannot tell from zero."""
+    finite = np.abs(s[np.isfinite(s)])
+    return 1e-14 * float(finite.max(initial=0.0)) * max(len(s), 1)
+
+
+def hinf_norm_arrays(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, tolerance: float = 1e-9
+) -> tuple[float, float]:
+    """Return the L-infinity norm of one system and its frequency in rad/s (see `hinf_norm`); any stability.
+
+    Parameters
+    ----------
+    A, B, C, D, dt
+        Arrays of one system.
+    tolerance
+        Relative; the result is not smaller than the norm by more.
+    """
+    if B.shape[-1] == 0 or C.shape[-2] == 0:
+        return 0.0, 0.0
+    edge = math.inf if dt == 0.0 else math.pi / dt
+    if A.shape[-1] == 0:
+        return float(np.linalg.norm(D, 2)), 0.0
+    A, B, C = scaled(A, B, C)
+    s = continuous_poles(pole_arrays(A), dt)
+    on_axis = np.flatnonzero(np.abs(s.real) <= 1e-14 * np.abs(s))
+    if on_axis.size:
+        return math.inf, float(np.abs(s[on_axis[0]].imag))
+    system = StateArrays(A, B, C, D, dt)
+    candidates = [np.zeros(1), resonances(s)]
+    if dt > 0.0:
+        candidates.append(np.array([edge]))
+    best, frequency = _largest(system, np.concatenate(candidates))
+    direct = float(np.linalg.norm(D, 2))
+    if dt == 0.0 and direct > best:
+        best, frequency = direct, math.inf
+    if best == 0.0:
+        best = np.finfo(float).tiny
+    for _ in range(30):
+        best, frequency = _climbed(system, best, frequency)
+        found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
+        if not found > best * (1.0 + tolerance):
+            return max((best, frequency), (found, at))
+        best, frequency = found, at
+    return best, frequency
+
+
+def resonances(s: ComplexArray) -> FloatArray:
+    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|."""
+    s = s[np.isfinite(s)]
+    centre, width = np.abs(s.imag), np.abs(s.real)
+    spread = centre[:, None] + width[:, None] * np.array([-2.0, -1.0, -0.3, 0.0, 0.3, 1.0, 2.0])
+    out = np.concatenate([np.abs(spread).ravel(), np.abs(s), 1.7 * np.abs(s), np.abs(s) / 1.7])
+    return np.unique(out)
+
+
+def level_frequencies(system: StateArrays, level: float) -> FloatArray:
+    """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does.
+
+    The imaginary parts of the Hamiltonian's eigenvalues, whether or not they lie on the axis, and the
+    geometric means of neighbours; empty if `level` is a singular value of D.
+    """
+    if system.dt > 0.0:
+        try:
+            A, B, C, D = to_w_plane(*system[:4], period=system.dt)
+        except ArgumentError:
+            return np.zeros(0)
+    else:
+        A, B, C, D = system[:4]
+    w = level_crossings(A, B, C, D, level)
+    if system.dt > 0.0:
+        w = 2.0 / system.dt * np.arctan(0.5 * system.dt * w)
+    if w.size == 0:
+        return w
+    between = np.sqrt(w[1:] * w[:-1])
+    return np.concatenate([w, between, 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
+
+
+def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
+    """Return |Im| of all eigenvalues of the Hamiltonian for `level`, sorted: every crossing is among them."""
+    # In units of the level: then the Hamiltonian for 1, its blocks equally large after balancing.
+    C, D = C / level, D / level
+    R = np.eye(D.shape[1]) - D.T @ D
+    if abs(np.linalg.det(R)) < 1e-14:
+        return np.zeros(0)
+    A, B, C = scaled(A, B, C)
+    inverse = np.linalg.inv(R)
+    F = A + B @ inverse @ D.T @ C
+    S = np.eye(D.shape[0]) + D @ inverse @ D.T
+    hamiltonian = np.block([[F, B @ inverse @ B.T], [-C.T @ S @ C, -F.T]])
+    if not np.all(np.isfinite(hamiltonian)):
+        return np.zeros(0)
+    out: FloatArray = np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag))
+    return out
+
+
+def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
+    """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
+    H = frequency_response_arrays(*system, frequency)
+    fine = np.all(np.isfinite(H), axis=(-2, -1))
+    out = np.full(frequency.shape, np.inf)
+    if np.any(fine):
+        out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
+    return out
+
+
+def _largest(system: StateArrays, frequency: FloatArray) -> tuple[float, float]:
+    if system.dt > 0.0:
+        frequency = frequency[frequency <= math.pi / system.dt * (1.0 + 1e-12)]
+    if frequency.size == 0:
+        return 0.0, 0.0
+    sizes = gains(system, frequency)
+    i = int(np.argmax(sizes))
+    return float(sizes[i]), float(frequency[i])
+
+
+def _climbed(system: StateArrays, best: float, frequency: float) -> tuple[float, float]:
+    """Return the local maximum near `frequency`: a few fans of frequencies that contract around the best."""
+    if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
+        return best, frequency
+    s = continuous_poles(pole_arrays(system.A), system.dt)
+    # The peak cannot be much narrower than the distance to the nearest pole.
+    width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
+    for _ in range(14):
+        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 9)))
+        if found > best:
+            best, frequency = found, at
+        width *= 0.3
+        if width < 1e-10 * frequency:
+            break
+    return best, frequency
+
+
+def h2_norm(system: control.StateSpace) -> float:
+    """Return the H2 norm: the rms sum of the outputs when white noise of unit density (or variance) drives it.
+
+    Raises
+    ------
+    ArgumentError
+        If the system is not stable, or is continuous and has a direct term.
+    """
+    A, B, C, D, dt = state_arrays(system, "h2_norm")
+    if dt == 0.0 and np.any(D):
+        raise ArgumentError(
+            "h2_norm: D is not zero, expected a strictly proper continuous system (its norm is infinite)"
+        )
+    A, B, C = scaled(A, B, C)
+    s = continuous_poles(pole_arrays(A), dt)
+    if spectral_abscissa(s) >= 0.0:
+        raise ArgumentError(
+            f"h2_norm: the system is not stable (pole at s = {s[np.argmax(s.real)]:.6g}), expected a stable one"
+        )
+    if dt > 0.0:
+        X = stationary_covariance(A, B)
+    else:
+        from scipy.linalg import solve_continuous_lyapunov
+
+        X = np.asarray(solve_continuous_lyapunov(A, -B @ B.T), dtype=np.float64)
+    return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
+
+
+def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
+    """Return the rms of every output of a discrete system driven by white samples.
+
+    Parameters
+    ----------
+    system
+        Discrete, stable.
+    rms : (m,) or scalar
+        Standard deviation of the independent samples at each input.
+
+    Returns
+    -------
+    (p,)
+
+    Raises
+    ------
+    ArgumentError
+        If the system is continuous or not stable, or `rms` has another shape.
+    """
+    A, B, C, D, dt = state_arrays(system, "noise_rms")
+    if dt == 0.0:
+        raise ArgumentError("noise_rms: the system is continuous, expected dt > 0; sample it first")
+    m = B.shape[1]
+    size = np.asarray(rms, dtype=np.float64)
+    if size.shape not in ((), (m,)) or not np.all(np.isfinite(size)) or np.any(size < 0.0):
+        raise ArgumentError(f"noise_rms: rms has shape {size.shape}, expected {m} finite numbers >= 0")
+    out = noise_rms_arrays(A, B, C, D, np.broadcast_to(size, (m,)))
+    if not np.all(np.isfinite(out)):
+        raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
+    return out
+
+
+def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rms: FloatArray) -> FloatArray:
+    """Return the rms (..., p) of the outputs of a stack of discrete systems; inf where one is not stable."""
+    A, B, C = scaled(A, B, C)
+    driven = B * rms
+    X = stationary_covariance(A, driven)
+    with np.errstate(invalid="ignore", over="ignore"):
+        direct = D * rms
+        variance = np.einsum("...ij,...jk,...ik->...i", C, X, C) + np.sum(direct * direct, axis=-1)
+    return np.where(np.isfinite(variance), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+
+
+def stationary_covariance(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Return X = A X A' + B B' for stacks (..., n, n), (..., n, m); inf where A is not stable.
+
+    By doubling (Smith): sums of positive terms only, so small variances keep their digits beside large ones.
+    """
+    X = B @ np.swapaxes(B, -1, -2)
+    batch = np.broadcast_shapes(A.shape[:-2], X.shape[:-2])
+    X = np.array(np.broadcast_to(X, (*batch, *X.shape[-2:])))
+    if A.shape[-1] == 0:
+        return X
+    stable = np.less(np.broadcast_to(spectral_radius(pole_arrays(A)), batch), 1.0, dtype=np.bool_)
+    X[~stable] = np.inf
+    power = np.array(np.broadcast_to(A, (*batch, *A.shape[-2:])))[stable]
+    inside = X[stable]
+    for _ in range(64):
+        more = power @ inside @ np.swapaxes(power, -1, -2)
+        inside = inside + more
+        if not np.any(
+            np.abs(more).max(axis=(-2, -1), initial=0.0) > 1e-17 * np.abs(inside).max(axis=(-2, -1), initial=0.0)
+        ):
+            break
+        power = power @ power
+    X[stable] = inside
+    return X
