@@ -1,0 +1,196 @@
+"""Several sampled plants at once, and what a controller makes of them: the figures that requirements ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.frozen import FloatArray, value
+
+
+@value
+class PlantSet:
+    """Sampled plants of one loop: the nominal one first, then the corners that it has to stand.
+
+    Attributes
+    ----------
+    A, B, C, D : (N, ...)
+        Stacked arrays, torques → angles.
+    period
+        s.
+    labels
+        What each plant is.
+    torques, angles
+        Signal names.
+    nutation
+        Nutation frequency of the nominal plant, rad/s.
+    noise : (p,)
+        Rms of one sample of each pick-off, rad.
+    frequency : (F,)
+        rad/s, up to the Nyquist frequency.
+    response : complex (N, F, p, m)
+        Of the plants on `frequency`.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    period: float
+    labels: tuple[str, ...]
+    torques: tuple[str, ...]
+    angles: tuple[str, ...]
+    nutation: float
+    noise: FloatArray
+    frequency: FloatArray
+    response: ComplexArray
+
+    def only(self, chosen: FloatArray | list[int]) -> PlantSet:
+        """Return the set of the `chosen` plants (indices)."""
+        index = np.asarray(chosen, dtype=np.intp)
+        return PlantSet(
+            A=self.A[index],
+            B=self.B[index],
+            C=self.C[index],
+            D=self.D[index],
+            period=self.period,
+            labels=tuple(self.labels[k] for k in index),
+            torques=self.torques,
+            angles=self.angles,
+            nutation=self.nutation,
+            noise=self.noise,
+            frequency=self.frequency,
+            response=self.response[index],
+        )
+
+
+@value
+class LoopMeasures:
+    """What a controller does to a plant set.
+
+    Attributes
+    ----------
+    bandwidth
+        Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches
+        1/sqrt(2), rad/s.
+    disk_margin : (N,)
+        1/‖(S − T)/2‖, all channels at once, the smaller of input and output; 0 where the loop is unstable.
+    damping : (N,)
+        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
+    radius : (N,)
+        Spectral radius of the closed loop.
+    torque_noise : (m,)
+        Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
+    """
+
+    bandwidth: float
+    disk_margin: FloatArray
+    damping: FloatArray
+    radius: FloatArray
+    torque_noise: FloatArray
+
+
+def tuning_grid(nutation: float, period: float, points: int = 90) -> FloatArray:
+    """Return frequencies, rad/s, dense where margins are lost: between a fifth and twice the nutation."""
+    nyquist = np.pi / period
+    edges = np.clip([nutation / 150.0, nutation / 6.0, 2.2 * nutation, 0.999 * nyquist], None, 0.999 * nyquist)
+    counts = (points // 6, points - 2 * (points // 6), points // 6)
+    parts = [
+        np.geomspace(low, high, k, endpoint=False)
+        for low, high, k in zip(edges, edges[1:], counts, strict=False)
+        if high > low
+    ]
+    return np.append(np.concatenate(parts), 0.999 * nyquist)
+
+
+def plant_set(
+    plants: StateArrays,
+    labels: tuple[str, ...],
+    torques: tuple[str, ...],
+    angles: tuple[str, ...],
+    nutation: float,
+    noise: FloatArray,
+    frequency: FloatArray | None = None,
+) -> PlantSet:
+    """Return the set, its responses worked out once on `frequency` (default `tuning_grid`)."""
+    grid = tuning_grid(nutation, plants.dt) if frequency is None else frequency
+    return PlantSet(
+        A=plants.A,
+        B=plants.B,
+        C=plants.C,
+        D=plants.D,
+        period=plants.dt,
+        labels=labels,
+        torques=torques,
+        angles=angles,
+        nutation=nutation,
+        noise=noise,
+        frequency=grid,
+        response=frequency_response_arrays(*plants, grid),
+    )
+
+
+def measure(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
+    """Measure `controller` (u = K y, same period) on every plant, on the set's frequency grid.
+
+    Margins between grid points are missed: certify with the norms of the closed loop.
+    """
+    K = frequency_response_arrays(*controller, plants.frequency)
+    p, m = plants.C.shape[-2], plants.B.shape[-1]
+    S_output = np.linalg.inv(np.eye(p) - plants.response @ K)
+    # At the input S = I + K S_output P: one inverse serves both.
+    S_input = np.eye(m) + K @ S_output @ plants.response
+    half = 0.5 * np.eye(p)
+    peak = np.maximum(_largest(S_output - half), _largest(S_input - half[:m, :m]))
+    A, B, C, D = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *controller[:4])
+    poles = np.linalg.eigvals(A)
+    radius = np.abs(poles).max(axis=-1)
+    stable = radius < 1.0
+    return LoopMeasures(
+        bandwidth=crossing(plants.frequency, np.maximum(_largest(S_output[0]), _largest(S_input[0]))),
+        disk_margin=np.where(stable, 1.0 / peak.max(axis=-1), 0.0),
+        damping=damping_above(poles, plants.period, plants.nutation / 10.0),
+        radius=radius,
+        torque_noise=_noise(A[0], B[0][:, m:] * plants.noise, C[0][:m], D[0][:m, m:] * plants.noise, bool(stable[0])),
+    )
+
+
+def crossing(frequency: FloatArray, gain: FloatArray, level: float = 0.5**0.5) -> float:
+    """Return the lowest frequency at which `gain` reaches `level`, interpolated in logarithms."""
+    above = np.flatnonzero(gain >= level)
+    if above.size == 0:
+        return float(frequency[-1])
+    k = int(above[0])
+    if k == 0:
+        return float(frequency[0])
+    share = np.log(level / gain[k - 1]) / np.log(gain[k] / gain[k - 1])
+    return float(frequency[k - 1] * (frequency[k] / frequency[k - 1]) ** share)
+
+
+def damping_above(poles: ComplexArray, period: float, above: float) -> FloatArray:
+    """Return the smallest damping ratio of the discrete `poles` (..., n) with |ln z|/period over `above`, (...)."""
+    size = np.maximum(np.abs(poles), 1e-300)
+    s = (np.log(size) + 1j * np.angle(poles)) / period
+    natural = np.abs(s)
+    ratio = -s.real / np.maximum(natural, np.finfo(float).tiny)
+    out: FloatArray = np.where(natural > above, ratio, 1.0).min(axis=-1)
+    return out
+
+
+def _largest(matrices: ComplexArray) -> FloatArray:
+    """Largest singular values, (...): from the Hermitian square, which is faster in batches."""
+    square = matrices.conj().swapaxes(-1, -2) @ matrices
+    out: FloatArray = np.sqrt(np.linalg.eigvalsh(square)[..., -1])
+    return out
+
+
+def _noise(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, stable: bool) -> FloatArray:
+    if not stable:
+        return np.full(len(C), np.inf)
+    from scipy.linalg import solve_discrete_lyapunov
+
+    covariance = solve_discrete_lyapunov(A, B @ B.T)
+    out: FloatArray = np.sqrt(np.maximum(np.diag(C @ covariance @ C.T + D @ D.T), 0.0))
+    return out

@@ -1,0 +1,102 @@
+"""The classical caging loop: cross-axis PI, direct-axis lead, notch; PID in directions without gyroscopic action.
+
+In a gyroscopic pair (y1, y2) with momentum h a torque about one axis turns the other, so the PI acts across:
+
+    Q1 = −h ωc (1 + ωi/s) N(s) y2 − D1(s) y1,        Q2 = +h ωc (1 + ωi/s) N(s) y1 − D2(s) y2
+
+with the direct-axis lead D_k = J_k d_k (s + ωz)/(s/ωr + 1), which damps nutation, and the notch N. Cross gain alone
+destabilises nutation at a growth rate about equal to ωc: d_k has to outweigh it. In an inertial direction
+
+    Q = −J ω0² / √(1 + (ω0/ωz)²) (1 + ωi/s) (s/ωz + 1)/(s/ωr + 1) y.
+
+Every block is sampled by Tustin's rule; channels share their states, so that no integrator is doubled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.design.blocks import Block, first_order, gain, notch, series, side_by_side, stacked
+from platform_ctrl.design.channels import Channels
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import FloatArray
+
+# Which options may be moved by the tuner; the integral action is the user's: it trades ramp error for margin.
+TUNABLE = (
+    "crossover_hz",
+    "damping_hz",
+    "damping2_hz",
+    "lead_hz",
+    "rolloff_hz",
+    "inertial_crossover_hz",
+    "inertial_lead_hz",
+    "inertial_rolloff_hz",
+)
+
+
+def starting_values(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options, those not given from rules of thumb: the nutation frequency sets the scale."""
+    nutation_hz, rate_hz = nutation / (2.0 * np.pi), 1.0 / period
+    out: dict[str, float] = {"crossover_hz": 0.6 * nutation_hz}
+    out["integral_hz"] = 0.04 * given.get("crossover_hz", out["crossover_hz"])
+    if len(channel.momenta):
+        out |= {
+            "damping_hz": 0.9 * nutation_hz,
+            "damping2_hz": 1.1 * nutation_hz,
+            "lead_hz": 0.12 * nutation_hz,
+            "rolloff_hz": 0.4 * rate_hz,
+            "notch_hz": nutation_hz,
+            "notch_depth": 1.0,
+            "notch_width": 0.3,
+        }
+    if channel.inertial:
+        out |= {
+            "inertial_crossover_hz": 0.6 * nutation_hz,
+            "inertial_lead_hz": 0.2 * nutation_hz,
+            "inertial_rolloff_hz": 0.4 * rate_hz,
+        }
+    unused = sorted(set(given) - set(out))
+    if unused:
+        raise DesignError(f"classical: option {unused[0]!r} has no meaning for this loop; it knows {', '.join(out)}")
+    return out | given
+
+
+def classical_controller(options: dict[str, float], channel: Channels, period: float) -> Block:
+    """Return the sampled controller (u = K y, no hidden sign) for complete `options` (see `starting_values`).
+
+    Parameters
+    ----------
+    options
+        Frequencies in Hz. ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
+        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``notch_hz``, ``notch_depth`` (1: none), ``notch_width``;
+        ``inertial_...`` of the inertial directions.
+    channel
+        Pairs and inertial directions.
+    period
+        s.
+    """
+    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
+    integral = first_order(1.0, rad["integral_hz"], 1.0, 0.0, period)
+    parts: list[Block] = []
+    for k, h in enumerate(channel.momenta):
+        lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
+        cross = integral
+        if options["notch_depth"] < 1.0:
+            sharp = notch(rad["notch_hz"], options["notch_depth"], options["notch_width"], period)
+            cross = series(integral, sharp)
+        one, two = (
+            stacked(cross, series(lead, gain(channel.inertias[2 * k + i] * rad[name])))
+            for i, name in enumerate(("damping_hz", "damping2_hz"))
+        )
+        # Outputs of both channels: [cross 1, direct 1, cross 2, direct 2].
+        strength = h * rad["crossover_hz"]
+        mix = np.array([[0.0, -1.0, -strength, 0.0], [strength, 0.0, 0.0, -1.0]])
+        parts.append(series(side_by_side(one, two), gain(mix)))
+    for k in range(2 * len(channel.momenta), len(channel.inertias)):
+        w0, wz = rad["inertial_crossover_hz"], rad["inertial_lead_hz"]
+        strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
+        lead = first_order(1.0 / wz, 1.0, 1.0 / rad["inertial_rolloff_hz"], 1.0, period)
+        parts.append(series(integral, lead, gain(-strength)))
+    A, B, C, D = side_by_side(*parts)
+    basis: FloatArray = channel.basis
+    return A, B @ basis, basis.T @ C, basis.T @ D @ basis

@@ -1,0 +1,110 @@
+"""The plants that a loop has to stand: the nominal one, the corners of the parameter spread, the corners of Omega."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import product
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.plant_set import PlantSet, plant_set
+from platform_ctrl.analysis.sampled import sampled_arrays
+from platform_ctrl.arguments import known_name
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.job import Job
+from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics import matrices
+
+
+def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
+    """Return `platform` with other inertias and spins.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    inertia
+        Relative change of J about the axis of each named gimbal, alone: the inertia that the gimbal's own body gains
+        or loses is a thin disk about its axis, so that no other J about a gimbal axis through the same body changes
+        unless the axes are parallel.
+    spin
+        Relative change of each named rotor's L.
+    """
+    J = np.diag(matrices(platform).A_star)[3:]
+    gimbals = tuple(
+        dataclasses.replace(g, inertia=g.inertia + inertia.get(g.name, 0.0) * J[k] * np.outer(g.axis, g.axis))
+        for k, g in enumerate(platform.gimbals)
+    )
+    rotors = tuple(
+        dataclasses.replace(r, angular_momentum=r.angular_momentum * (1.0 + spin.get(r.name, 0.0)))
+        for r in platform.rotors
+    )
+    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
+
+
+def corners(job: Job, gimbals: tuple[str, ...]) -> list[tuple[str, Platform, FloatArray]]:
+    """Return (label, platform, Omega): nominal, every corner of the spread, every corner of Omega."""
+    platform = job.platform
+    carried = [r.name for r in platform.rotors if r.carrier in gimbals]
+    out: list[tuple[str, Platform, FloatArray]] = [("nominal", platform, np.zeros(3))]
+    named = [("J", g, job.spread.inertia) for g in gimbals] + [("L", r, job.spread.spin) for r in carried]
+    named = [entry for entry in named if entry[2] > 0.0]
+    if named:
+        for signs in product((-1.0, 1.0), repeat=len(named)):
+            moved = [(kind, name, sign * width) for (kind, name, width), sign in zip(named, signs, strict=True)]
+            label = " ".join(f"{kind}{name}{change:+.0%}" for kind, name, change in moved)
+            inertia = {name: change for kind, name, change in moved if kind == "J"}
+            spin = {name: change for kind, name, change in moved if kind == "L"}
+            out.append((label, changed(platform, inertia, spin), np.zeros(3)))
+    if np.any(job.Omega > 0.0):
+        axes = [(-rate, rate) if rate > 0.0 else (0.0,) for rate in job.Omega]
+        for rates in product(*axes):
+            out.append((f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s", platform, np.array(rates)))
+    return out
+
+
+def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
+    """Return the row numbers of the named gimbals, in the loop's order."""
+    return [known_name("gimbals", name, model.gimbal_names) for name in gimbals]
+
+
+def nutation_frequency(model: LinearModel, gimbals: tuple[str, ...]) -> float:
+    """Return the highest natural frequency of the uncontrolled gimbals, rad/s."""
+    rows = rows_of(model, gimbals)
+    part = np.ix_(rows, rows)
+    n = len(rows)
+    mobility = np.linalg.inv(model.M[part])
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility @ model.K[part], -mobility @ model.G[part]]])
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
+    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order."""
+    cases = corners(job, gimbals)
+    stacked = [_gimbal_arrays(linearise(platform, Omega=Omega), gimbals) for _, platform, Omega in cases]
+    A, B, C, D = (np.array(arrays) for arrays in zip(*stacked, strict=True))
+    torquers = [next(t for t in job.platform.torquers if t.gimbal == name) for name in gimbals]
+    pickoffs = [next(s for s in job.platform.pickoffs if s.gimbal == name) for name in gimbals]
+    sampling = job.sampling
+    arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, [t.lag for t in torquers])
+    return plant_set(
+        StateArrays(*arrays, dt=sampling.period),
+        labels=tuple(label for label, _, _ in cases),
+        torques=tuple(t.name for t in torquers),
+        angles=tuple(s.name for s in pickoffs),
+        nutation=nutation_frequency(linearise(job.platform), gimbals),
+        noise=np.array([s.sampled_noise(sampling.period) for s in pickoffs]),
+    )
+
+
+def _gimbal_arrays(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    rows = rows_of(model, gimbals)
+    part = np.ix_(rows, rows)
+    n = len(rows)
+    mobility = np.linalg.inv(model.M[part])
+    A = np.block([[np.zeros((n, n)), mobility], [-model.K[part], -model.G[part] @ mobility]])
+    B = np.vstack([np.zeros((n, n)), np.eye(n)])
+    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    return A, B, C, np.zeros((n, n))

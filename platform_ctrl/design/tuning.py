@@ -1,0 +1,127 @@
+"""Moving a controller's parameters until the worst requirement is met with a reserve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.plant_set import PlantSet, measure
+from platform_ctrl.design.blocks import Block
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.requirements import LoopRequirement
+
+Builder = Callable[[dict[str, float]], Block]
+
+# Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
+_IN_VIEW = 8
+
+
+def worst_ratio(
+    controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]
+) -> float:
+    """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
+    measures = measure(plants, StateArrays(*controller, dt=plants.period))
+    radius = float(measures.radius.max())
+    if not radius < 1.0:
+        return 10.0 + min((radius - 1.0) / plants.period / plants.nutation, 1e6) * 100.0
+    ratios = (r.ratios(measures).max() for r in requirements if r.kind != "stability")
+    return float(min(max(ratios, default=0.0), 10.0))
+
+
+def tune(
+    start: dict[str, float],
+    movable: Sequence[str],
+    build: Builder,
+    plants: PlantSet,
+    requirements: Sequence[LoopRequirement],
+    *,
+    upper: dict[str, float] | None = None,
+    reserve: float = 0.05,
+    evaluations: int = 1500,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, float]:
+    """Return `start` with the `movable` options changed so that the worst ratio is at most 1 − reserve, or least.
+
+    A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the
+    set, repeated until the plants in view are the worst of all. Deterministic.
+
+    Parameters
+    ----------
+    start
+        Positive starting values.
+    movable
+        Names of the options that may change.
+    build
+        Options → sampled controller.
+    plants, requirements
+        What the loop has to stand and to reach.
+    upper
+        Largest values of some options.
+    reserve
+        The search ends as soon as every ratio is at most 1 − reserve.
+    evaluations
+        Most evaluations in all.
+    progress
+        Called with the worst ratio so far.
+    """
+    from scipy.optimize import minimize
+
+    bounds = np.array([np.log((upper or {}).get(name, np.inf)) for name in movable])
+    best = np.minimum(np.log([start[name] for name in movable]), bounds)
+
+    def options(x: FloatArray) -> dict[str, float]:
+        return start | {name: float(v) for name, v in zip(movable, np.exp(np.minimum(x, bounds)), strict=True)}
+
+    def ratio(x: FloatArray, on: PlantSet) -> float:
+        beyond = float(np.maximum(x - bounds, 0.0).max(initial=0.0))
+        return worst_ratio(build(options(x)), on, requirements) + beyond
+
+    target = 1.0 - reserve
+    view = [0]
+    left = evaluations
+    best_ratio = np.inf
+    current = best
+    while left > 0:
+        overall = ratio(current, plants)
+        if overall < best_ratio:
+            best, best_ratio = current, overall
+        if progress is not None:
+            progress(best_ratio)
+        if best_ratio <= target:
+            break
+        added = [k for k in _worst_plants(build(options(current)), plants, requirements) if k not in view]
+        if current is not best and not added:
+            break
+        view = sorted({*view, *added[:_IN_VIEW]})
+        near = plants.only(view)
+
+        def stop(intermediate_result: object) -> None:
+            if getattr(intermediate_result, "fun", np.inf) <= 0.995 * target:
+                raise StopIteration
+
+        found = minimize(
+            ratio,
+            current,
+            args=(near,),
+            method="Nelder-Mead",
+            callback=stop,
+            options={"maxfev": min(left, 60 * len(movable)), "adaptive": True, "xatol": 2e-3, "fatol": 2e-4},
+        )
+        left -= int(found.nfev) + 1
+        current = np.asarray(found.x, dtype=np.float64)
+    return options(best)
+
+
+def _worst_plants(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> list[int]:
+    """Return plant numbers, the worst first."""
+    measures = measure(plants, StateArrays(*controller, dt=plants.period))
+    if not np.all(measures.radius < 1.0):
+        order = np.argsort(-measures.radius)
+        return [int(k) for k in order]
+    ratios = np.zeros(len(plants.labels))
+    for requirement in requirements:
+        if requirement.over_spread and requirement.kind != "stability":
+            ratios[1:] = np.maximum(ratios[1:], requirement.ratios(measures))
+    return [int(k) for k in np.argsort(-ratios)]
