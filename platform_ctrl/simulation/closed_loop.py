@@ -134,8 +134,8 @@ def simulate(
     commands take effect always lie on its grid, and the lag is integrated exactly.
 
     A gimbal that has gone past a stop at the end of a substep is put back on it and loses its outward rate by an
-    impulse at that joint (a perfectly inelastic impact; joint momenta of the other gimbals are kept). A gimbal
-    that presses against its stop is held there in the same way.
+    impulse at that joint: a perfectly inelastic impact, known to a substep in time, that keeps the other joint momenta
+    and, with a free root, the angular momentum. While the gimbal presses against the stop its joint is locked.
 
     Parameters
     ----------

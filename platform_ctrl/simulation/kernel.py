@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from platform_ctrl.frozen import FloatArray
 
 Work = tuple[FloatArray, ...]
+Flags = NDArray[np.bool_]
 Plant = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -199,15 +200,23 @@ def _solve(mass: FloatArray, low: int, x: FloatArray) -> None:
 
 
 @_compiled
-def derivative(plant: Plant, free: bool, y: FloatArray, force: FloatArray, work: Work, dy: FloatArray) -> None:
+def derivative(
+    plant: Plant, free: bool, locked: Flags, y: FloatArray, force: FloatArray, work: Work, dy: FloatArray
+) -> None:
     """Derivative of the state vector under the generalised force [M, Q]; leaves the mass matrix factored.
 
-    With a prescribed Omega, v[:3] must hold its value at this instant.
+    With a prescribed Omega, v[:3] must hold its value at this instant. A gimbal that is `locked` does not turn: its
+    row gives way to qdot = const (free root) or qdot = 0 (prescribed Omega; its momentum then means nothing).
     """
     order, parent = plant[0], plant[1]
     _, a, I, h, w, N, Ia, mass, x = work  # noqa: E741
     n = order.shape[0]
     assemble(plant, free, y, work)
+    for k in range(n):
+        if locked[k]:
+            for i in range(n + 3):
+                mass[max(i, 3 + k), min(i, 3 + k)] = 0.0
+            mass[3 + k, 3 + k] = 1.0
     if free:
         _factor(mass, 0)
         for i in range(3):
@@ -215,9 +224,11 @@ def derivative(plant: Plant, free: bool, y: FloatArray, force: FloatArray, work:
         for k in range(n):
             b = k + 1
             x[3 + k] = force[3 + k] - (a[b, 0] * N[b, 0] + a[b, 1] * N[b, 1] + a[b, 2] * N[b, 2])
+            if locked[k]:
+                x[3 + k] = 0.0
         _solve(mass, 0, x)
         for k in range(n):
-            dy[k] = y[n + 3 + k]
+            dy[k] = 0.0 if locked[k] else y[n + 3 + k]
         for i in range(n + 3):
             dy[n + i] = x[i]
     else:
@@ -229,6 +240,8 @@ def derivative(plant: Plant, free: bool, y: FloatArray, force: FloatArray, work:
                 Ia[b, 0] * W0 + Ia[b, 1] * W1 + Ia[b, 2] * W2
                 + a[b, 0] * h[b, 0] + a[b, 1] * h[b, 1] + a[b, 2] * h[b, 2]
             )  # fmt: skip
+            if locked[k]:
+                x[3 + k] = 0.0
         _solve(mass, 3, x)
         for m in range(n):
             k = order[m]
@@ -284,6 +297,7 @@ def joint_momenta(plant: Plant, y: FloatArray, work: Work, p: FloatArray) -> Non
 def rk4_step(
     plant: Plant,
     free: bool,
+    locked: Flags,
     y: FloatArray,
     Omega: FloatArray,
     force: FloatArray,
@@ -307,7 +321,7 @@ def rk4_step(
         if not free:
             for i in range(3):
                 at[n + i] = Omega[row, i]
-        derivative(plant, free, at, force[row], work, dy)
+        derivative(plant, free, locked, at, force[row], work, dy)
         weight = 1.0 if s == 0 or s == 3 else 2.0
         ahead = step if s == 2 else 0.5 * step
         for i in range(size):
@@ -334,12 +348,13 @@ def advance(plant: Plant, states: FloatArray, force: FloatArray, step: float, st
     stages = np.empty((3, 2 * n + 7))
     held = np.empty((3, n + 3))
     Omega = np.zeros((3, 3))
+    locked = np.zeros(n, dtype=np.bool_)
     for r in range(states.shape[0]):
         for s in range(3):
             held[s] = force[r]
         y = states[r]
         for _ in range(steps):
-            rk4_step(plant, True, y, Omega, held, step, work, stages)
+            rk4_step(plant, True, locked, y, Omega, held, step, work, stages)
 
 
 @_compiled
@@ -360,18 +375,58 @@ def half_cosine(t: float, profile: FloatArray, Omega: FloatArray) -> None:
 
 
 @_compiled
+def _hold(
+    plant: Plant,
+    free: bool,
+    y: FloatArray,
+    begin: FloatArray,
+    Omega: FloatArray,
+    force: FloatArray,
+    step: float,
+    stops: FloatArray,
+    touching: Flags,
+    locked: Flags,
+    work: Work,
+    stages: FloatArray,
+) -> None:
+    """Repeat a step from `begin` with those gimbals locked that lay at a stop and have gone past it."""
+    n = plant[0].shape[0]
+    a, I, h, w, N, dy = work[1], work[2], work[3], work[4], work[5], stages[1]  # noqa: E741
+    pressed = False
+    for k in range(n):
+        locked[k] = touching[k] and (y[k] < stops[k, 0] or y[k] > stops[k, 1])
+        pressed = pressed or locked[k]
+    if not pressed:
+        return
+    y[:] = begin
+    rk4_step(plant, free, locked, y, Omega, force, step, work, stages)
+    if not free:
+        derivative(plant, False, locked, y, force[2], work, dy)
+        for k in range(n):
+            if locked[k]:
+                b = k + 1
+                v0, v1, v2 = w[b, 0], w[b, 1], w[b, 2]
+                y[n + 3 + k] = (
+                    a[b, 0] * (I[b, 0] * v0 + I[b, 3] * v1 + I[b, 4] * v2 + h[b, 0] + N[b, 0])
+                    + a[b, 1] * (I[b, 3] * v0 + I[b, 1] * v1 + I[b, 5] * v2 + h[b, 1] + N[b, 1])
+                    + a[b, 2] * (I[b, 4] * v0 + I[b, 5] * v1 + I[b, 2] * v2 + h[b, 2] + N[b, 2])
+                )
+
+
+@_compiled
 def _meet_stops(
     plant: Plant,
     free: bool,
     y: FloatArray,
     stops: FloatArray,
-    touching: NDArray[np.bool_],
+    touching: Flags,
+    locked: Flags,
     contacts: NDArray[np.int64],
     zero: FloatArray,
     work: Work,
     dy: FloatArray,
 ) -> None:
-    """Hold at its stop every gimbal that has gone past it: a perfectly inelastic impact."""
+    """Put every gimbal that has gone past its stop back on it: a perfectly inelastic impact."""
     n = plant[0].shape[0]
     mass, x = work[7], work[8]
     hit = False
@@ -382,10 +437,11 @@ def _meet_stops(
             y[k] = min(max(y[k], stops[k, 0]), stops[k, 1])
             if not touching[k]:
                 contacts[k] += 1
-        touching[k] = past
+        touching[k] = past or locked[k]
+        locked[k] = False
     if not hit:
         return
-    derivative(plant, free, y, zero, work, dy)  # dy[:n] = qdot, and the factored mass matrix
+    derivative(plant, free, locked, y, zero, work, dy)  # dy[:n] = qdot, and the factored mass matrix
     low = 0 if free else 3
     # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
     for _ in range(100):
@@ -460,7 +516,8 @@ def closed_loop(
     Omega = np.zeros((3, 3))
     x, x_next = np.zeros(nx), np.zeros(nx)
     torque, held = np.zeros(nu), np.zeros(nu)
-    touching = np.zeros(n, dtype=np.bool_)
+    touching, locked = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    begin = np.empty(2 * n + 7)
     fastest = 1.0 / max(steps[0], steps[1])
     for k in range(samples):
         # Rates and momenta at the sample.
@@ -469,7 +526,7 @@ def closed_loop(
             out_v[k] = y[n : 2 * n + 3]
         else:
             half_cosine(k * period, profile, y[n : n + 3])
-            derivative(plant, False, y, zero, work, dy)
+            derivative(plant, False, locked, y, zero, work, dy)
             out_p[k] = y[n + 3 : 2 * n + 3]
             out_v[k, :3] = y[n : n + 3]
             out_v[k, 3:] = dy[:n]
@@ -532,7 +589,9 @@ def closed_loop(
                             torque[i] = held[i] + (torque[i] - held[i]) * decay[g, i]
                     if not free:
                         half_cosine(start + (m + 0.5 * s) * h, profile, Omega[s])
-                rk4_step(plant, free, y, Omega, force, h, work, stages)
-                _meet_stops(plant, free, y, stops, touching, contacts, zero, work, dy)
+                begin[:] = y
+                rk4_step(plant, free, locked, y, Omega, force, h, work, stages)
+                _hold(plant, free, y, begin, Omega, force, h, stops, touching, locked, work, stages)
+                _meet_stops(plant, free, y, stops, touching, locked, contacts, zero, work, dy)
             start += count[g] * h
     return samples
