@@ -1,0 +1,246 @@
+"""H-infinity synthesis by linear matrix inequalities (Gahinet and Apkarian 1994), on a scaled plant.
+
+Three steps: the least gamma over X, Y with the controller eliminated; at (1 + backoff) times that gamma the pair X, Y
+that stays farthest from X Y = I; and from X, Y a controller in closed form (Gahinet 1996).
+Nothing is assumed about D11, D12 and D21. What the solver says is not believed: the inequalities are evaluated again.
+"""
+
+from __future__ import annotations
+
+import warnings
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from platform_ctrl.design.synthesis import Partition, Realisation, ScaledPlant, autoscale, unscale, weakest_mode
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Solved again in other units when the least gamma of the scaled plant is not within 1/8 .. 8.
+GAMMA_RANGE = 8.0
+# Other units of gamma to start from where the first solve gives nothing.
+GAINS = (1.0, 1e2, 1e-2, 1e4, 1e-4)
+# Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for.
+LARGEST_SEPARATION = 10.0
+# How far, relative to gamma, the second step keeps the inequalities from zero.
+STRICTNESS = 1e-6
+
+
+@value
+class Certificate:
+    """What the solver returned: gamma, X, Y (n, n) and the separation t (0 where gamma was minimised)."""
+
+    gamma: float
+    X: FloatArray
+    Y: FloatArray
+    separation: float
+
+
+def hinf_lmi(
+    plant: Partition, backoff: float, time_limit: float, P: StateSpace
+) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled).
+
+    Raises
+    ------
+    DesignError
+        The solver failed, or what it returned does not satisfy the inequalities; `P` is attached.
+    """
+    scaled, rough = _rough(plant, time_limit, P)
+    turned = _balanced(scaled.plant, rough)
+    least = _solve(turned, None, time_limit, P)
+    best = _solve(turned, (1 + backoff) * least.gamma, time_limit, P)
+    residual = {"separation": best.separation}
+    for name, matrix in inequalities(turned, best.gamma, best.X, best.Y).items():
+        largest = float(np.linalg.eigvalsh(matrix)[-1])
+        residual[f"largest eigenvalue of {name}"] = largest
+        if not largest < 0:
+            raise DesignError(
+                f"hinf, lmi: X and Y from the solver violate the {name} at gamma = {best.gamma * scaled.gain:.6g} "
+                f'(largest eigenvalue {largest:.2g}, expected < 0); give a larger backoff, or method="riccati"',
+                P,
+            )
+    made = _reconstructed(turned, scaled.control_rank, scaled.measurement_rank, best, P)
+    return unscale(made, scaled), least.gamma * scaled.gain, residual
+
+
+def _rough(plant: Partition, time_limit: float, P: StateSpace) -> tuple[ScaledPlant, Certificate]:
+    """A scaled plant whose least gamma is near one, and the solver's first answer for it."""
+    failure: DesignError | None = None
+    for gain in GAINS:
+        scaled = autoscale(plant, gain)
+        try:
+            rough = _solve(scaled.plant, None, time_limit, P)
+            if not 1 / GAMMA_RANGE <= rough.gamma <= GAMMA_RANGE:
+                scaled = autoscale(plant, gain * max(rough.gamma, 1e-3))
+                rough = _solve(scaled.plant, None, time_limit, P)
+        except DesignError as error:
+            failure = failure or error
+            continue
+        return scaled, rough
+    sigma, word, pole = weakest_mode(autoscale(plant))
+    hint = ""
+    if word:
+        hint = (
+            f"; nearest to a violated assumption: the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is "
+            f"hardly {word} (smallest singular value {sigma:.1g} of the scaled plant)"
+        )
+    raise DesignError(f"{failure}{hint}", P) from None
+
+
+def _balanced(plant: Partition, rough: Certificate) -> Partition:
+    """Turn the states so that X and Y are equal and diagonal: there the solver reaches six digits, elsewhere three."""
+    values, vectors = np.linalg.eigh(rough.X)
+    root = vectors * np.sqrt(np.maximum(values, 1e-10 * values[-1]))
+    products, turn = np.linalg.eigh(root.T @ rough.Y @ root)
+    T = root @ turn / np.maximum(products, 1.0) ** 0.25
+    Ti = np.linalg.inv(T)
+    return Partition(
+        A=Ti @ plant.A @ T, B1=Ti @ plant.B1, B2=Ti @ plant.B2, C1=plant.C1 @ T, C2=plant.C2 @ T,
+        D11=plant.D11, D12=plant.D12, D21=plant.D21, D22=plant.D22,
+    )  # fmt: skip
+
+
+def _sides(plant: Partition) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+    """What the inequalities of X and Y are made of: (N1, F, N2, G) each.
+
+    The columns of [N1; N2] span the kernel of [B2' D12'], where the controller has no say. The inequality of X is
+    [[He(N1' X F) − gamma N2' N2, G], [G', −gamma I]] < 0 with F = A' N1 + C1' N2, G = N1' B1 + N2' D11;
+    that of Y is its dual.
+    """
+    out = []
+    for A, B1, B2, C1, D11, D12 in (
+        (plant.A, plant.B1, plant.B2, plant.C1, plant.D11, plant.D12),
+        (plant.A.T, plant.C1.T, plant.C2.T, plant.B1.T, plant.D11.T, plant.D21.T),
+    ):
+        _, sigma, Vt = np.linalg.svd(np.hstack([B2.T, D12.T]), full_matrices=True)
+        N = Vt[int(np.sum(sigma > 1e-12 * sigma[0])) :].T
+        N1, N2 = N[: len(A)], N[len(A) :]
+        out.append((N1, A.T @ N1 + C1.T @ N2, N2, N1.T @ B1 + N2.T @ D11))
+    return out[0], out[1]
+
+
+def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -> dict[str, FloatArray]:
+    """Matrices that are all negative definite only if some controller has a closed-loop norm below `gamma`."""
+    out = {}
+    for name, V, (N1, F, N2, G) in zip(("X", "Y"), (X, Y), _sides(plant), strict=True):
+        half = N1.T @ V @ F - 0.5 * gamma * N2.T @ N2
+        out[f"inequality of {name}"] = np.block([[half + half.T, G], [G.T, -gamma * np.eye(G.shape[1])]])
+    one = np.eye(len(X))
+    out["coupling of X and Y"] = -np.block([[X, one], [one, Y]])
+    return out
+
+
+def _solve(plant: Partition, level: float | None, time_limit: float, P: StateSpace) -> Certificate:
+    """Least gamma, or at the given level the X and Y that are separated most."""
+    cp: Any = import_module("cvxpy")  # its annotations are incomplete
+
+    n = len(plant.A)
+    one = np.eye(n)
+    X, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
+    gamma = cp.Variable() if level is None else cp.Constant(level)
+    constraints = []
+    for V, (N1, F, N2, G) in zip((X, Y), _sides(plant), strict=True):
+        half = N1.T @ V @ F
+        block = cp.bmat([[half + half.T - gamma * (N2.T @ N2), G], [G.T, -gamma * np.eye(G.shape[1])]])
+        constraints.append(block << (0.0 if level is None else -STRICTNESS * level) * np.eye(block.shape[0]))
+    if level is None:
+        constraints += [cp.bmat([[X, one], [one, Y]]) >> 0, t == 0]
+        objective = cp.Minimize(gamma)
+    else:
+        constraints += [cp.bmat([[X, t * one], [t * one, Y]]) >> 0, t <= LARGEST_SEPARATION]
+        # The traces keep X and Y bounded in directions that no inequality bounds.
+        objective = cp.Maximize(t - 1e-4 / n * (cp.trace(X) + cp.trace(Y)))
+    problem = cp.Problem(objective, constraints)
+    what = "minimising gamma" if level is None else f"separating X and Y at gamma = {level:.6g} (scaled)"
+    cure = 'give a larger backoff, other weights, or method="riccati"'
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=cp.CLARABEL, time_limit=time_limit)
+        except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            raise DesignError(f"hinf, lmi: the solver gave up when {what}; {cure}", P) from None
+    if problem.status == cp.USER_LIMIT:
+        raise DesignError(
+            f"hinf, lmi: the solver did not finish in {time_limit:.3g} s when {what}; give a larger time_limit", P
+        )
+    found = [v.value for v in (gamma, X, Y, t)]
+    # An inaccurate answer is judged like every other: by the inequalities and by the closed loop.
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or not all(
+        v is not None and np.all(np.isfinite(v)) for v in found
+    ):
+        raise DesignError(f"hinf, lmi: the solver says {problem.status} when {what}; {cure}", P)
+    least, x, y, separation = (np.asarray(v, dtype=np.float64) for v in found)
+    return Certificate(gamma=float(least), X=x, Y=y, separation=float(separation))
+
+
+def _reconstructed(plant: Partition, r: int, s: int, best: Certificate, P: StateSpace) -> Realisation:
+    """Controller from strictly feasible X and Y; r and s are the ranks of D12 and D21 (Gahinet 1996).
+
+    In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ meets the part of X, B̂ that of Y, and Â removes
+    the cross term.
+    """
+    p, gamma, X, Y = plant, best.gamma, best.X, best.Y
+    D = _feedthrough(p, r, s, gamma)
+    Dc = p.D11 + p.D12 @ D @ p.D21
+    nz, nw = Dc.shape
+    weight = np.linalg.inv(np.block([[gamma * np.eye(nw), -Dc.T], [-Dc, gamma * np.eye(nz)]]))
+
+    through = p.A + p.B2 @ D @ p.C2
+    Bc, Cc = p.B1 + p.B2 @ D @ p.D21, p.C1 + p.D12 @ D @ p.C2
+    seen = np.vstack([np.zeros((nw, p.D12.shape[1])), p.D12])
+    C, Mx = _gain(p.A @ X, p.B2, np.vstack([Bc.T, p.C1 @ X]), seen, weight, r, P)
+    seen = np.vstack([p.D21.T, np.zeros((nz, p.D21.shape[0]))])
+    Bt, My = _gain(p.A.T @ Y, p.C2.T, np.vstack([p.B1.T @ Y, Cc]), seen, weight, s, P)
+    A = -through.T - My.T @ weight @ Mx
+
+    # I − Y X = N M' with N and M' of equal size.
+    U, sigma, Vt = np.linalg.svd(np.eye(len(X)) - Y @ X)
+    Ni, Mi = (U / np.sqrt(sigma)).T, Vt.T / np.sqrt(sigma)
+    BK = Ni @ (Bt.T - Y @ p.B2 @ D)
+    CK = (C - D @ p.C2 @ X) @ Mi
+    AK = Ni @ (A - Y @ through @ X) @ Mi - BK @ p.C2 @ X @ Mi - Ni @ Y @ p.B2 @ CK
+    return Realisation(A=AK, B=BK, C=CK, D=D)
+
+
+def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:
+    """D_K with |D11 + D12 D_K D21| < gamma: the central solution of Parrott's problem."""
+    U1, V1 = p.D12[:, :r], p.D21[:s].T
+    U0, V0 = np.linalg.svd(U1)[0][:, r:], np.linalg.svd(V1)[0][:, s:]
+    a, b, c, d = U0.T @ p.D11 @ V0, U0.T @ p.D11 @ V1, U1.T @ p.D11 @ V0, U1.T @ p.D11 @ V1
+    D = np.zeros((p.D12.shape[1], p.D21.shape[0]))
+    D[:r, :s] = -d - c @ np.linalg.solve(gamma**2 * np.eye(a.shape[1]) - a.T @ a, a.T @ b)
+    return D
+
+
+def _gain(
+    AX: FloatArray, B: FloatArray, M0: FloatArray, E: FloatArray, weight: FloatArray, rank: int, P: StateSpace
+) -> tuple[FloatArray, FloatArray]:
+    """F that makes He(AX + B F) + M' weight M negative definite, and M = M0 + E F; E is zero beyond `rank` columns."""
+    F = np.zeros((B.shape[1], AX.shape[0]))
+    regular = E[:, :rank]
+    F[:rank] = -np.linalg.solve(
+        regular.T @ weight @ regular, B[:, :rank].T + regular.T @ weight @ M0
+    )  # the minimum of the quadratic form
+    M = M0 + E @ F
+    left = AX + B @ F
+    left = left + left.T + M.T @ weight @ M
+    singular = B[:, rank:]
+    if not singular.size:
+        return F, M
+    # What z does not see directly may be used without limit (Finsler): as little as is enough, doubled for some margin.
+    gain = 1e-3
+    while np.linalg.eigvalsh(left - 2 * gain * singular @ singular.T)[-1] >= 0:
+        gain *= 2
+        if gain > 1e12:
+            raise DesignError(
+                "hinf, lmi: no finite gain of the channels that D12 or D21 leave out satisfies the inequalities; "
+                "give a larger backoff, or add a small weight on every control and a small noise on every measurement",
+                P,
+            )
+    F[rank:] = -2 * gain * singular.T
+    return F, M
