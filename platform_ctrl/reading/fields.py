@@ -11,7 +11,7 @@ from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from platform_ctrl.frozen import FloatArray, read_only
-from platform_ctrl.reading.mistakes import given, nearest
+from platform_ctrl.reading.mistakes import given
 
 # Relative rounding that a printed number may carry: symmetry, the triangle inequality, C = 2 A.
 ROUNDING = 1e-9
@@ -89,7 +89,8 @@ def numbers(item: object, count: int) -> list[float]:
     return out
 
 
-def _text(item: object) -> str:
+def text(item: object) -> str:
+    """Return a line of text that is not empty."""
     if not isinstance(item, str):
         raise Unfit
     if not item.strip():
@@ -117,8 +118,7 @@ def one_of(names: Sequence[str]) -> Expected:
     def judge(item: object) -> str:
         if isinstance(item, str) and item in names:
             return item
-        close = nearest(item, names) if isinstance(item, str) else None
-        raise Unfit(f'did you mean "{close}"?' if close else "")
+        raise Unfit
 
     return Expected(" or ".join(f'"{name}"' for name in names), judge)
 
@@ -193,7 +193,7 @@ def _names(item: object) -> tuple[str, ...]:
 
 
 def _plant(item: object) -> Any:
-    return item if isinstance(item, dict) else _text(item)
+    return item if isinstance(item, dict) else text(item)
 
 
 NUMBER = Expected("a number", number)
@@ -203,7 +203,7 @@ NOT_NEGATIVE = Expected("a number >= 0", _number(lambda x: x >= 0))
 Number = Annotated[float, NUMBER]
 Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, NOT_NEGATIVE]
-Text = Annotated[str, Expected("a name: a line of text that is not empty", _text)]
+Text = Annotated[str, Expected("a name: a line of text that is not empty", text)]
 AnyText = Annotated[str, Expected("a text", _any_text)]
 Truth = Annotated[bool, Expected("true or false", _truth)]
 SchemaOne = Annotated[int, Expected("1, the format that this version reads", integer(1, 1))]

@@ -38,7 +38,9 @@ def _table(source: Mapping[Any, Any], path: Path, inside: tuple[int, ...], mista
 
 def _plain(item: object, path: Path, inside: tuple[int, ...], mistakes: list[Mistake]) -> Any:
     if id(item) in inside or len(inside) > DEEPEST:
-        mistakes.append(Mistake(path, f"nested deeper than {DEEPEST} levels"))
+        while isinstance(path[-1], int):
+            path = path[:-1]
+        mistakes.append(Mistake(path, f"{path[-1]}: nested deeper than {DEEPEST} levels"))
         return None
     inside = (*inside, id(item))
     if isinstance(item, Mapping):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from platform_ctrl.reading.fields import ROUNDING, Unfit, number
+from platform_ctrl.reading.fields import ROUNDING, Unfit, number, text
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
 
 Data = dict[str, Any]
@@ -47,12 +47,14 @@ def _root_name(data: Data) -> str | None:
 
 
 def _gimbal_names(data: Data) -> list[str] | None:
-    """Return the gimbals' names, or None if one cannot be read: references to it are not to blame."""
+    """Return the gimbals' names, or None if one is refused: references to it are not to blame."""
     entries = data.get("gimbal", [])
     if not isinstance(entries, list):
         return None
-    names = [text_of(entry, "name") if isinstance(entry, dict) else None for entry in entries]
-    return None if None in names else [name for name in names if name is not None]
+    try:
+        return [text(entry["name"] if isinstance(entry, dict) else None) for entry in entries]
+    except (KeyError, Unfit):
+        return None
 
 
 def _names(data: Data) -> Iterator[Mistake]:
@@ -64,7 +66,9 @@ def _names(data: Data) -> Iterator[Mistake]:
             if name is None:
                 continue
             if name in taken:
-                yield Mistake((kind, k, "name"), f"name = {given(name)}: is the name of {taken[name]} already")
+                yield Mistake(
+                    (kind, k, "name"), f"name = {given(name)}: is the name of {taken[name]} already; expected another"
+                )
             else:
                 taken[name] = f"[[{kind}]] {k + 1}"
 
@@ -161,8 +165,8 @@ def _signals(data: Data) -> Iterator[Mistake]:
     taken = dict.fromkeys(PLATFORM_RATES, "a platform rate") | dict.fromkeys(ROOT_TORQUES, of_root)
     for path, name, own in _signal_names(data):
         if name in taken and not (name == own and taken[name] == of_root):
-            what = path[2] if len(path) > 2 else "the default name"
-            wrong = f"{what} = {given(name)}: names {taken[name]} already"
+            what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"
+            wrong = f"{what} names {taken[name]} already"
             yield Mistake(path, f"{wrong}; expected a signal name of its own")
         else:
             taken[name] = f"the {'angle' if path[0] == 'gimbal' else 'torque'} of [[{path[0]}]] {int(path[1]) + 1}"

@@ -27,18 +27,18 @@ def structure(model: type[AnyTable], data: dict[str, Any]) -> tuple[AnyTable | N
         return model.model_validate(data), []
     except ValidationError as error:
         found = error.errors(include_url=False)
-    missing = {tuple(e["loc"]) for e in found if e["type"] == "missing"}
+    missing = dict.fromkeys(tuple(e["loc"]) for e in found if e["type"] == "missing")
     mistakes = []
     for e in found:
         path: Path = tuple(e["loc"])
         if e["type"] == "extra_forbidden":
             known = keys_of(_model_at(model, path[:-1]))
             # A misspelt key is one mistake, not an unknown one and a missing one.
-            missing.discard((*path[:-1], nearest(str(path[-1]), known) or ""))
+            missing.pop((*path[:-1], nearest(str(path[-1]), known) or ""), None)
             mistakes.append(unknown_key(path, e["input"], known))
         elif e["type"] != "missing":
             mistakes.append(Mistake(path, _wrong_value(path, e["input"], e["type"], e.get("ctx", {}))))
-    for path in sorted(missing, key=str):
+    for path in missing:
         field = _fields(_model_at(model, path[:-1]))[str(path[-1])]
         mistakes.append(Mistake(path, _missing(path, field)))
     return None, mistakes
@@ -77,9 +77,12 @@ def _missing(path: Path, field: FieldInfo) -> str:
     words = [mark.words for mark in field.metadata if isinstance(mark, Expected)]
     if words:
         return f'missing key "{path[-1]}": expected {words[0]}'
-    names = ".".join(step for step in path if isinstance(step, str))
     is_array = field.annotation is not _tables_in(field)[0]
-    return f"missing table {f'[[{names}]]' if is_array else f'[{names}]'}"
+    return f"missing table {f'[[{_header(path)}]]' if is_array else f'[{_header(path)}]'}"
+
+
+def _header(path: Path) -> str:
+    return ".".join(step for step in path if isinstance(step, str))
 
 
 def _wrong_value(path: Path, item: object, kind: str, context: Mapping[str, Any]) -> str:
@@ -88,8 +91,8 @@ def _wrong_value(path: Path, item: object, kind: str, context: Mapping[str, Any]
         case "value_error":
             return f"{key} = {given(item)}: {context['error']}"
         case "list_type":
-            return f"{key} = {given(item)}: expected an array of tables, each headed [[{key}]]"
+            return f"{key} = {given(item)}: expected an array of tables, each headed [[{_header(path)}]]"
         case "too_short":
-            return f"{key} = {given(item)}: expected at least one [[{key}]]"
+            return f"{key} = {given(item)}: expected at least one [[{_header(path)}]]"
         case _:
             return f"{key} = {given(item)}: expected a table"
