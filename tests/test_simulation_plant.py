@@ -77,7 +77,7 @@ def mass_and_momentum(platform, q):
     work = kernel.workspace(n)
     y = np.concatenate([q, np.zeros(n + 3), [1.0, 0.0, 0.0, 0.0]])
     p = np.empty(n)
-    kernel.joint_momenta(pack(platform), y, work, p)
+    kernel.joint_momenta(pack(platform), False, y, work, p)
     mass = np.tril(work[7])
     return mass + np.tril(mass, -1).T, np.concatenate([work[3][0], p])
 
@@ -88,7 +88,7 @@ def joint_momenta(platform, q, velocity):
     n = len(platform.gimbals)
     p = np.empty(n)
     y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
-    kernel.joint_momenta(pack(platform), y, kernel.workspace(n), p)
+    kernel.joint_momenta(pack(platform), False, y, kernel.workspace(n), p)
     return p
 
 

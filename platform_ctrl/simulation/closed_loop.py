@@ -229,7 +229,7 @@ def simulate(
     if not free:
         kernel.half_cosine(0.0, profile, state[n : n + 3])
         momenta = np.empty(n)
-        kernel.joint_momenta(plant, state, kernel.workspace(n), momenta)
+        kernel.joint_momenta(plant, free, state, kernel.workspace(n), momenta)
         state[n + 3 : 2 * n + 3] = momenta
     widths = (n, n + 3, n, 4 + len(rms), len(limit), len(limit))
     records = tuple(np.zeros((samples, width)) for width in widths)

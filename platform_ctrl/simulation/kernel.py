@@ -17,7 +17,9 @@ prescribed Omega; attitude is the unit quaternion w, x, y, z that takes root axe
 A plant is the tuple (order, parent, axis, inertia, momentum), see `platform_ctrl.simulation.plant`. Nothing is
 allocated inside the time loops. Non-positive pivots give NaN, which the callers take as divergence.
 
-All compiled functions stand in this one file: numba's cache notices changes of a function's own file only.
+All compiled functions stand in this one file: numba's cache notices changes of a function's own file only. Flags
+are handed down as variables, rows are copied by loops: numba compiles a function anew for every literal, and slice
+assignments bring the text of their error messages with them.
 """
 
 from __future__ import annotations
@@ -280,11 +282,11 @@ def derivative(
 
 
 @_compiled
-def joint_momenta(plant: Plant, y: FloatArray, work: Work, p: FloatArray) -> None:
-    """Joint momenta dT/dqdot of a state whose v holds the rates."""
+def joint_momenta(plant: Plant, moments: bool, y: FloatArray, work: Work, p: FloatArray) -> None:
+    """Joint momenta dT/dqdot of a state whose v holds the rates; `moments` as in `assemble`."""
     n = plant[0].shape[0]
     _, a, _, h, _, _, _, mass, _ = work
-    assemble(plant, False, y, work)
+    assemble(plant, moments, y, work)
     for k in range(n):
         b = k + 1
         s = a[b, 0] * h[b, 0] + a[b, 1] * h[b, 1] + a[b, 2] * h[b, 2]
@@ -341,8 +343,11 @@ def rk4_step(
 
 
 @_compiled
-def advance(plant: Plant, states: FloatArray, force: FloatArray, step: float, steps: int) -> None:
-    """Move every row of `states` (N, 2 n + 7) on by `steps` steps with a free root and its `force` (N, 3 + n) held."""
+def advance(plant: Plant, free: bool, states: FloatArray, force: FloatArray, step: float, steps: int) -> None:
+    """Move every row of `states` (N, 2 n + 7) on by `steps` steps with its `force` (N, 3 + n) held.
+
+    `free` is True: with a prescribed Omega use `closed_loop`.
+    """
     n = plant[0].shape[0]
     work = workspace(n)
     stages = np.empty((3, 2 * n + 7))
@@ -350,11 +355,11 @@ def advance(plant: Plant, states: FloatArray, force: FloatArray, step: float, st
     Omega = np.zeros((3, 3))
     locked = np.zeros(n, dtype=np.bool_)
     for r in range(states.shape[0]):
-        for s in range(3):
-            held[s] = force[r]
+        for i in range(n + 3):
+            held[0, i] = held[1, i] = held[2, i] = force[r, i]
         y = states[r]
         for _ in range(steps):
-            rk4_step(plant, True, locked, y, Omega, held, step, work, stages)
+            rk4_step(plant, free, locked, y, Omega, held, step, work, stages)
 
 
 @_compiled
@@ -398,10 +403,11 @@ def _hold(
         pressed = pressed or locked[k]
     if not pressed:
         return
-    y[:] = begin
+    for i in range(y.shape[0]):
+        y[i] = begin[i]
     rk4_step(plant, free, locked, y, Omega, force, step, work, stages)
     if not free:
-        derivative(plant, False, locked, y, force[2], work, dy)
+        derivative(plant, free, locked, y, force[2], work, dy)
         for k in range(n):
             if locked[k]:
                 b = k + 1
@@ -522,16 +528,21 @@ def closed_loop(
     for k in range(samples):
         # Rates and momenta at the sample.
         if free:
-            joint_momenta(plant, y, work, out_p[k])
-            out_v[k] = y[n : 2 * n + 3]
+            joint_momenta(plant, free, y, work, out_p[k])
+            for i in range(n):
+                dy[i] = y[n + 3 + i]
         else:
             half_cosine(k * period, profile, y[n : n + 3])
-            derivative(plant, False, locked, y, zero, work, dy)
-            out_p[k] = y[n + 3 : 2 * n + 3]
-            out_v[k, :3] = y[n : n + 3]
-            out_v[k, 3:] = dy[:n]
-        out_q[k] = y[:n]
-        out_attitude[k, :4] = y[2 * n + 3 :]
+            derivative(plant, free, locked, y, zero, work, dy)
+            for i in range(n):
+                out_p[k, i] = y[n + 3 + i]
+        for i in range(n):
+            out_q[k, i] = y[i]
+            out_v[k, 3 + i] = dy[i]
+        for i in range(3):
+            out_v[k, i] = y[n + i]
+        for i in range(4):
+            out_attitude[k, i] = y[2 * n + 3 + i]
         for i in range(2 * n + 7):
             if not math.isfinite(y[i]):
                 return k
@@ -574,7 +585,8 @@ def closed_loop(
                     if decay[g, i] == 0.0:
                         torque[i] = held[i]
             if (g == 0 and count[0] > 0) or (g == 1 and count[0] == 0):
-                out_torque[k] = torque
+                for i in range(nu):
+                    out_torque[k, i] = torque[i]
             if k == samples - 1:
                 continue
             h = steps[g]
@@ -589,7 +601,8 @@ def closed_loop(
                             torque[i] = held[i] + (torque[i] - held[i]) * decay[g, i]
                     if not free:
                         half_cosine(start + (m + 0.5 * s) * h, profile, Omega[s])
-                begin[:] = y
+                for i in range(2 * n + 7):
+                    begin[i] = y[i]
                 rk4_step(plant, free, locked, y, Omega, force, h, work, stages)
                 _hold(plant, free, y, begin, Omega, force, h, stops, touching, locked, work, stages)
                 _meet_stops(plant, free, y, stops, touching, locked, contacts, zero, work, dy)
