@@ -1,4 +1,10 @@
 # Everything else stands in pyproject.toml, which cannot say "all packages found, and this one from elsewhere".
+import sys
+
 from setuptools import find_packages, setup
+
+# Stop here: an installer that only reads requires-python may search for hours before it says why nothing fits.
+if sys.version_info < (3, 11):  # noqa: UP036
+    sys.exit("platform_ctrl: python3 is %d.%d; expected 3.11 or newer" % sys.version_info[:2])
 
 setup(packages=[*find_packages(include=["platform_ctrl", "platform_ctrl.*"]), "platform_ctrl.models"])
