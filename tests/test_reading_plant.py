@@ -378,6 +378,9 @@ def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatc
     assert 'did you mean "three_gyro_platform"?' in message
     assert "known: " in refusal(read_platform, "zzz")
     assert '"three_gyro_platform"' in refusal(read_platform, "zzz")
+    for odd in ("x" * 10_000, "a\0b", "a\nb", " ", "\ud800"):
+        assert "there is no shipped model" in refusal(read_platform, odd)
+    assert "expected the name of a shipped model" in refusal(platform_source, ["three_gyro_platform"])
     monkeypatch.chdir(tmp_path)
     (tmp_path / "zzz").write_text(toml_file(plant()), encoding="utf-8")
     assert 'a file of that name is read as "./zzz"' in refusal(read_platform, "zzz")

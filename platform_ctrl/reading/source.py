@@ -41,10 +41,12 @@ def platform_source(name: str) -> str:
     InputError
         No shipped model has this name.
     """
+    if not isinstance(name, str):
+        raise InputError(f"given {given(name)}; expected the name of a shipped model")
     files = _shipped_files()
     if name not in files:
-        hint = f'; a file of that name is read as "./{name}"' if _is_file(name) else ""
-        raise InputError(f"there is no shipped model {given(name)}: {suggestion(str(name), sorted(files))}{hint}")
+        hint = f'; a file of that name is read as "./{name}"' if os.path.isfile(name) else ""
+        raise InputError(f"there is no shipped model {given(name)}: {suggestion(name, sorted(files))}{hint}")
     return files[name].read_text(encoding="utf-8")
 
 
@@ -129,10 +131,3 @@ def _shipped_files() -> dict[str, Traversable]:
         # only an installation places inside it.
         folder = Path(__file__).parents[2] / "models"
     return {file.name.removesuffix(".toml"): file for file in folder.iterdir() if file.name.endswith(".toml")}
-
-
-def _is_file(name: str) -> bool:
-    try:
-        return Path(name).is_file()
-    except (OSError, ValueError):
-        return False
