@@ -31,7 +31,25 @@ TUNABLE = (
     "inertial_crossover_hz",
     "inertial_lead_hz",
     "inertial_rolloff_hz",
+    "notch_hz",
+    "notch_depth",
+    "notch_width",
 )
+
+
+def upper_bounds(period: float) -> dict[str, float]:
+    """Return the largest values that the tuner may use.
+
+    A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
+    """
+    rate_hz = 1.0 / period
+    return {
+        "rolloff_hz": 0.45 * rate_hz,
+        "inertial_rolloff_hz": 0.45 * rate_hz,
+        "notch_hz": 0.4 * rate_hz,
+        "notch_depth": 0.999,
+        "notch_width": 1.0,
+    }
 
 
 def starting_values(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:

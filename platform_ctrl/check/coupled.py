@@ -1,0 +1,194 @@
+"""All loops closed on the coupled sampled model: poles, margins, and what the coupling costs.
+
+The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under the
+torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.joined import joined
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
+from platform_ctrl.analysis.norms import noise_rms
+from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Job
+from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.requirements import CheckResult, Requirement
+from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.state_space import state_space as linear_state_space
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class CoupledCheck:
+    """What the coupled system does.
+
+    Attributes
+    ----------
+    plant, controller
+        The sampled model of all gimbals and the free platform; all controllers as one, from pick-offs to torquers.
+    poles
+        Of the closed loop, in z.
+    channels
+        Torquer names: one channel each.
+    decoupled, coupled : (channels,)
+        Loop-by-loop disk margins (one channel broken, all others closed) in the design models and in the coupled one.
+    cost : (channels,)
+        Relative loss.
+    simultaneous
+        Disk margin in all channels at once.
+    torque_noise : (channels,)
+        Rms, N m.
+    results
+        The job's limits held against these.
+    """
+
+    plant: control.StateSpace
+    controller: control.StateSpace
+    poles: ComplexArray
+    channels: tuple[str, ...]
+    decoupled: FloatArray
+    coupled: FloatArray
+    cost: FloatArray
+    simultaneous: DiskMargin
+    torque_noise: FloatArray
+    results: tuple[CheckResult, ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+
+
+def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
+    """Close `controllers` around the coupled sampled model and hold the job's limits against it.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    """
+    free, K = coupled_plant(job, model), _one_controller(job, controllers)
+    loop = closed_loop(free, K)
+    poles = np.linalg.eigvals(loop.A)
+    channels = tuple(K.output_labels)
+    coupled = np.asarray(loop_margins(free, K, at="input"))
+    decoupled = _decoupled_margins(job, model, controllers, channels)
+    cost = 1.0 - coupled / np.where(decoupled > 0.0, decoupled, np.nan)
+    simultaneous = disk_margin(loop_transfer(free, K, at="input"))
+    stable = bool(np.abs(poles).max() < 1.0)
+    noise = _torque_noise(job, loop, len(channels)) if stable else np.full(len(channels), np.inf)
+    return CoupledCheck(
+        plant=free,
+        controller=K,
+        poles=poles,
+        channels=channels,
+        decoupled=decoupled,
+        coupled=coupled,
+        cost=cost,
+        simultaneous=simultaneous,
+        torque_noise=noise,
+        results=_judged(job, float(np.abs(poles).max()), channels, cost, simultaneous, noise),
+    )
+
+
+def coupled_plant(job: Job, model: LinearModel) -> control.StateSpace:
+    """Return the sampled model with a free platform: inputs in the plant file's order of torquers, outputs the angles."""
+    system = linear_state_space(model, root="free")
+    torquers = job.platform.torquers
+    signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in torquers]
+    part = system[list(model.angle_names), signals]
+    arrays = StateArrays(*(np.asarray(m) for m in (part.A, part.B, part.C, part.D)), dt=0.0)
+    named = state_space(arrays, [t.name for t in torquers], list(model.angle_names))
+    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def _one_controller(job: Job, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
+    used = {name for K in controllers for name in K.output_labels}
+    torquers = [t.name for t in job.platform.torquers if t.name in used]
+    return joined(controllers, [s.name for s in job.platform.pickoffs], torquers)
+
+
+def _decoupled_margins(
+    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], channels: Sequence[str]
+) -> FloatArray:
+    gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]
+    caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
+    margins: dict[str, float] = {}
+    if caging:
+        K = joined(caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers])
+        system = linear_state_space(model)[list(model.angle_names), [t.name for t in gimbal_torquers]]
+        plant = sampled(system, job.sampling.period, job.sampling.delay, [t.lag for t in gimbal_torquers])
+        margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input"), strict=True))
+    if len(margins) < len(channels):
+        K = _one_controller(job, controllers)
+        one_way = loop_margins(_one_way_plant(job, model), K, at="input")
+        margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
+    return np.array([margins[name] for name in channels])
+
+
+def _one_way_plant(job: Job, model: LinearModel) -> control.StateSpace:
+    """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
+    system = linear_state_space(model)
+    n, torquers = system.nstates, job.platform.torquers
+    B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
+    mobility = np.linalg.inv(model.root_inertia)
+    A = np.block([[system.A, B_Omega], [np.zeros((3, n + 3))]])
+    B = np.zeros((n + 3, len(torquers)))
+    for column, torquer in enumerate(torquers):
+        if torquer.root_axis is None:
+            B[:n, column] = system.B[:, system.input_labels.index(torquer.name)]
+        else:
+            B[n:, column] = mobility[:, torquer.root_axis - 1]
+    C = np.hstack([system.C, np.zeros((system.noutputs, 3))])
+    arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
+    named = state_space(arrays, [t.name for t in torquers], list(model.angle_names))
+    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArray:
+    """Rms torque command in every channel from all pick-offs."""
+    arrays = state_arrays(loop, "coupled loop")
+    noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
+    names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
+    pickoffs = {s.name: s for s in job.platform.pickoffs}
+    rms = [pickoffs[name].sampled_noise(job.sampling.period) for name in names]
+    part = StateArrays(arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], arrays.dt)
+    return np.asarray(noise_rms(state_space(part, names, loop.output_labels[:channels]), rms))
+
+
+def _judged(
+    job: Job, radius: float, channels: Sequence[str], cost: FloatArray, simultaneous: DiskMargin, noise: FloatArray
+) -> tuple[CheckResult, ...]:
+    subject = "all loops closed"
+    stable = Requirement(name="largest pole radius", limit=1.0 - 1e-6, unit="", sense="at most")
+    out = [stable.judge(radius, subject=subject, stage="coupled", evidence="poles of the coupled sampled closed loop")]
+    if job.coupled.disk_margin is not None:
+        asked = Requirement(name="simultaneous disk margin", limit=job.coupled.disk_margin, unit="", sense="at least")
+        evidence = f"{len(channels)} channels at the torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
+        out.append(asked.judge(simultaneous.lower, subject=subject, stage="coupled", evidence=evidence))
+    if job.coupled.coupling_cost is not None:
+        asked = Requirement(name="disk margin lost by coupling", limit=job.coupled.coupling_cost, unit="", sense="at most")
+        worst = int(np.nanargmax(cost)) if np.any(np.isfinite(cost)) else 0
+        out.append(
+            asked.judge(float(cost[worst]), subject=subject, stage="coupled", evidence=f"channel {channels[worst]}, loop by loop")
+        )
+    for spec in job.loops:
+        if spec.kind == "stabilisation" and spec.limits.torque_noise is not None:
+            roots = [k for k, name in enumerate(channels) if name in {t.name for t in job.platform.torquers if t.root_axis}]
+            if roots:
+                asked = Requirement(name="torque noise, rms", limit=spec.limits.torque_noise, unit="N m", sense="at most")
+                worst = max(roots, key=lambda k: noise[k])
+                out.append(
+                    asked.judge(float(noise[worst]), subject=spec.name, stage="coupled", evidence=f"torquer {channels[worst]}")
+                )
+    return tuple(out)

@@ -1,0 +1,91 @@
+"""The job's manoeuvres on the exact non-linear plant with sampled controllers, limits, stops and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.frozen import value
+from platform_ctrl.job import Job, Manoeuvre
+from platform_ctrl.requirements import CheckResult, Requirement
+from platform_ctrl.simulation import HalfCosine, Trajectory, simulate
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class Run:
+    """A manoeuvre, how it went, and its limits held against it."""
+
+    manoeuvre: Manoeuvre
+    trajectory: Trajectory
+    results: tuple[CheckResult, ...]
+
+
+def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
+    """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    """
+    roots = {t.name for t in job.platform.torquers if t.root_axis is not None}
+    caged = manoeuvre.mode == "caged"
+    used = [K for K in controllers if not (caged and roots & set(K.output_labels))]
+    torque = np.zeros(3)
+    torque[manoeuvre.axis - 1] = manoeuvre.torque
+    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+    trajectory = simulate(
+        job.platform,
+        used,
+        period=job.sampling.period,
+        delay=job.sampling.delay,
+        duration=manoeuvre.duration,
+        mode=manoeuvre.mode,
+        Omega_profile=profile if caged else None,
+        root_torque=None if caged else torque,
+        seed=job.seed,
+    )
+    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=_judged(job, manoeuvre, trajectory))
+
+
+def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
+    """Return the run's figures by the names of the limits, each with the signal that it belongs to.
+
+    ``angle``: largest gimbal angle, rad; ``attitude``: largest component of the platform's rotation vector, rad;
+    ``torque_share``: largest commanded torque over the torquer's limit. Infinite when the run diverged.
+    """
+    if not trajectory.completed:
+        return {name: (float("inf"), trajectory.ended) for name in ("angle", "attitude", "torque_share")}
+    angles = np.abs(trajectory.q).max(axis=0)
+    attitude = np.abs(trajectory.attitude_angles).max(axis=0)
+    limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
+    shares = np.abs(trajectory.command).max(axis=0) / limits
+    return {
+        "angle": (float(angles.max()), trajectory.angle_names[int(angles.argmax())]),
+        "attitude": (float(attitude.max()), f"axis {int(attitude.argmax()) + 1}"),
+        "torque_share": (float(shares.max()), trajectory.torquer_names[int(shares.argmax())]),
+    }
+
+
+_WORDS = {
+    "angle": ("largest gimbal angle", "rad"),
+    "attitude": ("largest platform angle", "rad"),
+    "torque_share": ("largest torque over its limit", ""),
+}
+
+
+def _judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+    found = largest(job, trajectory)
+    out = []
+    for key, limit in manoeuvre.limits.items():
+        name, unit = _WORDS[key]
+        figure, signal = found[key]
+        asked = Requirement(name=name, limit=limit, unit=unit, sense="at most")
+        evidence = f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
+        out.append(asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence))
+    return tuple(out)

@@ -1,0 +1,89 @@
+"""The whole job: designs, coupled check, simulated runs, and one verdict over all requirements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from platform_ctrl.check.coupled import CoupledCheck, coupled_check
+from platform_ctrl.check.simulated import Run, fly
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.frozen import value
+from platform_ctrl.job import Job
+from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.requirements import CheckResult
+from platform_ctrl.state_space import subsystems
+
+Progress = Callable[[str], None]
+
+
+@value
+class JobResult:
+    """Everything that a job came to.
+
+    Attributes
+    ----------
+    job
+        The job.
+    model
+        Linear model at rest.
+    subsystems
+        Groups of gimbals that are coupled when Omega is given.
+    loops
+        For every loop all designs, and which of them is closed.
+    coupled, runs
+        The checks of the whole.
+    requirements
+        All results that the verdict rests on: the closed designs', the coupled system's, the runs'.
+    """
+
+    job: Job
+    model: LinearModel
+    subsystems: tuple[tuple[str, ...], ...]
+    loops: tuple[LoopOutcome, ...]
+    coupled: CoupledCheck
+    runs: tuple[Run, ...]
+    requirements: tuple[CheckResult, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every requirement is met."""
+        return all(result.passed for result in self.requirements)
+
+
+def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
+    """Close the chosen designs of `loops`, check the whole, and return the verdict.
+
+    Parameters
+    ----------
+    job
+        The job.
+    loops
+        From `platform_ctrl.design.loops`, or from controllers that exist already.
+    progress
+        Called with a line before each step.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    """
+    say = progress or (lambda line: None)
+    model = linearise(job.platform)
+    controllers = [outcome.closed.controller for outcome in loops]
+    say("coupled check: all loops on the coupled sampled model")
+    coupled = coupled_check(job, model, controllers)
+    runs = []
+    for manoeuvre in job.manoeuvres:
+        say(f"simulated run: {manoeuvre.name}")
+        runs.append(fly(job, manoeuvre, controllers))
+    requirements = [result for outcome in loops for result in outcome.closed.results]
+    requirements += [*coupled.results, *(result for run in runs for result in run.results)]
+    return JobResult(
+        job=job,
+        model=model,
+        subsystems=subsystems(model),
+        loops=tuple(loops),
+        coupled=coupled,
+        runs=tuple(runs),
+        requirements=tuple(requirements),
+    )

@@ -1,0 +1,101 @@
+"""The loops of a job: every design of every loop, made by its method and certified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.classical import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.design.loop import LoopDesign, certified
+from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.stabilisation import platform_servo
+from platform_ctrl.design.tuning import tune
+from platform_ctrl.frozen import value
+from platform_ctrl.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.requirements import loop_requirements
+
+Progress = Callable[[str], None]
+
+
+@value
+class LoopOutcome:
+    """A loop with all its designs.
+
+    Attributes
+    ----------
+    spec
+        The loop as the job asks for it.
+    designs
+        In the job's order.
+    use
+        Name of the design that is closed.
+    """
+
+    spec: LoopSpec
+    designs: tuple[LoopDesign, ...]
+    use: str
+
+    @property
+    def closed(self) -> LoopDesign:
+        """The design that is closed together with those of the other loops."""
+        return next(design for design in self.designs if design.name == self.use)
+
+    @property
+    def alternatives(self) -> tuple[LoopDesign, ...]:
+        """The other designs."""
+        return tuple(design for design in self.designs if design.name != self.use)
+
+
+def loops(job: Job, progress: Progress | None = None) -> tuple[LoopOutcome, ...]:
+    """Design every loop of `job` by every method that it asks for.
+
+    Parameters
+    ----------
+    job
+        The job.
+    progress
+        Called with a line before and during each design.
+
+    Raises
+    ------
+    DesignError
+        A method found no controller that its certificate accepts.
+    """
+    say = progress or (lambda line: None)
+    model = linearise(job.platform)
+    out = []
+    for spec in job.loops:
+        plants = loop_plants(job, spec.gimbals) if spec.kind == "caging" else None
+        designs = []
+        for design in spec.designs:
+            say(f"{spec.name}: {design.name}")
+            if plants is None:
+                designs.append(platform_servo(job, model, spec, design))
+            else:
+                designs.append(_caging(model, spec, design, plants, say))
+        out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
+    return tuple(out)
+
+
+def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: PlantSet, say: Progress) -> LoopDesign:
+    channel = channels(model, rows_of(model, spec.gimbals))
+    if design.method == "hinf":
+        from platform_ctrl.design.hinf_loop import hinf_controller
+
+        controller, options, claims = hinf_controller(design.options, channel, plants)
+        return certified(spec, design, controller, plants, options, claims)
+    options = starting_values(design.options, channel, plants.nutation, plants.period)
+    if design.tune:
+        options = tune(
+            options,
+            [name for name in TUNABLE if name in options and (not name.startswith("notch") or options["notch_depth"] < 1.0)],
+            lambda trial: classical_controller(trial, channel, plants.period),
+            plants,
+            loop_requirements(spec.limits),
+            upper=upper_bounds(plants.period),
+            progress=lambda ratio: say(f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"),
+        )
+    controller = classical_controller(options, channel, plants.period)
+    return certified(spec, design, controller, plants, options, {})

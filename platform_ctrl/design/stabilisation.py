@@ -1,0 +1,106 @@
+"""The platform servo: rates from the torques of the caged gyros, angles by integration, torques on the root.
+
+A caged gyro measures: in the steady state Q = G_Omega Omega at zero angles, for the three-gyro platform Q9 = L11 Omega1,
+Q5 + Q7 = −(L6 + L8) Omega2, Q10 = −L11 Omega3. The least-squares inverse of G_Omega gives the rates; a second-order
+low-pass keeps the pick-offs' noise out of the root's torquers; then
+
+    M = −J ωc (Omega + ωp ∫Omega dt),        J the inertia of the root with the gimbals at rest in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.design.blocks import Block, first_order, gain, series, side_by_side, stacked
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.linearisation import LinearModel
+
+# A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
+_NO_SHARE = 1e-9
+
+
+def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
+    """Return E with Omega = E Q in the steady state of the caged gyros, (3, used), and the gimbal rows used.
+
+    Raises
+    ------
+    DesignError
+        The gyros do not see all three rates.
+    """
+    left, sizes, right = np.linalg.svd(model.G_Omega, full_matrices=False)
+    if sizes.size < 3 or sizes[-1] < 1e-6 * sizes[0]:
+        blind = right[-1] if sizes.size == 3 else np.zeros(3)
+        raise DesignError(
+            f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); expected "
+            "rotors whose torques G_Omega Omega show all three rates",
+            model,
+        )
+    inverse = (right.T / sizes) @ left.T
+    used = [k for k in range(inverse.shape[1]) if np.abs(inverse[:, k]).max() > _NO_SHARE * np.abs(inverse).max()]
+    return inverse[:, used], used
+
+
+def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignSpec) -> LoopDesign:
+    """Return the servo of the three root axes for the options of `design`.
+
+    ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
+
+    Raises
+    ------
+    DesignError
+        The gyros do not see all three rates, or a gimbal that shows a rate, or a root axis, has no torquer.
+    """
+    options = {"crossover_hz": 5.0, "filter_damping": 0.7} | design.options
+    options = {"position_hz": 0.4 * options["crossover_hz"], "filter_hz": 8.0 * options["crossover_hz"]} | options
+    estimate, used = rate_estimate(model)
+    torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
+    roots = {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
+    missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
+    if missing or set(roots) != {1, 2, 3}:
+        wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
+        raise DesignError(f"{spec.name}: no torquer on {wanted}; expected one in the plant file", model)
+    period = job.sampling.period
+    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
+    axis = series(
+        low_pass(rad["filter_hz"], options["filter_damping"], period),
+        stacked(gain(1.0), first_order(0.0, 1.0, 1.0, 0.0, period)),
+        gain(np.array([[1.0, rad["position_hz"]]])),
+    )
+    strength = -rad["crossover_hz"] * model.root_inertia
+    servo = series(gain(estimate), side_by_side(axis, axis, axis), gain(strength))
+    controller = state_space(
+        StateArrays(*servo, dt=period),
+        [torquers[model.gimbal_names[k]] for k in used],
+        [roots[k] for k in (1, 2, 3)],
+        name=f"{spec.name}, {design.name}",
+    )
+    return LoopDesign(
+        loop=spec.name,
+        name=design.name,
+        method=design.method,
+        controller=controller,
+        options=options,
+        plants=None,
+        measures=None,
+        results=(),
+        claims={},
+    )
+
+
+def low_pass(frequency: float, damping: float, period: float) -> Block:
+    """Return f²/(s² + 2 damping f s + f²), sampled by Tustin's rule prewarped at f = `frequency` rad/s."""
+    two = frequency / np.tan(0.5 * frequency * period)
+    f2, middle = frequency**2, 2.0 * damping * frequency * two
+    a = np.array([two**2 + middle + f2, 2.0 * (f2 - two**2), two**2 - middle + f2])
+    b = np.array([f2, 2.0 * f2, f2]) / a[0]
+    a = a / a[0]
+    return (
+        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
+        np.array([[1.0], [0.0]]),
+        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
+        np.array([[b[0]]]),
+    )
