@@ -191,6 +191,21 @@ def test_a_gyro_free_on_a_turning_platform_keeps_its_direction():
     assert out.q[-1, 0] == pytest.approx(-0.01, rel=0.02)
 
 
+@pytest.mark.parametrize(("axis", "expected"), [(1, [L, 0.0]), (2, [0.0, 0.0]), (3, [0.0, -L])])
+def test_a_caged_gyro_measures_the_platform_rate(axis, expected):
+    # Q9 = L Omega1, Q10 = -L Omega3, held by stiff proportional-derivative loops at 10 kHz.
+    period, rate = 1e-4, 0.5
+    stiffness, damping = 1e6 * np.diag([5e-4, 2e-4]), 1.4e3 * np.diag([5e-4, 2e-4])
+    pd = control.ss(
+        np.zeros((2, 2)), np.eye(2), damping / period, -stiffness - damping / period, period,
+        inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], name="caging",
+    )  # fmt: skip
+    profile = HalfCosine(axis=axis, rate=rate, rise=0.05, hold=1.0)
+    out = run(two_axis_gyro(), [pd], period=period, delay=period, Omega_profile=profile, duration=0.15)
+    # What is left is of the order J Omega^2.
+    assert out.torque[-1] == pytest.approx(rate * np.array(expected), abs=2e-3 * rate * L)
+
+
 def test_a_constant_torque_accelerates_the_free_platform():
     out = run(one_gimbal(), mode="stabilised", root_torque=[0.02, 0.0, 0.0])
     inertia = 1.0 + J
