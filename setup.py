@@ -5,6 +5,6 @@ from setuptools import find_packages, setup
 
 # Stop here: an installer that only reads requires-python may search for hours before it says why nothing fits.
 if sys.version_info < (3, 11):  # noqa: UP036
-    sys.exit("platform_ctrl: python3 is %d.%d; expected 3.11 or newer" % sys.version_info[:2])
+    sys.exit(f"platform_ctrl: python3 is {sys.version.split()[0]}; expected 3.11 or newer")
 
 setup(packages=[*find_packages(include=["platform_ctrl", "platform_ctrl.*"]), "platform_ctrl.models"])
