@@ -81,7 +81,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     loop = closed_loop(free, K)
     poles = np.linalg.eigvals(loop.A)
     channels = tuple(K.output_labels)
-    coupled = np.asarray(loop_margins(free, K, at="input"))
+    coupled = loop_margins(free, K, at="input").alpha
     decoupled = _decoupled_margins(job, model, controllers, channels)
     cost = 1.0 - coupled / np.where(decoupled > 0.0, decoupled, np.nan)
     simultaneous = disk_margin(loop_transfer(free, K, at="input"))
@@ -128,10 +128,10 @@ def _decoupled_margins(
         K = joined(caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers])
         system = linear_state_space(model)[list(model.angle_names), [t.name for t in gimbal_torquers]]
         plant = sampled(system, job.sampling.period, job.sampling.delay, [t.lag for t in gimbal_torquers])
-        margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input"), strict=True))
+        margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
     if len(margins) < len(channels):
         K = _one_controller(job, controllers)
-        one_way = loop_margins(_one_way_plant(job, model), K, at="input")
+        one_way = loop_margins(_one_way_plant(job, model), K, at="input").alpha
         margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
     return np.array([margins[name] for name in channels])
 

@@ -38,7 +38,10 @@ OPTIONS: dict[str, frozenset[str]] = {
             "crossover_hz",
             "integral_hz",
             "inertial_crossover_hz",
-            "direct_gain",
+            "inertial_lead_hz",
+            "inertial_rolloff_hz",
+            "damping_hz",
+            "damping2_hz",
             "lead_hz",
             "rolloff_hz",
             "notch_hz",
@@ -47,7 +50,7 @@ OPTIONS: dict[str, frozenset[str]] = {
         }
     ),
     "hinf": frozenset({"crossover_hz", "inertial_crossover_hz", "integral_hz", "rolloff_hz", "backoff"}),
-    "platform-servo": frozenset({"crossover_hz", "integral_hz", "position_hz", "filter_hz", "filter_damping"}),
+    "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
 }
 
 
