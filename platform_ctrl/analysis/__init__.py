@@ -24,6 +24,7 @@ from platform_ctrl.analysis.feedback import (
     sensitivities,
     series_arrays,
 )
+from platform_ctrl.analysis.margins import DiskMargin, LoopMargins, disk_margin, disk_to_gain_phase, loop_margins
 from platform_ctrl.analysis.norms import (
     h2_norm,
     hinf_norm,
@@ -58,7 +59,9 @@ from platform_ctrl.analysis.sampled import (
 
 __all__ = [
     "Damping",
+    "DiskMargin",
     "Gang",
+    "LoopMargins",
     "StateArrays",
     "bandwidth",
     "bandwidth_of_response",
@@ -69,6 +72,8 @@ __all__ = [
     "continuous_poles",
     "damping",
     "damping_ratio",
+    "disk_margin",
+    "disk_to_gain_phase",
     "frequency_response",
     "frequency_response_arrays",
     "gang",
@@ -76,6 +81,7 @@ __all__ = [
     "hinf_norm",
     "hinf_norm_arrays",
     "is_stable",
+    "loop_margins",
     "loop_transfer",
     "minimum_damping",
     "noise_rms",

@@ -9,10 +9,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import gains, level_crossings, resonances
+from platform_ctrl.analysis.norms import crossing_frequencies, gains, resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.sampled import to_w_plane
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -72,13 +70,7 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
 
 def _grid(S: StateArrays, s: ComplexArray) -> FloatArray:
     """Return frequencies fine enough that the first crossing lies between the first pair that differs in sign."""
-    try:
-        w_plane = to_w_plane(*S[:4], period=S.dt) if S.dt > 0.0 else S[:4]
-        crossings = level_crossings(*w_plane, level=LEVEL)
-    except ArgumentError:
-        crossings = np.zeros(0)
-    if S.dt > 0.0:
-        crossings = 2.0 / S.dt * np.arctan(0.5 * S.dt * crossings)
+    crossings = crossing_frequencies(S, LEVEL)
     own = np.concatenate([crossings, resonances(s)])
     own = own[own > 0.0]
     if own.size == 0:

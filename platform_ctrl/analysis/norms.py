@@ -114,25 +114,27 @@ def resonances(s: ComplexArray) -> FloatArray:
 
 
 def level_frequencies(system: StateArrays, level: float) -> FloatArray:
-    """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does.
-
-    The imaginary parts of the Hamiltonian's eigenvalues, whether or not they lie on the axis, and the
-    geometric means of neighbours; empty if `level` is a singular value of D.
-    """
-    if system.dt > 0.0:
-        try:
-            A, B, C, D = to_w_plane(*system[:4], period=system.dt)
-        except ArgumentError:
-            return np.zeros(0)
-    else:
-        A, B, C, D = system[:4]
-    w = level_crossings(A, B, C, D, level)
-    if system.dt > 0.0:
-        w = 2.0 / system.dt * np.arctan(0.5 * system.dt * w)
+    """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does."""
+    w = crossing_frequencies(system, level)
     if w.size == 0:
         return w
     between = np.sqrt(w[1:] * w[:-1])
     return np.concatenate([w, between, 0.5 * (w[1:] + w[:-1]), [0.5 * w[0], 2.0 * w[-1]]])
+
+
+def crossing_frequencies(system: StateArrays, level: float) -> FloatArray:
+    """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`.
+
+    The imaginary parts of the Hamiltonian's eigenvalues, whether or not they lie on the axis; empty if `level` is a
+    singular value of D.
+    """
+    if system.dt == 0.0:
+        return level_crossings(*system[:4], level=level)
+    try:
+        w = level_crossings(*to_w_plane(*system[:4], period=system.dt), level=level)
+    except ArgumentError:
+        return np.zeros(0)
+    return np.asarray(2.0 / system.dt * np.arctan(0.5 * system.dt * w), dtype=np.float64)
 
 
 def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
