@@ -1,0 +1,172 @@
+"""result.json: what a job came to as plain data, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform as interpreter
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl import __version__
+from platform_ctrl.check.coupled import CoupledCheck
+from platform_ctrl.check.simulated import Run, largest
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.errors import InputError
+from platform_ctrl.job import Job
+from platform_ctrl.requirements import CheckResult
+
+SCHEMA = 1
+
+Record = dict[str, Any]
+
+
+def result_record(result: JobResult) -> Record:
+    """Return what a job came to in plain types: the content of ``result.json``.
+
+    Numbers that are not finite (the margin of an unstable loop, say) are None, ``null`` in the file.
+    """
+    job = result.job
+    record = {
+        "schema": SCHEMA,
+        "platform": job.platform.name,
+        "job": job.name,
+        "passed": result.passed,
+        "seed": job.seed,
+        "versions": versions(),
+        "subsystems": result.subsystems,
+        "controllers": [_controller(job, outcome.closed) for outcome in result.loops],
+        "alternatives": [_controller(job, design) for outcome in result.loops for design in outcome.alternatives],
+        "requirements": [_requirement(one) for one in result.requirements],
+        "coupled": _coupled(result.coupled),
+        "runs": [run_record(job, run) for run in result.runs],
+    }
+    plain: Record = _plain(record)
+    return plain
+
+
+def run_record(job: Job, run: Run) -> Record:
+    """Return how a simulated run went, in plain types."""
+    trajectory, manoeuvre = run.trajectory, run.manoeuvre
+    record = {
+        "name": manoeuvre.name,
+        "mode": manoeuvre.mode,
+        "axis": manoeuvre.axis,
+        "duration": manoeuvre.duration,
+        "ended": trajectory.ended,
+        "passed": all(one.passed for one in run.results),
+        "largest": {
+            name: {"value": figure, "signal": signal} for name, (figure, signal) in largest(job, trajectory).items()
+        },
+        "saturated": dict(zip(trajectory.torquer_names, trajectory.saturated, strict=True)),
+        "stop_contacts": dict(zip(trajectory.angle_names, trajectory.stop_contacts, strict=True)),
+        "seed": trajectory.seed,
+        "step": trajectory.step,
+        "requirements": [_requirement(one) for one in run.results],
+    }
+    plain: Record = _plain(record)
+    return plain
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of everything that the figures depend on."""
+    own = {"platform_ctrl": __version__, "python": interpreter.python_version()}
+    return own | {name: metadata.version(name) for name in ("numpy", "scipy", "control", "numba")}
+
+
+def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+    """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written there.
+    """
+    target = Path(path)
+    # In the same folder, so that putting it in place is one step of the file system.
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    text = _laid_out(record) + "\n"
+    try:
+        try:
+            unfinished.write_text(text, encoding="utf-8")
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+
+
+def _controller(job: Job, design: LoopDesign) -> Record:
+    K, claims = design.controller, dict(design.claims)
+    if design.measures is not None:
+        claims |= {"disk_margin": design.measures.disk_margin[0], "damping": design.measures.damping[0]}
+    return {
+        "name": design.loop,
+        "design": design.name,
+        "method": design.method,
+        "dt": float(K.dt),
+        **{name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"},
+        "inputs": list(K.input_labels),
+        "outputs": list(K.output_labels),
+        "delay": job.sampling.delay,
+        "claims": claims,
+        "options": design.options,
+    }
+
+
+def _requirement(result: CheckResult) -> Record:
+    names = ("name", "subject", "design", "value", "limit", "unit", "sense", "margin", "passed", "stage", "evidence")
+    return {name: getattr(result, name) for name in names}
+
+
+def _coupled(check: CoupledCheck) -> Record:
+    figures = zip(check.channels, check.decoupled, check.coupled, check.cost, check.torque_noise, strict=True)
+    simultaneous = check.simultaneous
+    return {
+        "stable": check.stable,
+        "largest_pole_radius": np.abs(check.poles).max(initial=0.0),
+        "simultaneous_disk_margin": {
+            "lower": simultaneous.lower,
+            "upper": simultaneous.upper,
+            "frequency": simultaneous.frequency,
+        },
+        "channels": list(check.channels),
+        "loop_by_loop": [
+            {"channel": name, "decoupled": alone, "coupled": together, "cost": cost, "torque_noise": noise}
+            for name, alone, together, cost, noise in figures
+        ],
+    }
+
+
+def _plain(item: Any) -> Any:
+    match item:
+        case Mapping():
+            return {str(key): _plain(entry) for key, entry in item.items()}
+        case np.ndarray():
+            return _plain(item.tolist())
+        case list() | tuple():
+            return [_plain(entry) for entry in item]
+        case bool() | np.bool_():
+            return bool(item)
+        case int() | np.integer():
+            return int(item)
+        case float() | np.floating():
+            return float(item) if math.isfinite(item) else None
+    return item
+
+
+def _laid_out(item: Any, indent: str = "") -> str:
+    """JSON with a key a line, and a row of a matrix a line: files that can be read and compared."""
+    inner = indent + "  "
+    if isinstance(item, Mapping) and item:
+        lines = [f"{inner}{json.dumps(key)}: {_laid_out(entry, inner)}" for key, entry in item.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(item, list) and any(isinstance(entry, list | dict) for entry in item):
+        return "[\n" + ",\n".join(inner + _laid_out(entry, inner) for entry in item) + f"\n{indent}]"
+    return json.dumps(item, allow_nan=False, ensure_ascii=False)
