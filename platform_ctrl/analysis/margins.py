@@ -1,8 +1,8 @@
 """Disk margins: how far gain and phase of all channels at once, or of one at a time, may move.
 
 Every channel's loop gain is multiplied by (1 + delta (1 - skew) alpha/2) / (1 - delta (1 + skew) alpha/2) with any
-complex |delta| < 1, one for each channel. The loop stays stable for alpha < 1 / max mu(S + (skew - 1)/2 I), mu for diagonal
-perturbations; skew = 0 gives (S - T)/2 (Seiler, Packard and Gahinet, IEEE Control Systems Magazine 40(5), 2020).
+complex |delta| < 1, one for each channel. The loop stays stable for alpha < 1 / max mu(S + (skew - 1)/2 I), mu for
+diagonal perturbations; skew = 0 gives (S - T)/2 (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020).
 """
 
 from __future__ import annotations
