@@ -213,6 +213,13 @@ def test_a_constant_torque_accelerates_the_free_platform():
     assert out.attitude_angles[:, 0] == pytest.approx(0.01 / inertia * out.t**2, abs=1e-12)
 
 
+def test_a_bare_root_without_sensors_and_torquers_can_be_simulated():
+    block = Platform(name="block", root_name="case", root_inertia=np.diag([1.0, 2.0, 3.0]), gimbals=())
+    out = run(block, mode="stabilised", root_torque=[0.0, 0.0, 0.3])
+    assert out.Omega[:, 2] == pytest.approx(0.1 * out.t, abs=1e-15)
+    assert out.q.shape == out.command.shape == out.reading.shape == (101, 0)
+
+
 def test_a_gimbal_is_caught_by_its_stop_and_held_there_while_it_is_pushed():
     out = run(one_gimbal(stops=(-0.02, 0.05)), [controller(1.0)], q=[0.04], rate=[0.1], delay=0.0)
     arrived = np.argmax(out.q[:, 0] >= 0.05)

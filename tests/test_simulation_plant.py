@@ -65,7 +65,8 @@ def derivative(platform, q, velocity, force, free=True):
     y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
     dy = np.zeros_like(y)
     locked = np.zeros(n, dtype=bool)
-    kernel.derivative(pack(platform), free, locked, y, np.asarray(force, dtype=float), kernel.workspace(n), dy)
+    forces = np.array([force], dtype=float)
+    kernel.derivative(*pack(platform), free, locked, y, forces, 0, *kernel.workspace(n), dy)
     return dy[:n], dy[n : 2 * n + 3]
 
 
@@ -74,12 +75,12 @@ def mass_and_momentum(platform, q):
     from platform_ctrl.simulation import kernel
 
     n = len(platform.gimbals)
-    work = kernel.workspace(n)
+    work, matrix = kernel.workspace(n)
     y = np.concatenate([q, np.zeros(n + 3), [1.0, 0.0, 0.0, 0.0]])
     p = np.empty(n)
-    kernel.joint_momenta(pack(platform), False, y, work, p)
-    mass = np.tril(work[7])
-    return mass + np.tril(mass, -1).T, np.concatenate([work[3][0], p])
+    kernel.joint_momenta(*pack(platform), False, y, work, matrix, p)
+    mass = np.tril(matrix[:-1])
+    return mass + np.tril(mass, -1).T, np.concatenate([work[0, kernel.MOMENTUM : kernel.RATE], p])
 
 
 def joint_momenta(platform, q, velocity):
@@ -88,7 +89,7 @@ def joint_momenta(platform, q, velocity):
     n = len(platform.gimbals)
     p = np.empty(n)
     y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
-    kernel.joint_momenta(pack(platform), False, y, kernel.workspace(n), p)
+    kernel.joint_momenta(*pack(platform), False, y, *kernel.workspace(n), p)
     return p
 
 
@@ -284,3 +285,12 @@ def test_gimbals_that_carry_each_other_in_a_ring_are_refused():
     platform = Platform(name="ring", root_name="root", root_inertia=np.eye(3), gimbals=ring)
     with pytest.raises(ArgumentError, match="expected a tree"):
         rollout(platform, [[0.0, 0.0]], [np.zeros(5)])
+
+
+def test_the_kernel_compiles_where_no_cache_can_be_kept():
+    from platform_ctrl.simulation import kernel
+
+    # numba finds no place for the cache of a function without a source file.
+    scope: dict = {}
+    exec("def half(x):\n    return x / 2", scope)
+    assert kernel._compiled(scope["half"])(3.0) == 1.5

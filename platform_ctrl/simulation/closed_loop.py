@@ -229,14 +229,14 @@ def simulate(
     if not free:
         kernel.half_cosine(0.0, profile, state[n : n + 3])
         momenta = np.empty(n)
-        kernel.joint_momenta(plant, free, state, kernel.workspace(n), momenta)
+        kernel.joint_momenta(*plant, free, state, *kernel.workspace(n), momenta)
         state[n + 3 : 2 * n + 3] = momenta
     widths = (n, n + 3, n, 4 + len(rms), len(limit), len(limit))
     records = tuple(np.zeros((samples, width)) for width in widths)
     saturated = np.zeros(len(limit), dtype=np.int64)
     contacts = np.zeros(n, dtype=np.int64)
     done = kernel.closed_loop(
-        plant,
+        *plant,
         free,
         state,
         profile,
@@ -322,7 +322,7 @@ def _merged(platform: Platform, controllers: Sequence[control.StateSpace], perio
         taken |= set(sys.input_labels)
         order = len(sys.A)
         own = slice(place, place + order)
-        drive = np.array([rows[name] for name in sys.input_labels]).reshape(-1, size)
+        drive = np.array([rows[name] for name in sys.input_labels]).reshape(sys.ninputs, size)
         after[own] = np.asarray(sys.B) @ drive
         after[own, own] += np.asarray(sys.A)
         outputs = np.asarray(sys.D) @ drive
@@ -344,6 +344,7 @@ def _merged(platform: Platform, controllers: Sequence[control.StateSpace], perio
                 f"{where}: output {name!r} is neither a torquer nor an input of a later controller; "
                 f"expected one of {', '.join(torquers)}"
             )
-    command = np.array([rows[name] if name in made else np.zeros(size) for name in torquers]).reshape(-1, size)
+    command = np.array([rows[name] if name in made else np.zeros(size) for name in torquers])
+    command = command.reshape(len(torquers), size)
     parts = (after[:, :states], after[:, states:], command[:, :states], command[:, states:])
     return tuple(np.ascontiguousarray(part) for part in parts)  # type: ignore[return-value]

@@ -105,7 +105,7 @@ def rollout(
         if every is not None:
             history[0] = states
         for k, (begin, end) in enumerate(itertools.pairwise(bounds)):
-            jobs = [pool.submit(kernel.advance, plant, True, states[s], held[s], step, end - begin) for s in slices]
+            jobs = [pool.submit(kernel.advance, *plant, True, states[s], held[s], step, end - begin) for s in slices]
             for job in jobs:
                 job.result()
             if every is not None:

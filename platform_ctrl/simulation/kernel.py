@@ -14,12 +14,13 @@ The root rows are Boltzmann-Hamel's by construction: they are the moment of mome
 The state vector is [q (n), v (3 + n), attitude (4)] with v = [Omega, qdot] for a free root and v = [Omega(t), p] for a
 prescribed Omega; attitude is the unit quaternion w, x, y, z that takes root axes to inertial axes.
 
-A plant is the tuple (order, parent, axis, inertia, momentum), see `platform_ctrl.simulation.plant`. Nothing is
-allocated inside the time loops. Non-positive pivots give NaN, which the callers take as divergence.
+A plant is the pair (tree, body), see `platform_ctrl.simulation.plant`. Nothing is allocated inside the time loops.
+Non-positive pivots give NaN, which the callers take as divergence.
 
 All compiled functions stand in this one file: numba's cache notices changes of a function's own file only. Flags
 are handed down as variables, rows are copied by loops: numba compiles a function anew for every literal, and slice
-assignments bring the text of their error messages with them.
+assignments bring the text of their error messages with them. What belongs to a body stands in one row of one array:
+every further array costs its reference count in each call, more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -34,144 +35,156 @@ from numpy.typing import NDArray
 
 from platform_ctrl.frozen import FloatArray
 
-Work = tuple[FloatArray, ...]
+Tree = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-Plant = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
+Vector = tuple[float, float, float]
 F = TypeVar("F", bound=Callable[..., Any])
 
+# Columns of a body's row in the workspace, root axes: the rotation (3 x 3) from 0 on; its axis; inertia (xx, yy, zz,
+# xy, xz, yz) and rotors' momentum h, first its own, then its subtree's; rate; moment; I a of the subtree.
+AXIS, INERTIA, MOMENTUM, RATE, MOMENT, PER_RATE, COLUMNS = 9, 12, 18, 21, 24, 27, 30
 
-def _compiled(function: F) -> F:
+
+def _compiled(function: F, **options: bool) -> F:
     # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
-    return cast(F, njit(cache=True, nogil=True, error_model="numpy")(function))
+    options |= {"nogil": True}
+    try:
+        return cast(F, njit(cache=True, error_model="numpy", **options)(function))
+    except RuntimeError:  # nowhere to keep a cache: compile in every process
+        return cast(F, njit(error_model="numpy", **options)(function))
 
 
-@_compiled
-def workspace(n: int) -> Work:
-    """Scratch arrays for n gimbals: rotations, axes, inertias, momenta, rates, moments, I a, mass matrix, vector."""
-    bodies = n + 1
-    return (
-        np.zeros((bodies, 3, 3)),
-        np.zeros((bodies, 3)),
-        np.zeros((bodies, 6)),
-        np.zeros((bodies, 3)),
-        np.zeros((bodies, 3)),
-        np.zeros((bodies, 3)),
-        np.zeros((bodies, 3)),
-        np.zeros((n + 3, n + 3)),
-        np.zeros(n + 3),
+def _inlined(function: F) -> F:
+    return _compiled(function, forceinline=True)
+
+
+def workspace(n: int) -> tuple[FloatArray, FloatArray]:
+    """Scratch for n gimbals: a row per body; the mass matrix with the vector of unknowns as its last row."""
+    return np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
+
+
+@_inlined
+def _dot(work: FloatArray, b: int, first: int, second: int) -> float:
+    """Scalar product of two vectors of body b."""
+    x: float = (
+        work[b, first] * work[b, second]
+        + work[b, first + 1] * work[b, second + 1]
+        + work[b, first + 2] * work[b, second + 2]
     )
+    return x
+
+
+@_inlined
+def _times_inertia(work: FloatArray, b: int, x: float, y: float, z: float) -> Vector:
+    """The inertia of body b times a vector."""
+    xx, yy, zz = work[b, INERTIA], work[b, INERTIA + 1], work[b, INERTIA + 2]
+    xy, xz, yz = work[b, INERTIA + 3], work[b, INERTIA + 4], work[b, INERTIA + 5]
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@_inlined
+def _turn_carrier(work: FloatArray, body: FloatArray, b: int) -> None:
+    """Turn body b's inertia and its rotors' momentum into root axes."""
+    xx, yy, zz, xy, xz, yz = body[b, 3], body[b, 4], body[b, 5], body[b, 6], body[b, 7], body[b, 8]
+    r0, r1, r2 = work[b, 0], work[b, 1], work[b, 2]
+    s0, s1, s2 = work[b, 3], work[b, 4], work[b, 5]
+    t0, t1, t2 = work[b, 6], work[b, 7], work[b, 8]
+    a0, a1, a2 = r0 * xx + r1 * xy + r2 * xz, r0 * xy + r1 * yy + r2 * yz, r0 * xz + r1 * yz + r2 * zz
+    b0, b1, b2 = s0 * xx + s1 * xy + s2 * xz, s0 * xy + s1 * yy + s2 * yz, s0 * xz + s1 * yz + s2 * zz
+    c0, c1, c2 = t0 * xx + t1 * xy + t2 * xz, t0 * xy + t1 * yy + t2 * yz, t0 * xz + t1 * yz + t2 * zz
+    work[b, INERTIA] = a0 * r0 + a1 * r1 + a2 * r2
+    work[b, INERTIA + 1] = b0 * s0 + b1 * s1 + b2 * s2
+    work[b, INERTIA + 2] = c0 * t0 + c1 * t1 + c2 * t2
+    work[b, INERTIA + 3] = a0 * s0 + a1 * s1 + a2 * s2
+    work[b, INERTIA + 4] = a0 * t0 + a1 * t1 + a2 * t2
+    work[b, INERTIA + 5] = b0 * t0 + b1 * t1 + b2 * t2
+    x, y, z = body[b, 9], body[b, 10], body[b, 11]
+    work[b, MOMENTUM] = r0 * x + r1 * y + r2 * z
+    work[b, MOMENTUM + 1] = s0 * x + s1 * y + s2 * z
+    work[b, MOMENTUM + 2] = t0 * x + t1 * y + t2 * z
+
+
+@_inlined
+def _moment_of_carrier(work: FloatArray, b: int) -> None:
+    """Replace body b's angular acceleration, kept in MOMENT, by the moment I wdot + w x (I w + h)."""
+    w0, w1, w2 = work[b, RATE], work[b, RATE + 1], work[b, RATE + 2]
+    H0, H1, H2 = _times_inertia(work, b, w0, w1, w2)
+    H0, H1, H2 = H0 + work[b, MOMENTUM], H1 + work[b, MOMENTUM + 1], H2 + work[b, MOMENTUM + 2]
+    N0, N1, N2 = _times_inertia(work, b, work[b, MOMENT], work[b, MOMENT + 1], work[b, MOMENT + 2])
+    work[b, MOMENT] = N0 + w1 * H2 - w2 * H1
+    work[b, MOMENT + 1] = N1 + w2 * H0 - w0 * H2
+    work[b, MOMENT + 2] = N2 + w0 * H1 - w1 * H0
 
 
 @_compiled
-def _carrier(R: FloatArray, inertia: FloatArray, momentum: FloatArray, I: FloatArray, h: FloatArray) -> None:  # noqa: E741
-    """Turn a carrier's inertia (xx, yy, zz, xy, xz, yz) and its rotors' momentum into root axes."""
-    xx, yy, zz, xy, xz, yz = inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5]
-    a0 = R[0, 0] * xx + R[0, 1] * xy + R[0, 2] * xz
-    a1 = R[0, 0] * xy + R[0, 1] * yy + R[0, 2] * yz
-    a2 = R[0, 0] * xz + R[0, 1] * yz + R[0, 2] * zz
-    b0 = R[1, 0] * xx + R[1, 1] * xy + R[1, 2] * xz
-    b1 = R[1, 0] * xy + R[1, 1] * yy + R[1, 2] * yz
-    b2 = R[1, 0] * xz + R[1, 1] * yz + R[1, 2] * zz
-    c0 = R[2, 0] * xx + R[2, 1] * xy + R[2, 2] * xz
-    c1 = R[2, 0] * xy + R[2, 1] * yy + R[2, 2] * yz
-    c2 = R[2, 0] * xz + R[2, 1] * yz + R[2, 2] * zz
-    I[0] = a0 * R[0, 0] + a1 * R[0, 1] + a2 * R[0, 2]
-    I[1] = b0 * R[1, 0] + b1 * R[1, 1] + b2 * R[1, 2]
-    I[2] = c0 * R[2, 0] + c1 * R[2, 1] + c2 * R[2, 2]
-    I[3] = a0 * R[1, 0] + a1 * R[1, 1] + a2 * R[1, 2]
-    I[4] = a0 * R[2, 0] + a1 * R[2, 1] + a2 * R[2, 2]
-    I[5] = b0 * R[2, 0] + b1 * R[2, 1] + b2 * R[2, 2]
-    for i in range(3):
-        h[i] = R[i, 0] * momentum[0] + R[i, 1] * momentum[1] + R[i, 2] * momentum[2]
-
-
-@_compiled
-def _moment(I: FloatArray, h: FloatArray, w: FloatArray, N: FloatArray) -> None:  # noqa: E741
-    """Replace the angular acceleration in N by the moment I wdot + w x (I w + h)."""
-    H0 = I[0] * w[0] + I[3] * w[1] + I[4] * w[2] + h[0]
-    H1 = I[3] * w[0] + I[1] * w[1] + I[5] * w[2] + h[1]
-    H2 = I[4] * w[0] + I[5] * w[1] + I[2] * w[2] + h[2]
-    e0, e1, e2 = N[0], N[1], N[2]
-    N[0] = I[0] * e0 + I[3] * e1 + I[4] * e2 + w[1] * H2 - w[2] * H1
-    N[1] = I[3] * e0 + I[1] * e1 + I[5] * e2 + w[2] * H0 - w[0] * H2
-    N[2] = I[4] * e0 + I[5] * e1 + I[2] * e2 + w[0] * H1 - w[1] * H0
-
-
-@_compiled
-def assemble(plant: Plant, moments: bool, y: FloatArray, work: Work) -> None:
+def assemble(tree: Tree, body: FloatArray, moments: bool, y: FloatArray, work: FloatArray, mass: FloatArray) -> None:
     """Fill the workspace at a state: axes, subtrees' inertias and momenta, lower triangle of A*.
 
     With `moments` (free root: v holds the rates) also the moments at zero generalised acceleration, summed over
     the subtrees.
     """
-    order, parent, axis, inertia, momentum = plant
-    R, a, I, h, w, N, Ia, mass, _ = work  # noqa: E741
-    n = order.shape[0]
+    n = tree.shape[1]
+    for i in range(9):
+        work[0, i] = 0.0
+    work[0, 0], work[0, 4], work[0, 8] = 1.0, 1.0, 1.0
     for i in range(3):
-        for j in range(3):
-            R[0, i, j] = 1.0 if i == j else 0.0
-        w[0, i] = y[n + i]
-        N[0, i] = 0.0
+        work[0, RATE + i] = y[n + i]
+        work[0, MOMENT + i] = 0.0
+        work[0, MOMENTUM + i] = body[0, 9 + i]
+    for i in range(6):
+        work[0, INERTIA + i] = body[0, 3 + i]
     # A child takes its parent's rate and acceleration before the parent's acceleration turns into a moment below.
     for m in range(n):
-        k = order[m]
-        b, f = k + 1, parent[k]
-        x0, x1, x2 = axis[k, 0], axis[k, 1], axis[k, 2]
+        k = tree[0, m]
+        b, f = k + 1, tree[1, k]
+        x0, x1, x2 = body[b, 0], body[b, 1], body[b, 2]
         c, s = math.cos(y[k]), math.sin(y[k])
         for i in range(3):
-            r0, r1, r2 = R[f, i, 0], R[f, i, 1], R[f, i, 2]
+            r0, r1, r2 = work[f, 3 * i], work[f, 3 * i + 1], work[f, 3 * i + 2]
             along = r0 * x0 + r1 * x1 + r2 * x2
-            a[b, i] = along
+            work[b, AXIS + i] = along
             along *= 1.0 - c
-            R[b, i, 0] = c * r0 + s * (r1 * x2 - r2 * x1) + along * x0
-            R[b, i, 1] = c * r1 + s * (r2 * x0 - r0 * x2) + along * x1
-            R[b, i, 2] = c * r2 + s * (r0 * x1 - r1 * x0) + along * x2
-        _carrier(R[b], inertia[b], momentum[b], I[b], h[b])
+            work[b, 3 * i] = c * r0 + s * (r1 * x2 - r2 * x1) + along * x0
+            work[b, 3 * i + 1] = c * r1 + s * (r2 * x0 - r0 * x2) + along * x1
+            work[b, 3 * i + 2] = c * r2 + s * (r0 * x1 - r1 * x0) + along * x2
+        _turn_carrier(work, body, b)
         if moments:
             rate = y[n + 3 + k]
-            w0, w1, w2 = w[f, 0], w[f, 1], w[f, 2]
-            a0, a1, a2 = a[b, 0] * rate, a[b, 1] * rate, a[b, 2] * rate
-            w[b, 0], w[b, 1], w[b, 2] = w0 + a0, w1 + a1, w2 + a2
-            N[b, 0] = N[f, 0] + w1 * a2 - w2 * a1
-            N[b, 1] = N[f, 1] + w2 * a0 - w0 * a2
-            N[b, 2] = N[f, 2] + w0 * a1 - w1 * a0
-    for i in range(6):
-        I[0, i] = inertia[0, i]
-    for i in range(3):
-        h[0, i] = momentum[0, i]
+            w0, w1, w2 = work[f, RATE], work[f, RATE + 1], work[f, RATE + 2]
+            a0, a1, a2 = work[b, AXIS] * rate, work[b, AXIS + 1] * rate, work[b, AXIS + 2] * rate
+            work[b, RATE], work[b, RATE + 1], work[b, RATE + 2] = w0 + a0, w1 + a1, w2 + a2
+            work[b, MOMENT] = work[f, MOMENT] + w1 * a2 - w2 * a1
+            work[b, MOMENT + 1] = work[f, MOMENT + 1] + w2 * a0 - w0 * a2
+            work[b, MOMENT + 2] = work[f, MOMENT + 2] + w0 * a1 - w1 * a0
     if moments:
         for b in range(n + 1):
-            _moment(I[b], h[b], w[b], N[b])
+            _moment_of_carrier(work, b)
     for i in range(3, n + 3):
         for j in range(3, i):
             mass[i, j] = 0.0
     for m in range(n - 1, -1, -1):
-        k = order[m]
-        b, f = k + 1, parent[k]
-        a0, a1, a2 = a[b, 0], a[b, 1], a[b, 2]
-        F0 = I[b, 0] * a0 + I[b, 3] * a1 + I[b, 4] * a2
-        F1 = I[b, 3] * a0 + I[b, 1] * a1 + I[b, 5] * a2
-        F2 = I[b, 4] * a0 + I[b, 5] * a1 + I[b, 2] * a2
-        Ia[b, 0], Ia[b, 1], Ia[b, 2] = F0, F1, F2
+        k = tree[0, m]
+        b, f = k + 1, tree[1, k]
+        F0, F1, F2 = _times_inertia(work, b, work[b, AXIS], work[b, AXIS + 1], work[b, AXIS + 2])
+        work[b, PER_RATE], work[b, PER_RATE + 1], work[b, PER_RATE + 2] = F0, F1, F2
         mass[3 + k, 0], mass[3 + k, 1], mass[3 + k, 2] = F0, F1, F2
-        mass[3 + k, 3 + k] = a0 * F0 + a1 * F1 + a2 * F2
-        up = f
+        up = b
         while up > 0:
-            mass[max(up, b) + 2, min(up, b) + 2] = a[up, 0] * F0 + a[up, 1] * F1 + a[up, 2] * F2
-            up = parent[up - 1]
-        for i in range(6):
-            I[f, i] += I[b, i]
-        for i in range(3):
-            h[f, i] += h[b, i]
-            N[f, i] += N[b, i]
-    mass[0, 0], mass[1, 1], mass[2, 2] = I[0, 0], I[0, 1], I[0, 2]
-    mass[1, 0], mass[2, 0], mass[2, 1] = I[0, 3], I[0, 4], I[0, 5]
+            turned = work[up, AXIS] * F0 + work[up, AXIS + 1] * F1 + work[up, AXIS + 2] * F2
+            mass[max(up, b) + 2, min(up, b) + 2] = turned
+            up = tree[1, up - 1]
+        for i in range(INERTIA, RATE):
+            work[f, i] += work[b, i]
+        for i in range(MOMENT, PER_RATE):
+            work[f, i] += work[b, i]
+    mass[0, 0], mass[1, 1], mass[2, 2] = work[0, INERTIA], work[0, INERTIA + 1], work[0, INERTIA + 2]
+    mass[1, 0], mass[2, 0], mass[2, 1] = work[0, INERTIA + 3], work[0, INERTIA + 4], work[0, INERTIA + 5]
 
 
-@_compiled
+@_inlined
 def _factor(mass: FloatArray, low: int) -> None:
     """Cholesky factor, in place, of the rows and columns from `low`; the diagonal holds its reciprocals."""
-    size = mass.shape[0]
+    size = mass.shape[1]
     for j in range(low, size):
         s = mass[j, j]
         for k in range(low, j):
@@ -185,96 +198,102 @@ def _factor(mass: FloatArray, low: int) -> None:
             mass[i, j] = s * d
 
 
-@_compiled
-def _solve(mass: FloatArray, low: int, x: FloatArray) -> None:
-    """Solve, in place, with what `_factor` left in `mass`."""
-    size = mass.shape[0]
+@_inlined
+def _solve(mass: FloatArray, low: int) -> None:
+    """Solve, in place of the last row, with what `_factor` left in `mass`."""
+    size = mass.shape[1]
     for i in range(low, size):
-        s = x[i]
+        s = mass[size, i]
         for k in range(low, i):
-            s -= mass[i, k] * x[k]
-        x[i] = s * mass[i, i]
+            s -= mass[i, k] * mass[size, k]
+        mass[size, i] = s * mass[i, i]
     for i in range(size - 1, low - 1, -1):
-        s = x[i]
+        s = mass[size, i]
         for k in range(i + 1, size):
-            s -= mass[k, i] * x[k]
-        x[i] = s * mass[i, i]
+            s -= mass[k, i] * mass[size, k]
+        mass[size, i] = s * mass[i, i]
 
 
 @_compiled
 def derivative(
-    plant: Plant, free: bool, locked: Flags, y: FloatArray, force: FloatArray, work: Work, dy: FloatArray
+    tree: Tree,
+    body: FloatArray,
+    free: bool,
+    locked: Flags,
+    y: FloatArray,
+    force: FloatArray,
+    row: int,
+    work: FloatArray,
+    mass: FloatArray,
+    dy: FloatArray,
 ) -> None:
-    """Derivative of the state vector under the generalised force [M, Q]; leaves the mass matrix factored.
+    """Derivative of the state vector under the generalised force [M, Q] in `force[row]`; leaves `mass` factored.
 
     With a prescribed Omega, v[:3] must hold its value at this instant. A gimbal that is `locked` does not turn: its
     row gives way to qdot = const (free root) or qdot = 0 (prescribed Omega; its momentum then means nothing).
     """
-    order, parent = plant[0], plant[1]
-    _, a, I, h, w, N, Ia, mass, x = work  # noqa: E741
-    n = order.shape[0]
-    assemble(plant, free, y, work)
+    n = tree.shape[1]
+    x = n + 3
+    assemble(tree, body, free, y, work, mass)
     for k in range(n):
         if locked[k]:
             for i in range(n + 3):
                 mass[max(i, 3 + k), min(i, 3 + k)] = 0.0
             mass[3 + k, 3 + k] = 1.0
+    W0, W1, W2 = y[n], y[n + 1], y[n + 2]
     if free:
-        _factor(mass, 0)
         for i in range(3):
-            x[i] = force[i] - N[0, i]
+            mass[x, i] = force[row, i] - work[0, MOMENT + i]
         for k in range(n):
-            b = k + 1
-            x[3 + k] = force[3 + k] - (a[b, 0] * N[b, 0] + a[b, 1] * N[b, 1] + a[b, 2] * N[b, 2])
-            if locked[k]:
-                x[3 + k] = 0.0
-        _solve(mass, 0, x)
+            moment = force[row, 3 + k] - _dot(work, k + 1, AXIS, MOMENT)
+            mass[x, 3 + k] = 0.0 if locked[k] else moment
+        _factor(mass, 0)
+        _solve(mass, 0)
         for k in range(n):
             dy[k] = 0.0 if locked[k] else y[n + 3 + k]
         for i in range(n + 3):
-            dy[n + i] = x[i]
+            dy[n + i] = mass[x, i]
     else:
-        _factor(mass, 3)
-        W0, W1, W2 = y[n], y[n + 1], y[n + 2]
         for k in range(n):
             b = k + 1
-            x[3 + k] = y[n + 3 + k] - (
-                Ia[b, 0] * W0 + Ia[b, 1] * W1 + Ia[b, 2] * W2
-                + a[b, 0] * h[b, 0] + a[b, 1] * h[b, 1] + a[b, 2] * h[b, 2]
-            )  # fmt: skip
-            if locked[k]:
-                x[3 + k] = 0.0
-        _solve(mass, 3, x)
+            carried = work[b, PER_RATE] * W0 + work[b, PER_RATE + 1] * W1 + work[b, PER_RATE + 2] * W2
+            own = y[n + 3 + k] - carried - _dot(work, b, AXIS, MOMENTUM)
+            mass[x, 3 + k] = 0.0 if locked[k] else own
+        _factor(mass, 3)
+        _solve(mass, 3)
         for m in range(n):
-            k = order[m]
-            b, f = k + 1, parent[k]
-            dy[k] = x[3 + k]
+            k = tree[0, m]
+            b, f = k + 1, tree[1, k]
+            rate = mass[x, 3 + k]
+            dy[k] = rate
             for i in range(3):
-                w[b, i] = w[f, i] + a[b, i] * x[3 + k]
-        # N is free in this mode: it collects the momentum that the joints below add to a subtree that turns as one.
-        for i in range(n + 1):
-            N[i, 0], N[i, 1], N[i, 2] = 0.0, 0.0, 0.0
+                work[b, RATE + i] = work[f, RATE + i] + work[b, AXIS + i] * rate
+                work[b, MOMENT + i] = 0.0
+        # MOMENT becomes the angular momentum of the subtree: as one body, and what the joints below add to that.
         for m in range(n - 1, -1, -1):
-            k = order[m]
-            b, f = k + 1, parent[k]
-            v0, v1, v2 = w[b, 0], w[b, 1], w[b, 2]
-            H0 = I[b, 0] * v0 + I[b, 3] * v1 + I[b, 4] * v2 + h[b, 0] + N[b, 0]
-            H1 = I[b, 3] * v0 + I[b, 1] * v1 + I[b, 5] * v2 + h[b, 1] + N[b, 1]
-            H2 = I[b, 4] * v0 + I[b, 5] * v1 + I[b, 2] * v2 + h[b, 2] + N[b, 2]
-            p0, p1, p2 = w[f, 0], w[f, 1], w[f, 2]
+            k = tree[0, m]
+            b, f = k + 1, tree[1, k]
+            H0, H1, H2 = _times_inertia(work, b, work[b, RATE], work[b, RATE + 1], work[b, RATE + 2])
+            below0, below1, below2 = work[b, MOMENT], work[b, MOMENT + 1], work[b, MOMENT + 2]
+            H0 += work[b, MOMENTUM] + below0
+            H1 += work[b, MOMENTUM + 1] + below1
+            H2 += work[b, MOMENTUM + 2] + below2
+            p0, p1, p2 = work[f, RATE], work[f, RATE + 1], work[f, RATE + 2]
             dy[n + 3 + k] = (
-                force[3 + k]
-                + a[b, 0] * (H1 * p2 - H2 * p1)
-                + a[b, 1] * (H2 * p0 - H0 * p2)
-                + a[b, 2] * (H0 * p1 - H1 * p0)
+                force[row, 3 + k]
+                + work[b, AXIS] * (H1 * p2 - H2 * p1)
+                + work[b, AXIS + 1] * (H2 * p0 - H0 * p2)
+                + work[b, AXIS + 2] * (H0 * p1 - H1 * p0)
             )
-            for i in range(3):
-                N[f, i] += N[b, i] + Ia[b, i] * x[3 + k]
+            rate = mass[x, 3 + k]
+            work[f, MOMENT] += below0 + work[b, PER_RATE] * rate
+            work[f, MOMENT + 1] += below1 + work[b, PER_RATE + 1] * rate
+            work[f, MOMENT + 2] += below2 + work[b, PER_RATE + 2] * rate
+            work[b, MOMENT], work[b, MOMENT + 1], work[b, MOMENT + 2] = H0, H1, H2
         for i in range(3):
             dy[n + i] = 0.0
-    W0, W1, W2 = 0.5 * y[n], 0.5 * y[n + 1], 0.5 * y[n + 2]
     e = 2 * n + 3
-    e0, e1, e2, e3 = y[e], y[e + 1], y[e + 2], y[e + 3]
+    e0, e1, e2, e3 = 0.5 * y[e], 0.5 * y[e + 1], 0.5 * y[e + 2], 0.5 * y[e + 3]
     dy[e] = -e1 * W0 - e2 * W1 - e3 * W2
     dy[e + 1] = e0 * W0 + e2 * W2 - e3 * W1
     dy[e + 2] = e0 * W1 + e3 * W0 - e1 * W2
@@ -282,14 +301,14 @@ def derivative(
 
 
 @_compiled
-def joint_momenta(plant: Plant, moments: bool, y: FloatArray, work: Work, p: FloatArray) -> None:
+def joint_momenta(
+    tree: Tree, body: FloatArray, moments: bool, y: FloatArray, work: FloatArray, mass: FloatArray, p: FloatArray
+) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; `moments` as in `assemble`."""
-    n = plant[0].shape[0]
-    _, a, _, h, _, _, _, mass, _ = work
-    assemble(plant, moments, y, work)
+    n = tree.shape[1]
+    assemble(tree, body, moments, y, work, mass)
     for k in range(n):
-        b = k + 1
-        s = a[b, 0] * h[b, 0] + a[b, 1] * h[b, 1] + a[b, 2] * h[b, 2]
+        s = _dot(work, k + 1, AXIS, MOMENTUM)
         for i in range(n + 3):
             s += mass[max(3 + k, i), min(3 + k, i)] * y[n + i]
         p[k] = s
@@ -297,14 +316,16 @@ def joint_momenta(plant: Plant, moments: bool, y: FloatArray, work: Work, p: Flo
 
 @_compiled
 def rk4_step(
-    plant: Plant,
+    tree: Tree,
+    body: FloatArray,
     free: bool,
     locked: Flags,
     y: FloatArray,
     Omega: FloatArray,
     force: FloatArray,
     step: float,
-    work: Work,
+    work: FloatArray,
+    mass: FloatArray,
     stages: FloatArray,
 ) -> None:
     """One step of the classical Runge-Kutta method, in place.
@@ -312,7 +333,7 @@ def rk4_step(
     `force` (3, 3 + n) and, for a prescribed rate, `Omega` (3, 3) hold the values at the step's beginning, middle and
     end; `stages` (3, 2 n + 7) is scratch.
     """
-    n = plant[0].shape[0]
+    n = tree.shape[1]
     size = y.shape[0]
     at, dy, total = stages[0], stages[1], stages[2]
     for i in range(size):
@@ -323,7 +344,7 @@ def rk4_step(
         if not free:
             for i in range(3):
                 at[n + i] = Omega[row, i]
-        derivative(plant, free, locked, at, force[row], work, dy)
+        derivative(tree, body, free, locked, at, force, row, work, mass, dy)
         weight = 1.0 if s == 0 or s == 3 else 2.0
         ahead = step if s == 2 else 0.5 * step
         for i in range(size):
@@ -343,13 +364,15 @@ def rk4_step(
 
 
 @_compiled
-def advance(plant: Plant, free: bool, states: FloatArray, force: FloatArray, step: float, steps: int) -> None:
+def advance(
+    tree: Tree, body: FloatArray, free: bool, states: FloatArray, force: FloatArray, step: float, steps: int
+) -> None:
     """Move every row of `states` (N, 2 n + 7) on by `steps` steps with its `force` (N, 3 + n) held.
 
     `free` is True: with a prescribed Omega use `closed_loop`.
     """
-    n = plant[0].shape[0]
-    work = workspace(n)
+    n = tree.shape[1]
+    work, mass = np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
     stages = np.empty((3, 2 * n + 7))
     held = np.empty((3, n + 3))
     Omega = np.zeros((3, 3))
@@ -359,7 +382,7 @@ def advance(plant: Plant, free: bool, states: FloatArray, force: FloatArray, ste
             held[0, i] = held[1, i] = held[2, i] = force[r, i]
         y = states[r]
         for _ in range(steps):
-            rk4_step(plant, free, locked, y, Omega, held, step, work, stages)
+            rk4_step(tree, body, free, locked, y, Omega, held, step, work, mass, stages)
 
 
 @_compiled
@@ -381,7 +404,8 @@ def half_cosine(t: float, profile: FloatArray, Omega: FloatArray) -> None:
 
 @_compiled
 def _hold(
-    plant: Plant,
+    tree: Tree,
+    body: FloatArray,
     free: bool,
     y: FloatArray,
     begin: FloatArray,
@@ -391,12 +415,12 @@ def _hold(
     stops: FloatArray,
     touching: Flags,
     locked: Flags,
-    work: Work,
+    work: FloatArray,
+    mass: FloatArray,
     stages: FloatArray,
 ) -> None:
     """Repeat a step from `begin` with those gimbals locked that lay at a stop and have gone past it."""
-    n = plant[0].shape[0]
-    a, I, h, w, N, dy = work[1], work[2], work[3], work[4], work[5], stages[1]  # noqa: E741
+    n = tree.shape[1]
     pressed = False
     for k in range(n):
         locked[k] = touching[k] and (y[k] < stops[k, 0] or y[k] > stops[k, 1])
@@ -405,23 +429,18 @@ def _hold(
         return
     for i in range(y.shape[0]):
         y[i] = begin[i]
-    rk4_step(plant, free, locked, y, Omega, force, step, work, stages)
+    rk4_step(tree, body, free, locked, y, Omega, force, step, work, mass, stages)
     if not free:
-        derivative(plant, free, locked, y, force[2], work, dy)
+        derivative(tree, body, free, locked, y, force, force.shape[0] - 1, work, mass, stages[1])
         for k in range(n):
             if locked[k]:
-                b = k + 1
-                v0, v1, v2 = w[b, 0], w[b, 1], w[b, 2]
-                y[n + 3 + k] = (
-                    a[b, 0] * (I[b, 0] * v0 + I[b, 3] * v1 + I[b, 4] * v2 + h[b, 0] + N[b, 0])
-                    + a[b, 1] * (I[b, 3] * v0 + I[b, 1] * v1 + I[b, 5] * v2 + h[b, 1] + N[b, 1])
-                    + a[b, 2] * (I[b, 4] * v0 + I[b, 5] * v1 + I[b, 2] * v2 + h[b, 2] + N[b, 2])
-                )
+                y[n + 3 + k] = _dot(work, k + 1, AXIS, MOMENT)
 
 
 @_compiled
 def _meet_stops(
-    plant: Plant,
+    tree: Tree,
+    body: FloatArray,
     free: bool,
     y: FloatArray,
     stops: FloatArray,
@@ -429,12 +448,12 @@ def _meet_stops(
     locked: Flags,
     contacts: NDArray[np.int64],
     zero: FloatArray,
-    work: Work,
+    work: FloatArray,
+    mass: FloatArray,
     dy: FloatArray,
 ) -> None:
     """Put every gimbal that has gone past its stop back on it: a perfectly inelastic impact."""
-    n = plant[0].shape[0]
-    mass, x = work[7], work[8]
+    n = tree.shape[1]
     hit = False
     for k in range(n):
         past = y[k] < stops[k, 0] or y[k] > stops[k, 1]
@@ -447,8 +466,10 @@ def _meet_stops(
         locked[k] = False
     if not hit:
         return
-    derivative(plant, free, locked, y, zero, work, dy)  # dy[:n] = qdot, and the factored mass matrix
-    low = 0 if free else 3
+    derivative(
+        tree, body, free, locked, y, zero, zero.shape[0] - 1, work, mass, dy
+    )  # dy[:n] = qdot, and the factored mass matrix
+    low, x = 0 if free else 3, n + 3
     # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
     for _ in range(100):
         settled = True
@@ -458,15 +479,15 @@ def _meet_stops(
                 continue
             settled = False
             for i in range(n + 3):
-                x[i] = 0.0
-            x[3 + k] = 1.0
-            _solve(mass, low, x)
-            impulse = -dy[k] / x[3 + k]
+                mass[x, i] = 0.0
+            mass[x, 3 + k] = 1.0
+            _solve(mass, low)
+            impulse = -dy[k] / mass[x, 3 + k]
             for j in range(n):
-                dy[j] += impulse * x[3 + j]
+                dy[j] += impulse * mass[x, 3 + j]
             if free:
                 for i in range(n + 3):
-                    y[n + i] += impulse * x[i]
+                    y[n + i] += impulse * mass[x, i]
             else:
                 y[n + 3 + k] += impulse
         if settled:
@@ -475,7 +496,8 @@ def _meet_stops(
 
 @_compiled
 def closed_loop(
-    plant: Plant,
+    tree: Tree,
+    body: FloatArray,
     free: bool,
     y: FloatArray,
     profile: FloatArray,
@@ -512,13 +534,13 @@ def closed_loop(
     target, limit, decay = torquers
     count, steps = segments
     out_q, out_v, out_p, out_attitude, out_command, out_torque = records
-    n, nx, ny, nu = plant[0].shape[0], Ac.shape[0], sensed.shape[0], target.shape[0]
+    n, nx, ny, nu = tree.shape[1], Ac.shape[0], sensed.shape[0], target.shape[0]
     samples: int = out_q.shape[0]
-    work = workspace(n)
+    work, mass = np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
     stages = np.empty((3, 2 * n + 7))
     dy = np.empty(2 * n + 7)
     force = np.zeros((3, n + 3))
-    zero = np.zeros(n + 3)
+    zero = np.zeros((1, n + 3))
     Omega = np.zeros((3, 3))
     x, x_next = np.zeros(nx), np.zeros(nx)
     torque, held = np.zeros(nu), np.zeros(nu)
@@ -528,12 +550,12 @@ def closed_loop(
     for k in range(samples):
         # Rates and momenta at the sample.
         if free:
-            joint_momenta(plant, free, y, work, out_p[k])
+            joint_momenta(tree, body, free, y, work, mass, out_p[k])
             for i in range(n):
                 dy[i] = y[n + 3 + i]
         else:
             half_cosine(k * period, profile, y[n : n + 3])
-            derivative(plant, free, locked, y, zero, work, dy)
+            derivative(tree, body, free, locked, y, zero, zero.shape[0] - 1, work, mass, dy)
             for i in range(n):
                 out_p[k, i] = y[n + 3 + i]
         for i in range(n):
@@ -603,8 +625,8 @@ def closed_loop(
                         half_cosine(start + (m + 0.5 * s) * h, profile, Omega[s])
                 for i in range(2 * n + 7):
                     begin[i] = y[i]
-                rk4_step(plant, free, locked, y, Omega, force, h, work, stages)
-                _hold(plant, free, y, begin, Omega, force, h, stops, touching, locked, work, stages)
-                _meet_stops(plant, free, y, stops, touching, locked, contacts, zero, work, dy)
+                rk4_step(tree, body, free, locked, y, Omega, force, h, work, mass, stages)
+                _hold(tree, body, free, y, begin, Omega, force, h, stops, touching, locked, work, mass, stages)
+                _meet_stops(tree, body, free, y, stops, touching, locked, contacts, zero, work, mass, dy)
             start += count[g] * h
     return samples

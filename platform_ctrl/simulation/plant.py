@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
-if TYPE_CHECKING:
-    from platform_ctrl.simulation.kernel import Plant
 
+def pack(platform: Platform) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return (tree, body) of a platform.
 
-def pack(platform: Platform) -> Plant:
-    """Return (order, parent, axis, inertia, momentum) of a platform.
-
-    `order` (n,) lists the gimbals so that parents come first; `parent` (n,) holds body numbers (0: root, 1 + k: gimbal
-    k); `axis` (n, 3) in the parents' axes; `inertia` (1 + n, 6) xx, yy, zz, xy, xz, yz of each carrier with its rotors
-    (a free rotor without its axial inertia); `momentum` (1 + n, 3) the sum of L s of its rotors.
+    `tree` (2, n): the gimbals in an order in which parents come first; the parents' body numbers (0: root, 1 + k:
+    gimbal k). `body` (1 + n, 12), a row each: the axis in the parent's axes; the inertia xx, yy, zz, xy, xz, yz of the
+    carrier with its rotors (a free rotor without its axial inertia); the sum of L s of its rotors.
     """
     n = len(platform.gimbals)
     parent = platform.parents + 1
@@ -41,9 +36,12 @@ def pack(platform: Platform) -> Plant:
         if rotor.control == "regulated":
             carrier[k + 1] += rotor.axial_inertia * along
         momentum[k + 1] += rotor.angular_momentum * rotor.axis
-    inertia = np.array([[I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]] for I in carrier])  # noqa: E741
-    axis = np.array([g.axis for g in platform.gimbals], dtype=np.float64).reshape(n, 3)
-    return np.array(order, dtype=np.int64), parent.astype(np.int64), axis, inertia, momentum
+    body = np.zeros((n + 1, 12))
+    for k, inertia in enumerate(carrier):
+        body[k, 3:9] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body[1:, :3] = [g.axis for g in platform.gimbals] or np.zeros((0, 3))
+    body[:, 9:] = momentum
+    return np.array([order, parent], dtype=np.int64).reshape(2, n), body
 
 
 def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
