@@ -45,17 +45,16 @@ F = TypeVar("F", bound=Callable[..., Any])
 AXIS, INERTIA, MOMENTUM, RATE, MOMENT, PER_RATE, COLUMNS = 9, 12, 18, 21, 24, 27, 30
 
 
-def _compiled(function: F, **options: bool) -> F:
+def _compiled(function: F, inlined: bool = False) -> F:
     # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
-    options |= {"nogil": True}
     try:
-        return cast(F, njit(cache=True, error_model="numpy", **options)(function))
+        return cast(F, njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function))
     except RuntimeError:  # nowhere to keep a cache: compile in every process
-        return cast(F, njit(error_model="numpy", **options)(function))
+        return cast(F, njit(nogil=True, error_model="numpy", forceinline=inlined)(function))
 
 
 def _inlined(function: F) -> F:
-    return _compiled(function, forceinline=True)
+    return _compiled(function, inlined=True)
 
 
 def workspace(n: int) -> tuple[FloatArray, FloatArray]:
