@@ -49,7 +49,19 @@ OPTIONS: dict[str, frozenset[str]] = {
             "notch_width",
         }
     ),
-    "hinf": frozenset({"crossover_hz", "inertial_crossover_hz", "integral_hz", "rolloff_hz", "backoff"}),
+    "hinf": frozenset(
+        {
+            "bandwidth_hz",
+            "sensitivity_peak",
+            "complementary",
+            "disturbance",
+            "torque",
+            "inertial_bandwidth_hz",
+            "inertial_disturbance",
+            "inertial_torque",
+            "backoff",
+        }
+    ),
     "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
 }
 
