@@ -366,7 +366,7 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     plant = scaled.plant
     size = max(1.0, float(np.linalg.norm(plant.A, 2)))
     weakest = (float("inf"), "", 0j)
-    for pole in _clustered(np.linalg.eigvals(plant.A), size):
+    for pole in clustered(np.linalg.eigvals(plant.A), size):
         if pole.real < -1e-9 * size:
             continue
         shifted = plant.A - pole * np.eye(len(plant.A))
@@ -380,7 +380,7 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     return weakest
 
 
-def _clustered(poles: np.ndarray[Any, Any], size: float) -> list[complex]:
+def clustered(poles: np.ndarray[Any, Any], size: float) -> list[complex]:
     """Poles, and the means of their clusters: a defective pole scatters, the mean of its copies is accurate."""
     out = [complex(p) for p in poles]
     for p in poles:
