@@ -91,7 +91,7 @@ def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Non
     target = Path(path)
     # In the same folder, so that putting it in place is one step of the file system.
     unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    text = _laid_out(record) + "\n"
+    text = laid_out(record) + "\n"
     try:
         try:
             unfinished.write_text(text, encoding="utf-8")
@@ -161,12 +161,12 @@ def _plain(item: Any) -> Any:
     return item
 
 
-def _laid_out(item: Any, indent: str = "") -> str:
-    """JSON with a key a line, and a row of a matrix a line: files that can be read and compared."""
+def laid_out(item: Any, indent: str = "") -> str:
+    """Return plain data as JSON with a key a line and a row of a matrix a line: it can be read and compared."""
     inner = indent + "  "
     if isinstance(item, Mapping) and item:
-        lines = [f"{inner}{json.dumps(key)}: {_laid_out(entry, inner)}" for key, entry in item.items()]
+        lines = [f"{inner}{json.dumps(key)}: {laid_out(entry, inner)}" for key, entry in item.items()]
         return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
     if isinstance(item, list) and any(isinstance(entry, list | dict) for entry in item):
-        return "[\n" + ",\n".join(inner + _laid_out(entry, inner) for entry in item) + f"\n{indent}]"
-    return json.dumps(item, allow_nan=False, ensure_ascii=False)
+        return "[\n" + ",\n".join(inner + laid_out(entry, inner) for entry in item) + f"\n{indent}]"
+    return json.dumps(item, allow_nan=False)
