@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -9,59 +10,76 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
     import control
 
 
 def joined(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str]
+    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:
     """Return one controller from `inputs` (pick-offs) to `outputs` (torquers).
+
+    The joining is exact: nothing non-linear stands between controllers, and later ones see this step's outputs.
 
     Parameters
     ----------
     controllers
-        Same sample period. Inputs: names among `inputs`, or outputs of a controller earlier in the list (that step's
-        value). Outputs: no name twice.
+        Inputs: names among `inputs`, or outputs of a controller earlier in the list (that step's value). Outputs:
+        names among `outputs`, or signals that a later controller takes in; no name twice.
     inputs, outputs
         Signals of the result; an output that no controller sets is zero.
+    period
+        Sample period of all of them, s.
 
     Raises
     ------
     ArgumentError
-        Unknown input, an output set twice, or different sample periods.
+        Unknown input or output, an output set twice, another sample period, or matrices that are not finite.
     """
-    if not controllers:
-        raise ArgumentError("controllers: given none; expected at least one")
-    parts = [state_arrays(K, f"controller {k + 1}") for k, K in enumerate(controllers)]
-    n = sum(len(K.A) for K in parts)
-    A, B = np.zeros((n, n)), np.zeros((n, len(inputs)))
-    # Every signal as a row over [x, y]: the pick-offs first, then what each controller adds.
-    rows = {name: np.eye(n + len(inputs))[n + k] for k, name in enumerate(inputs)}
-    at = 0
-    for K, system in zip(parts, controllers, strict=True):
-        if abs(K.dt - parts[0].dt) > 1e-9 * parts[0].dt:
-            raise ArgumentError(f"controllers: sample periods {parts[0].dt:g} s and {K.dt:g} s; expected the same")
+    parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
+    states = sum(len(K.A) for K in parts)
+    size = states + len(inputs)
+    # Every signal is a row over [all controllers' states, pick-offs].
+    rows: dict[str, FloatArray] = {name: np.eye(size)[states + k] for k, name in enumerate(inputs)}
+    made: dict[str, str] = {}
+    taken: set[str] = set()
+    after = np.zeros((states, size))
+    place = 0
+    for k, (K, system) in enumerate(zip(parts, controllers, strict=True)):
+        where = _where(k, system)
+        if not math.isclose(K.dt, period, rel_tol=1e-9):
+            raise ArgumentError(f"{where}: dt is {system.dt!r}; expected the sample period {period:.6g} s")
         unknown = [name for name in system.input_labels if name not in rows]
         if unknown:
             raise ArgumentError(
-                f"controller {system.name!r}: input {unknown[0]!r} is no pick-off and no output of a controller before it; "
-                f"expected one of {', '.join(rows)}"
+                f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
+                f"expected one of {', '.join(rows) or 'none'}"
             )
-        twice = [name for name in system.output_labels if name in rows]
-        if twice:
-            raise ArgumentError(f"controller {system.name!r}: output {twice[0]!r} is set already; expected each signal once")
-        seen = np.array([rows[name] for name in system.input_labels]).reshape(len(system.input_labels), n + len(inputs))
-        own = slice(at, at + len(K.A))
-        change = K.B @ seen
-        A[own] += change[:, :n]
-        B[own] += change[:, n:]
-        A[own, own] += K.A
-        set_rows = K.D @ seen
-        set_rows[:, own] += K.C
-        rows |= dict(zip(system.output_labels, set_rows, strict=True))
-        at = own.stop
-    nothing = np.zeros(n + len(inputs))
-    final = np.array([rows.get(name, nothing) for name in outputs])
-    return state_space(StateArrays(A, B, final[:, :n], final[:, n:], parts[0].dt), inputs, outputs, name="all loops")
+        taken |= set(system.input_labels)
+        own = slice(place, place + len(K.A))
+        seen = np.array([rows[name] for name in system.input_labels]).reshape(system.ninputs, size)
+        after[own] = K.B @ seen
+        after[own, own] += K.A
+        told = K.D @ seen
+        told[:, own] += K.C
+        for name, row in zip(system.output_labels, told, strict=True):
+            if name in rows:
+                raise ArgumentError(f"{where}: output {name!r} exists already; expected a name of its own")
+            rows[name] = row
+            made[name] = where
+        place = own.stop
+    for name, where in made.items():
+        if name not in outputs and name not in taken:
+            raise ArgumentError(
+                f"{where}: output {name!r} is neither a torquer nor an input of a later controller; "
+                f"expected one of {', '.join(outputs)}"
+            )
+    final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
+    arrays = StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
+    return state_space(arrays, inputs, outputs, name="all loops")
+
+
+def _where(k: int, system: control.StateSpace) -> str:
+    return f"controller {k + 1} ({getattr(system, 'name', '')!r})"

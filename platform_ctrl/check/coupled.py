@@ -115,7 +115,7 @@ def coupled_plant(job: Job, model: LinearModel) -> control.StateSpace:
 def _one_controller(job: Job, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
     used = {name for K in controllers for name in K.output_labels}
     torquers = [t.name for t in job.platform.torquers if t.name in used]
-    return joined(controllers, [s.name for s in job.platform.pickoffs], torquers)
+    return joined(controllers, [s.name for s in job.platform.pickoffs], torquers, job.sampling.period)
 
 
 def _decoupled_margins(
@@ -125,7 +125,7 @@ def _decoupled_margins(
     caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
     margins: dict[str, float] = {}
     if caging:
-        K = joined(caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers])
+        K = joined(caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers], job.sampling.period)
         system = linear_state_space(model)[list(model.angle_names), [t.name for t in gimbal_torquers]]
         plant = sampled(system, job.sampling.period, job.sampling.delay, [t.lag for t in gimbal_torquers])
         margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))

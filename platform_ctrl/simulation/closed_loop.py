@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.analysis.joined import joined
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
@@ -292,59 +293,15 @@ def _packed_profile(profile: HalfCosine | None) -> FloatArray:
 
 
 def _merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, free: bool) -> Merged:
-    """One state space from all pick-offs to all torquers: the controllers evaluated in their order.
-
-    The merging is exact: nothing non-linear stands between controllers, and later ones see this step's outputs.
-    """
-    pickoffs = [s.name for s in platform.pickoffs]
-    torquers = [t.name for t in platform.torquers]
-    root_torquers = {t.name for t in platform.torquers if t.root_axis is not None}
-    states = sum(len(sys.A) for sys in controllers)
-    size = states + len(pickoffs)
-    # Every signal is a row over [all controllers' states, readings].
-    rows = {name: np.eye(size)[states + k] for k, name in enumerate(pickoffs)}
-    taken: set[str] = set()
-    made: dict[str, str] = {}
-    after = np.zeros((states, size))
-    place = 0
-    for k, sys in enumerate(controllers):
-        where = f"controller {k + 1} ({sys.name!r})"
-        if not math.isclose(float(sys.dt or 0.0), period, rel_tol=1e-9) or sys.dt is True:
-            raise ArgumentError(f"{where}: dt is {sys.dt!r}; expected the sample period {period:.6g} s")
-        if not all(np.isfinite(matrix).all() for matrix in (sys.A, sys.B, sys.C, sys.D)):
-            raise ArgumentError(f"{where}: its matrices are not finite")
-        unknown = [name for name in sys.input_labels if name not in rows]
-        if unknown:
+    """One state space from all pick-offs to all torquers."""
+    K = joined(controllers, [s.name for s in platform.pickoffs], [t.name for t in platform.torquers], period)
+    roots = {t.name for t in platform.torquers if t.root_axis is not None}
+    for k, system in enumerate(controllers):
+        acting = [name for name in system.output_labels if name in roots]
+        if acting and not free:
             raise ArgumentError(
-                f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "
-                f"expected one of {', '.join(rows) or 'none'}"
+                f"controller {k + 1} ({system.name!r}): output {acting[0]!r} acts on the root, whose rate is prescribed in "
+                "mode 'caged'; leave the controller out or use mode 'stabilised'"
             )
-        taken |= set(sys.input_labels)
-        order = len(sys.A)
-        own = slice(place, place + order)
-        drive = np.array([rows[name] for name in sys.input_labels]).reshape(sys.ninputs, size)
-        after[own] = np.asarray(sys.B) @ drive
-        after[own, own] += np.asarray(sys.A)
-        outputs = np.asarray(sys.D) @ drive
-        outputs[:, own] += np.asarray(sys.C)
-        for name, row in zip(sys.output_labels, outputs, strict=True):
-            if name in rows:
-                raise ArgumentError(f"{where}: output {name!r} exists already; expected a name of its own")
-            if name in root_torquers and not free:
-                raise ArgumentError(
-                    f"{where}: output {name!r} acts on the root, whose rate is prescribed in mode 'caged'; "
-                    "leave the controller out or use mode 'stabilised'"
-                )
-            rows[name] = row
-            made[name] = where
-        place += order
-    for name, where in made.items():
-        if name not in torquers and name not in taken:
-            raise ArgumentError(
-                f"{where}: output {name!r} is neither a torquer nor an input of a later controller; "
-                f"expected one of {', '.join(torquers)}"
-            )
-    command = np.array([rows[name] if name in made else np.zeros(size) for name in torquers])
-    command = command.reshape(len(torquers), size)
-    parts = (after[:, :states], after[:, states:], command[:, :states], command[:, states:])
-    return tuple(np.ascontiguousarray(part) for part in parts)  # type: ignore[return-value]
+    A, B, C, D = (np.ascontiguousarray(part, dtype=np.float64) for part in (K.A, K.B, K.C, K.D))
+    return A, B, C, D
