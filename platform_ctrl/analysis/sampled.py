@@ -98,9 +98,10 @@ def _sampled(
     if not (math.isfinite(delay) and delay >= 0.0):
         raise ArgumentError(f"sampled: delay = {delay!r} s, expected a finite number >= 0")
     m = B.shape[-1]
-    lags = np.zeros(m) if lag is None else np.array(np.broadcast_to(np.asarray(lag, dtype=np.float64), (m,)))
-    if not np.all(np.isfinite(lags)) or np.any(lags < 0.0):
+    lags = np.zeros(m) if lag is None else np.asarray(lag, dtype=np.float64)
+    if lags.shape not in ((), (m,)) or not np.all(np.isfinite(lags)) or np.any(lags < 0.0):
         raise ArgumentError(f"sampled: lag = {lag!r}, expected one time constant >= 0 in s for each of {m} inputs")
+    lags = np.full(m, lags)
     A, B, C, D = with_lag(A, B, C, D, lags)
 
     whole = math.floor(delay / period + 1e-9)

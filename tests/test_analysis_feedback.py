@@ -1,0 +1,162 @@
+"""Closed loops and poles: identities, and closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl import PlatformCtrlError, analysis
+
+seeds = st.integers(0, 2**31 - 1)
+W = np.geomspace(0.05, 30.0, 25)
+
+
+def pair(seed: int, dt: float, direct: bool = True) -> tuple[control.StateSpace, control.StateSpace]:
+    rng = np.random.default_rng(seed)
+
+    def system(n: int, m: int, p: int) -> control.StateSpace:
+        A = rng.normal(size=(n, n))
+        A = 0.8 * A / np.abs(np.linalg.eigvals(A)).max() if dt else A - 2.0 * np.eye(n)
+        D = 0.3 * rng.normal(size=(p, m)) if direct else 0.0
+        return control.ss(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), D, dt)
+
+    return system(4, 3, 2), system(3, 2, 3)
+
+
+def stacked(response: np.ndarray) -> np.ndarray:
+    return np.moveaxis(response, -1, 0)
+
+
+@given(seeds, st.sampled_from([0.0, 0.1]))
+@settings(max_examples=20, deadline=None)
+def test_the_gang_obeys_its_identities(seed: int, dt: float) -> None:
+    plant, controller = pair(seed, dt)
+    g = analysis.gang(plant, controller, W)
+    P = stacked(analysis.frequency_response(plant, W))
+    K = stacked(analysis.frequency_response(controller, W))
+    for S, T, L, m in ((g.S_input, g.T_input, -K @ P, 3), (g.S_output, g.T_output, -P @ K, 2)):
+        size = 1e-9 * max(1.0, np.abs(S).max(), np.abs(T).max())
+        np.testing.assert_allclose(stacked(S) + stacked(T), np.broadcast_to(np.eye(m), L.shape), atol=size)
+        np.testing.assert_allclose(stacked(S) @ (np.eye(m) + L), np.broadcast_to(np.eye(m), L.shape), atol=100 * size)
+        np.testing.assert_allclose(stacked(S) @ L, stacked(T), atol=100 * size)
+    size = 1e-8 * max(1.0, np.abs(g.angle_per_torque).max(), np.abs(g.torque_per_noise).max())
+    np.testing.assert_allclose(P @ stacked(g.S_input), stacked(g.angle_per_torque), atol=size)
+    np.testing.assert_allclose(K @ stacked(g.S_output), stacked(g.torque_per_noise), atol=size)
+
+
+@given(seeds, st.sampled_from([0.0, 0.1]))
+@settings(max_examples=15, deadline=None)
+def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: float) -> None:
+    plant, controller = pair(seed, dt)
+    g = analysis.gang(plant, controller, W)
+    H = analysis.frequency_response(analysis.closed_loop(plant, controller), W)
+    size = 1e-9 * max(1.0, np.abs(H).max())
+    np.testing.assert_allclose(H[:3, :3], -g.T_input, atol=size)
+    np.testing.assert_allclose(H[3:, :3], g.angle_per_torque, atol=size)
+    np.testing.assert_allclose(H[:3, 3:], g.torque_per_noise, atol=size)
+    np.testing.assert_allclose(H[3:, 3:], -g.T_output, atol=size)
+    for at, S in (("input", g.S_input), ("output", g.S_output)):
+        L = stacked(analysis.frequency_response(analysis.loop_transfer(plant, controller, at=at), W))
+        from_L, _ = analysis.sensitivities(L)
+        np.testing.assert_allclose(from_L, stacked(S), atol=1e-7 * max(1.0, np.abs(S).max() ** 2))
+
+
+def test_the_convention_is_torque_equals_k_times_pick_off() -> None:
+    # 1/s with u = -5 y: T = 5/(s + 5), and a unit torque disturbance deflects by 1/5; the integrator passes no noise at DC.
+    plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
+    loop = analysis.closed_loop(plant, control.ss([], [], [], [[-5.0]]))
+    np.testing.assert_allclose(analysis.poles(loop), [-5.0])
+    np.testing.assert_allclose(
+        analysis.frequency_response(loop, [0.0])[:, :, 0], [[-1.0, 0.0], [0.2, -1.0]], atol=1e-14
+    )
+    L = analysis.loop_transfer(plant, control.ss([], [], [], [[-5.0]]))
+    np.testing.assert_allclose(analysis.frequency_response(L, [1.0])[0, 0, 0], 5.0 / 1j)
+
+
+def test_signals_are_joined_by_name_and_the_rest_stays_open() -> None:
+    plant = control.ss(
+        -np.eye(3), np.eye(3), np.eye(3), 0, inputs=["Q9", "Q10", "Omega1"], outputs=["alpha9", "beta10", "alpha4"]
+    )
+    K = control.ss([], [], [], [[0.0, 3.0], [2.0, 0.0]], inputs=["beta10", "alpha9"], outputs=["Q10", "Q9"])
+    loop = analysis.closed_loop(plant, K)
+    assert list(loop.input_labels) == ["Q9", "Q10", "Omega1", "noise_beta10", "noise_alpha9"]
+    assert list(loop.output_labels) == ["Q10", "Q9", "alpha9", "beta10", "alpha4"]
+    # Q10 = 3 alpha9, Q9 = 2 beta10.
+    np.testing.assert_allclose(loop.A, [[-1.0, 2.0, 0.0], [3.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+
+
+def test_a_stack_of_plants_with_one_controller_gives_what_each_gives() -> None:
+    plants = [pair(seed, 0.0)[0] for seed in range(4)]
+    controller = pair(9, 0.0)[1]
+    A, B, C, D = (np.stack([getattr(plant, name) for plant in plants]) for name in "ABCD")
+    arrays = analysis.closed_loop_arrays(A, B, C, D, controller.A, controller.B, controller.C, controller.D)
+    for i, plant in enumerate(plants):
+        single = analysis.closed_loop(plant, controller)
+        for array, name in zip(arrays, "ABCD", strict=True):
+            np.testing.assert_allclose(array[i], getattr(single, name), atol=1e-12)
+
+
+def test_a_singular_algebraic_loop_is_named() -> None:
+    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 2.0)
+    with pytest.raises(PlatformCtrlError, match="algebraic loop"):
+        analysis.closed_loop(plant, control.ss([], [], [], [[0.5]]))
+
+
+def test_what_does_not_fit_is_named() -> None:
+    plant, controller = pair(0, 0.1)
+    with pytest.raises(PlatformCtrlError, match="dt = "):
+        analysis.closed_loop(plant, pair(0, 0.2)[1])
+    with pytest.raises(PlatformCtrlError, match="same names"):
+        analysis.closed_loop(plant, plant)
+    with pytest.raises(PlatformCtrlError, match="'input' or 'output'"):
+        analysis.loop_transfer(plant, controller, at="middle")
+
+
+def test_damping_of_a_sampled_resonator_is_that_of_the_continuous_one() -> None:
+    zeta, w0 = 0.02, 474.3
+    plant = control.ss([[0.0, w0], [-w0, -2.0 * zeta * w0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    found = analysis.damping(analysis.sampled(plant, 5e-4, delay=5e-4))
+    np.testing.assert_allclose(found.ratio, [zeta, zeta, 1.0], rtol=1e-10)
+    np.testing.assert_allclose(found.natural_frequency, [w0, w0, math.inf], rtol=1e-12)
+
+
+def test_minimum_damping_counts_fast_and_unstable_poles_only() -> None:
+    slow, fast = [-0.01 + 1j, -0.01 - 1j], [-30.0 + 40j, -30.0 - 40j]
+    poles = np.array([slow + fast, [2.0, 3.0, *fast], [*fast, *fast]])
+    np.testing.assert_allclose(analysis.minimum_damping(poles, above=10.0), [0.6, -1.0, 0.6])
+    np.testing.assert_allclose(analysis.minimum_damping(poles[0]), 0.01, rtol=1e-3)
+    assert analysis.minimum_damping(np.zeros(0, dtype=complex)) == 1.0
+
+
+def test_a_pole_on_the_negative_axis_of_z_oscillates_at_the_nyquist_frequency() -> None:
+    s = analysis.continuous_poles(np.array([-0.5, 0.0, 1.0]), 0.1)
+    np.testing.assert_allclose(s[0], (math.log(0.5) + 1j * math.pi) / 0.1)
+    np.testing.assert_allclose(
+        analysis.damping_ratio(s), [math.log(2.0) / math.hypot(math.log(2.0), math.pi), 1.0, 0.0]
+    )
+
+
+@given(st.floats(1e-9, 0.99), st.floats(1e-6, 1e3))
+@settings(max_examples=50, deadline=None)
+def test_slow_poles_keep_their_damping_through_z(zeta: float, w0: float) -> None:
+    period = 1e-3
+    s = w0 * complex(-zeta, math.sqrt(1.0 - zeta * zeta))
+    back = analysis.continuous_poles(np.array([np.exp(s * period)]), period)[0]
+    # z itself holds s only to a rounding of 1.
+    assert abs(back - s) <= 1e-12 * abs(s) + 1e-15 / period
+
+
+def test_stability_is_strict_and_may_ask_for_a_decay_rate() -> None:
+    assert analysis.is_stable(control.ss([[-2.0]], [[1.0]], [[1.0]], 0))
+    assert not analysis.is_stable(control.ss([[0.0]], [[1.0]], [[1.0]], 0))
+    assert not analysis.is_stable(control.ss([[1.0]], [[1.0]], [[1.0]], 0, 0.1))
+    decaying = control.ss([[math.exp(-0.2)]], [[1.0]], [[1.0]], 0, 0.1)
+    assert analysis.is_stable(decaying, margin=1.9)
+    assert not analysis.is_stable(decaying, margin=2.1)
+    assert analysis.spectral_radius(analysis.poles(decaying)) == pytest.approx(math.exp(-0.2))
+    assert analysis.spectral_abscissa(np.array([-3.0 + 1j, -2.0])) == -2.0
