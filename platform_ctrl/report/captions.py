@@ -1,0 +1,188 @@
+"""The sentences of the page: what to see in each figure, with the figures that matter in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.check.simulated import Run
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.quantities import count, listed, percent, plain, quantity
+
+
+def nutation(result: JobResult) -> str:
+    """Nutation over rotor speed."""
+    spread = result.job.spread.spin
+    shaded = f" The shaded band is the spread of the rotors' speed, ±{plain(100.0 * spread, 3)} %." if spread else ""
+    return (
+        "Nutation frequencies of the uncontrolled gimbals at rest, all rotors at the same share of their speed; the marker is the "
+        f"nominal plant, the dotted lines the bandwidths of the closed loops: the closer, the harder the design.{shaded}"
+    )
+
+
+def loop_summary(outcome: LoopOutcome) -> str:
+    """What is closed, and what was compared with it."""
+    closed, others = outcome.closed, [design.name for design in outcome.alternatives]
+    missed = [one.name for one in closed.results if not one.passed]
+    text = f"“{closed.name}” is the design that is closed."
+    if others:
+        text += f" Compared with {listed([f'“{name}”' for name in others])}."
+    if closed.results:
+        text += f" It misses: {listed(missed)}." if missed else " It meets every limit of this loop on its own plants."
+    elif closed.measures is None:
+        text += " It has no plants of its own: it is judged in the coupled system."
+    return text
+
+
+def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
+    """Singular values of S, T and (S − T)/2."""
+    closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
+    at = responses.frequency[int(np.argmax(closed.balanced))] / (2.0 * np.pi)
+    measures = outcome.closed.measures
+    bandwidth = measures.bandwidth / (2.0 * np.pi) if measures is not None else float("nan")
+    asked = outcome.spec.limits.bandwidth_hz
+    shaded = " the shaded band is the bandwidth that is asked for;" if asked is not None else ""
+    return (
+        f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for “{outcome.closed.name}” (marker);"
+        f"{shaded} thin: the smallest singular value. Right: the peak is one over the disk margin; it stands at "
+        f"{quantity(float(at), 'Hz', 3)}, where this loop is closest to losing its stability."
+    )
+
+
+def loop_transfer(outcome: LoopOutcome) -> str:
+    """Loop transfer, controller, channel by channel."""
+    del outcome
+    return (
+        "First column: singular values of the loop transfer at the torquers, and the controller's largest gain. Others: the loop that "
+        "each torquer closes while all the others stay closed. Stability margins show where the gain passes 1: the phase there "
+        "should keep away from −180° and its odd multiples; the nutation shows as a resonance that the phase has to pass on the safe side."
+    )
+
+
+def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
+    """Platform rate and torque disturbance to the angles."""
+    closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
+    worst = 1e3 * float(np.nanmax(closed.angle_per_rate, initial=0.0))
+    return (
+        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift away at low frequency "
+        f"and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate moves them by more than {plain(worst, 3)} mrad "
+        "per rad/s."
+    )
+
+
+def poles(outcome: LoopOutcome, plants: int) -> str:
+    """Pole map."""
+    limits = outcome.spec.limits
+    lines = []
+    if limits.damping is not None:
+        lines.append(f"dashed, {plain(limits.damping)}, for the nominal plant")
+    if limits.damping_spread is not None:
+        lines.append(f"dotted, {plain(limits.damping_spread)}, over the spread")
+    asked = f" Red lines: the damping that is asked of fast poles ({'; '.join(lines)})." if lines else ""
+    return (
+        f"Poles as s = ln(z)/T. Strong: nominal plant; faint: all {plants} plants of the spread and of the platform's rates. Stable poles lie "
+        f"left of the shaded half plane.{asked} How far the clouds reach to the right is what the spread costs."
+    )
+
+
+def root_locus(outcome: LoopOutcome, locus: RootLocus) -> str:
+    """Root locus."""
+    found = locus.stable_range
+    if found is None:
+        words = "the loop is unstable at its design gain"
+    else:
+        low = "from the smallest gain drawn" if found[0] <= locus.gains[1] else f"from {plain(found[0], 3)}"
+        high = f"to beyond {plain(float(locus.gains[-1]), 3)}" if found[1] >= locus.gains[-1] else f"to {plain(found[1], 3)}"
+        words = f"the loop is stable {low} {high} times its gain"
+    return (
+        f"Poles of “{outcome.closed.name}” on the nominal plant while all its gains grow together from 0 to {plain(float(locus.gains[-1]), 3)} "
+        f"times the design. Steps of 0.5 are marked, the design itself large and orange, labelled along the least damped branch: {words}."
+    )
+
+
+def servo(result: JobResult) -> str:
+    """The platform servo's loops."""
+    del result
+    return (
+        "The loop through each torquer of the platform, all others closed: gain 1 is crossed at the servo's crossover; the gyros' own loops "
+        "must be fast enough to leave phase there."
+    )
+
+
+def coupled_summary(result: JobResult) -> str:
+    """State of the coupled system in two sentences."""
+    check = result.coupled
+    radius = float(np.abs(check.poles).max(initial=0.0))
+    if not check.stable:
+        return (
+            f"The coupled system is unstable: its largest pole radius is {plain(radius, 7)}, expected below 1. Margins and noise have no "
+            "meaning until it is stable; try slower loops, or caging loops and servo further apart in bandwidth."
+        )
+    text = f"With all loops closed the coupled system is stable: largest pole radius {plain(radius, 6)}, {count(len(check.poles), 'pole')}."
+    if np.isfinite(check.cost).any():
+        k = int(np.nanargmax(check.cost))
+        text += f" Coupling costs at most {plain(100.0 * max(float(check.cost[k]), 0.0), 2)} % of a disk margin (channel {check.channels[k]})."
+    return text
+
+
+def coupled_poles(result: JobResult) -> str:
+    """Poles of the coupled system."""
+    radius = float(np.abs(result.coupled.poles).max(initial=0.0))
+    where = "All lie in the left half plane" if result.coupled.stable else "Red poles lie in the right half plane or on its edge"
+    slowest = -np.log(radius) / result.job.sampling.period if 0.0 < radius < 1.0 else 0.0
+    settle = f"; the slowest decays with {plain(slowest, 3)} 1/s" if slowest > 0.0 else ""
+    return f"Poles as s = ln(z)/T of all gimbals, the free platform and all controllers together. {where}{settle}."
+
+
+def margin_bars(result: JobResult) -> str:
+    """Loop-by-loop margins."""
+    asked = result.job.coupled.coupling_cost
+    limit = f" At most {percent(-asked)} is allowed." if asked is not None else ""
+    return (
+        "Each pair of bars: the disk margin of one loop before and after the platform feels the gyros' reactions. The design models are "
+        f"good where the pairs are alike.{limit}"
+    )
+
+
+def simultaneous(result: JobResult) -> str:
+    """Simultaneous margin."""
+    margin = result.coupled.simultaneous
+    low, high, phase = margin.gain_phase
+    words = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
+    return (
+        f"All {len(result.coupled.channels)} loops may change together: any gains from {words} times nominal, or any phases within "
+        f"±{plain(float(np.degrees(phase)), 3)}°, in every channel at once and independently, keep the system stable. The dip shows at which frequency "
+        "the system is most sensitive."
+    )
+
+
+def platform_disturbance(result: JobResult) -> str:
+    """Platform compliance."""
+    del result
+    return (
+        "Left: how far a torque turns the platform, with all loops closed and (grey) with no controller at all. "
+        "Right: how far the gimbals then leave their zero. Low is good; flat towards low frequency means that a constant torque is held."
+    )
+
+
+def run(one: Run) -> str:
+    """A simulated run."""
+    trajectory = one.trajectory
+    if not trajectory.completed:
+        return (
+            f"The run {trajectory.ended} (red line): the loops lost the gimbals. Look for the first trace that leaves its limits, and for torques "
+            "at theirs."
+        )
+    worst = 1e3 * float(np.abs(trajectory.q).max(initial=0.0))
+    text = f"No gimbal leaves ±{plain(worst, 3)} mrad."
+    saturated = int(trajectory.saturated.sum())
+    if trajectory.mode == "caged":
+        text += " A caged gyro holds the rate with the torque L Ω: the torques copy the rate, and what is left in the angles is the transient and noise."
+    else:
+        text += " The platform gives way until the servo holds the torque, then returns; the torques of the caged gyros are what measures its rate."
+    if saturated:
+        text += f" Torquers were at their limits in {count(saturated, 'sample')}."
+    if int(trajectory.stop_contacts.sum()):
+        text += f" Gimbals met their stops {count(int(trajectory.stop_contacts.sum()), 'time')}."
+    return text

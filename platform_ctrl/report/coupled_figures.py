@@ -1,0 +1,217 @@
+"""The figures of the coupled check: poles, margins channel by channel and all at once, the platform under torque."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import gang
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.check.coupled import CoupledCheck
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
+from platform_ctrl.report.loop_responses import following_grid
+from platform_ctrl.report.style import (
+    BAND,
+    LIMIT,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    frequency_axes,
+    gain_limits,
+    legend_above,
+    line_style,
+    linear_axis,
+    panels,
+)
+from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.state_space import state_space as linear_state_space
+
+_HZ = 1.0 / (2.0 * np.pi)
+
+
+def coupled_pole_figure(check: CoupledCheck, period: float) -> Figure:
+    """Poles of the coupled closed loop: all of them, and the slow ones near the origin."""
+    figure, [[wide, close]] = panels(1, 2, 3.5)
+    s = continuous_poles(check.poles, period)
+    s = s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))]
+    nyquist = np.pi / period
+    sizes = np.abs(s)
+    slow = 4.0 * float(np.median(sizes)) if s.size else nyquist
+    for axes, left, right, top in (
+        (wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist),
+        (close, -1.2 * slow, 0.2 * slow, min(slow, nyquist)),
+    ):
+        axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
+        axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+        good, bad = s[s.real < 0.0], s[s.real >= 0.0]
+        axes.plot(good.real, good.imag, "x", color=SERIES[0], markersize=5, clip_on=True)
+        axes.plot(bad.real, bad.imag, "x", color=LIMIT, markersize=7, markeredgewidth=2)
+        axes.set_xlim(left, right)
+        axes.set_ylim(-0.02 * top, top)
+        linear_axis(axes.xaxis, 6)
+        linear_axis(axes.yaxis, 6)
+        axes.set_xlabel("real part, 1/s")
+    wide.set_ylabel("imaginary part, rad/s")
+    wide.set_title("all poles up to the Nyquist frequency")
+    close.set_title("the slower half, enlarged")
+    return figure
+
+
+def margin_bars_figure(check: CoupledCheck) -> Figure:
+    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
+    figure, [[axes]] = panels(1, 1, 2.9, legend=True)
+    x = np.arange(len(check.channels), dtype=np.float64)
+    decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
+    coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
+    first = axes.bar(x - 0.2, decoupled, 0.36, color=SERIES[5], linewidth=0)
+    second = axes.bar(x + 0.2, coupled, 0.36, color=SERIES[0], linewidth=0)
+    for k, cost in enumerate(check.cost):
+        text = f"{-100.0 * cost:+.1f} %".replace("-", "\u2212") if np.isfinite(cost) else "unstable"
+        colour = MUTED if np.isfinite(cost) else LIMIT
+        top = max(decoupled[k], coupled[k])
+        axes.annotate(text, (x[k], top), (0, 3), textcoords="offset points", ha="center", color=colour, fontsize=7)
+    axes.set_xticks(x, check.channels)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(False, axis="x")
+    axes.set_xlim(-0.7, len(x) - 0.3)
+    axes.set_ylim(0.0, 1.18 * max(0.1, float(decoupled.max(initial=0.0)), float(coupled.max(initial=0.0))))
+    linear_axis(axes.yaxis)
+    axes.set_ylabel("disk margin, 1")
+    axes.set_xlabel("torquer: its loop broken, all others closed")
+    legend_above(figure, [first, second], ["in its design model", "in the coupled system, with the change"])
+    return figure
+
+
+def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
+    """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
+    figure, [[axes]] = panels(1, 1, 2.9, legend=True)
+    margin = check.simultaneous
+    kept = margin.frequencies > 0.0
+    f = margin.frequencies[kept] * _HZ
+    lower, upper = margin.lower_response[kept], margin.upper_response[kept]
+    handles = axes.plot(f, lower, **line_style(0))
+    handles += axes.plot(f, upper, **line_style(1))
+    handles += axes.plot(f, margin.unstructured_response[kept], **line_style(2))
+    frequency_axes(axes, f[0], f[-1])
+    floor = min(margin.lower, limit or np.inf)
+    axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
+    labels = ["guaranteed", "some perturbation of this size destabilises", "perturbations that couple the channels"]
+    if limit is not None:
+        handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
+        labels.append(f"limit {limit:g}")
+    axes.plot([margin.frequency * _HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
+    axes.annotate(
+        f"{margin.lower:.3f} at {margin.frequency * _HZ:.3g} Hz",
+        (margin.frequency * _HZ, margin.lower),
+        (0, -11),
+        textcoords="offset points",
+        ha="center",
+        fontsize=7.5,
+    )
+    axes.set_ylabel("disk margin, 1")
+    legend_above(figure, handles, labels)
+    return figure
+
+
+def coupled_grid(result: JobResult) -> FloatArray:
+    """Return frequencies for the coupled system, rad/s: a thousandth of the Nyquist frequency and below, and up to it."""
+    period = result.job.sampling.period
+    s = continuous_poles(result.coupled.poles, period)
+    finite = np.abs(s[np.isfinite(s.real) & (np.abs(s) > 0.0)])
+    nyquist = np.pi / period
+    low = float(np.clip(0.1 * finite.min(initial=nyquist), 1e-5 * nyquist, 1e-3 * nyquist))
+    return following_grid(s, low, 0.999 * nyquist)
+
+
+def servo_figure(result: JobResult) -> Figure | None:
+    """Bode diagram of every root torquer's loop in the coupled system, all others closed; None without such a torquer."""
+    check = result.coupled
+    roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
+    channels = [k for k, name in enumerate(check.channels) if name in roots]
+    if not channels or not check.stable:
+        return None
+    w = coupled_grid(result)
+    S = gang(check.plant, check.controller, w).S_input
+    figure, [[gain, phase]] = panels(1, 2, 3.0, legend=True)
+    curves, handles = [], []
+    for n, k in enumerate(channels):
+        loop = 1.0 / S[k, k] - 1.0
+        curves.append(np.abs(loop))
+        handles += gain.plot(w * _HZ, np.abs(loop), **line_style(n))
+        phase.plot(w * _HZ, phase_in_degrees(loop), **line_style(n))
+    frequency_axes(gain, w[0] * _HZ, w[-1] * _HZ)
+    gain_limits(gain, curves, low=1e-3, high=1e4)
+    gain.axhline(1.0, color=REFERENCE, linewidth=0.8)
+    gain.set_ylabel("gain, 1")
+    gain.set_title("loop transfer at the torquer")
+    phase_axes(phase, w * _HZ)
+    phase.set_ylabel("phase, degrees")
+    phase.set_title("its phase")
+    legend_above(figure, handles, [check.channels[k] for k in channels])
+    return figure
+
+
+def platform_disturbance_figure(result: JobResult) -> Figure:
+    """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all."""
+    w = coupled_grid(result)
+    opened, closed = platform_compliance(result, w)
+    figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=True)
+    handles, labels = [], []
+    f = w * _HZ
+    for axis in range(3):
+        platform.plot(f, opened[:, -3 + axis, axis], color=REFERENCE, linewidth=0.9, linestyle=line_style(axis)["linestyle"])
+        handles += platform.plot(f, closed[:, -3 + axis, axis], **line_style(axis))
+        labels.append(f"torque about axis {axis + 1}")
+        gimbals.plot(f, np.linalg.norm(closed[:, :-3, axis], axis=1), **line_style(axis))
+    handles += platform.plot([], [], color=REFERENCE, linewidth=0.9)
+    labels.append("no controller")
+    frequency_axes(platform, f[0], f[-1])
+    frequency_axes(gimbals, f[0], f[-1])
+    axes_closed = closed[:, [-3, -2, -1], [0, 1, 2]]
+    gain_limits(platform, [axes_closed], low=1e-7 * float(axes_closed.max()), high=30.0 * float(axes_closed.max()))
+    moved = np.linalg.norm(closed[:, :-3], axis=1)
+    gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
+    platform.set_ylabel("mrad per mN m")
+    gimbals.set_ylabel("mrad per mN m")
+    platform.set_title("torque on the platform → its own angle")
+    gimbals.set_title("torque on the platform → gimbal angles")
+    legend_above(figure, handles, labels)
+    return figure
+
+
+def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return gimbal and platform angles per torque on the root, without and with all controllers, (N, n + 3, 3), rad/(N m).
+
+    The disturbance acts in continuous time: its response is the continuous plant's, brought into the loop by the
+    sampled loop's sensitivity, which holds below the Nyquist frequency where the samples see it.
+    """
+    job, model = result.job, result.model
+    free = linear_state_space(model, root="free")
+    names = list(model.angle_names)
+    outputs = [*names, *OMEGA_NAMES]
+    signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in job.platform.torquers]
+    direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
+    to_angle = np.ones(len(outputs), dtype=np.complex128)[None, :, None] * np.ones((len(frequency), 1, 1))
+    to_angle[:, -3:] = (1.0 / (1j * frequency))[:, None, None]
+    from platform_ctrl.analysis.sampled import sampled
+
+    driven = sampled(free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers])
+    P = _response(driven, frequency)
+    check = result.coupled
+    K = state_arrays(check.controller, "all loops")
+    rows = [names.index(name) for name in check.controller.input_labels]
+    columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
+    K_response = frequency_response_arrays(*K, frequency)
+    loop = P[:, rows][:, :, columns] @ K_response
+    seen = np.linalg.solve(np.eye(len(rows)) - loop, direct[:, rows])
+    closed = direct + P[:, :, columns] @ K_response @ seen
+    return np.abs(to_angle * direct), np.abs(to_angle * closed)
+
+
+def _response(system: object, frequency: FloatArray) -> ComplexArray:
+    arrays: StateArrays = state_arrays(system, "coupled system")  # type: ignore[arg-type]
+    return frequency_response_arrays(*arrays, frequency)

@@ -1,0 +1,220 @@
+"""The page: everything that a job came to, in one file that needs nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.errors import InputError
+from platform_ctrl.frozen import value
+from platform_ctrl.report import captions, tables
+from platform_ctrl.report.record import job_data, toml, versions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@value
+class Plate:
+    """A figure on the page: its SVG, its title, and a sentence on what to see."""
+
+    svg: str
+    title: str
+    caption: str
+
+
+def write_page(result: JobResult, path: str | os.PathLike[str], *, command: str | None = None) -> Path:
+    """Write the page to `path`, whole or not at all.
+
+    Parameters
+    ----------
+    result
+        From `platform_ctrl.check.checked`.
+    path
+        The file; one that exists is replaced.
+    command
+        The command line that does it again; default one that reads the job printed at the end of the page.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    target = Path(path)
+    text = page(result, command=command)
+    temporary = None
+    try:
+        # Beside the target: a rename within one file system replaces it in one step.
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, target)
+    except OSError as error:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+        raise InputError(
+            f"{target}: cannot be written ({error.strerror or error}); expected a path in a folder that exists and may be written to"
+        ) from None
+    except BaseException:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+        raise
+    return target
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def page(result: JobResult, *, command: str | None = None) -> str:
+    """Return the page as HTML: self-contained, for light and dark screens and for paper.
+
+    Parameters
+    ----------
+    result
+        From `platform_ctrl.check.checked`.
+    command
+        As in `write_page`.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    from platform_ctrl.report import style
+
+    environment = Environment(
+        loader=PackageLoader("platform_ctrl.report"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
+    again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
+    rows = tables.requirement_rows(result)
+    with style.settings():
+        content = {
+            "result": result,
+            "job": result.job,
+            "platform": result.job.platform,
+            "verdict": tables.verdict(result),
+            "rows": rows,
+            "groups": [(name, [row for row in rows if row.subject == name]) for name in dict.fromkeys(r.subject for r in rows)],
+            "gimbals": tables.gimbal_rows(result),
+            "rotors": tables.rotor_rows(result),
+            "modes": tables.mode_rows(result),
+            "plant_plates": _plant_plates(result),
+            "loops": [_loop_section(result, outcome) for outcome in result.loops],
+            "coupled": captions.coupled_summary(result),
+            "coupled_plates": _coupled_plates(result),
+            "runs": [_run_section(result, k) for k in range(len(result.runs))],
+            "record": toml(job_data(result.job)),
+            "versions": versions(),
+            "command": command or again,
+            "own_record": command is None,
+        }
+    return environment.get_template("report.html").render(content)
+
+
+def _plate(figure: Figure, title: str, caption: str) -> Plate:
+    from platform_ctrl.report import style
+
+    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
+
+
+def _plant_plates(result: JobResult) -> list[Plate]:
+    from platform_ctrl.report import figures
+
+    nutation = figures.nutation_figure(result)
+    if nutation is None:
+        return []
+    return [_plate(nutation, "Nutation over rotor speed", captions.nutation(result))]
+
+
+def _loop_section(result: JobResult, outcome: LoopOutcome) -> dict[str, Any]:
+    section: dict[str, Any] = {
+        "outcome": outcome,
+        "summary": captions.loop_summary(outcome),
+        "measures": tables.measure_rows(outcome),
+        "claims": tables.claim_rows(outcome),
+        "options": tables.option_rows(outcome),
+        "signals": [tables.signals(design) for design in outcome.designs],
+        "plates": _caging_plates(result, outcome),
+    }
+    if outcome.spec.kind == "stabilisation":
+        section["plates"] += _servo_plates(result)
+    return section
+
+
+def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
+    from platform_ctrl.report import figures
+    from platform_ctrl.report.loop_responses import loop_responses, root_locus
+
+    responses = loop_responses(result.model, outcome)
+    plants = responses.designs[0].design.plants if responses is not None else None
+    if responses is None or plants is None:
+        return []
+    limits = outcome.spec.limits
+    plates = [
+        _plate(figures.sensitivity_figure(responses, limits), "Sensitivities", captions.sensitivity(outcome, responses)),
+        _plate(
+            figures.loop_transfer_figure(responses, plants.torques), "Loop transfer", captions.loop_transfer(outcome)
+        ),
+        _plate(
+            figures.disturbance_figure(responses), "Disturbances to gimbal angles", captions.disturbance(outcome, responses)
+        ),
+        _plate(
+            figures.pole_figure(responses, limits, plants.nutation, plants.period),
+            "Closed-loop poles",
+            captions.poles(outcome, len(plants.labels)),
+        ),
+    ]
+    if outcome.closed.plants is not None:
+        locus = root_locus(outcome.closed)
+        figure = figures.root_locus_figure(locus, limits, plants.nutation, plants.period)
+        plates.append(_plate(figure, "Root locus over the loop gain", captions.root_locus(outcome, locus)))
+    return plates
+
+
+def _servo_plates(result: JobResult) -> list[Plate]:
+    from platform_ctrl.report import figures
+
+    figure = figures.servo_figure(result)
+    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo(result))]
+
+
+def _coupled_plates(result: JobResult) -> list[Plate]:
+    from platform_ctrl.report import figures
+
+    check = result.coupled
+    period = result.job.sampling.period
+    plates = [_plate(figures.coupled_pole_figure(check, period), "Poles of the coupled system", captions.coupled_poles(result))]
+    if check.channels:
+        plates.append(
+            _plate(figures.margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
+        )
+    if check.stable and check.simultaneous.frequencies.size:
+        figure = figures.simultaneous_margin_figure(check, result.job.coupled.disk_margin)
+        plates.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
+    if check.stable:
+        figure = figures.platform_disturbance_figure(result)
+        plates.append(_plate(figure, "Torque on the platform", captions.platform_disturbance(result)))
+    return plates
+
+
+def _run_section(result: JobResult, k: int) -> dict[str, Any]:
+    from platform_ctrl.report import figures
+
+    run = result.runs[k]
+    return {
+        "run": run,
+        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, captions.run(run)) if run.trajectory.t.size else None,
+    }

@@ -1,0 +1,38 @@
+"""Every figure of the report by its name: functions from results to `matplotlib.figure.Figure`.
+
+They use no global plotting state; make and save them within `style.settings` to have the report's look.
+"""
+
+from __future__ import annotations
+
+from platform_ctrl.report.coupled_figures import (
+    coupled_pole_figure,
+    margin_bars_figure,
+    platform_disturbance_figure,
+    servo_figure,
+    simultaneous_margin_figure,
+)
+from platform_ctrl.report.loop_figures import (
+    disturbance_figure,
+    loop_transfer_figure,
+    pole_figure,
+    root_locus_figure,
+    sensitivity_figure,
+)
+from platform_ctrl.report.plant_figures import nutation_figure
+from platform_ctrl.report.run_figures import run_figure
+
+__all__ = [
+    "coupled_pole_figure",
+    "disturbance_figure",
+    "loop_transfer_figure",
+    "margin_bars_figure",
+    "nutation_figure",
+    "platform_disturbance_figure",
+    "pole_figure",
+    "root_locus_figure",
+    "run_figure",
+    "sensitivity_figure",
+    "servo_figure",
+    "simultaneous_margin_figure",
+]

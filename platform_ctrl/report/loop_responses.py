@@ -1,0 +1,246 @@
+"""What the figures of a loop show, worked out once: responses on a grid that follows the poles, poles, root locus."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, nominal_plant
+from platform_ctrl.design.plants import rows_of
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.linearisation import LinearModel
+
+# Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
+_OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
+# A pole sharper than this is drawn as if it had this damping: no spike of one point, no division by zero.
+_SHARPEST = 2e-3
+
+
+@value
+class DesignResponses:
+    """Responses of one design on the loop's nominal plant.
+
+    Attributes
+    ----------
+    design
+        Which.
+    gang
+        Sensitivities.
+    sensitivity, complementary, balanced : (N,)
+        Largest singular values of S, T and (S − T)/2, the larger of input and output.
+    smallest_sensitivity : (N,)
+        Smallest singular value of S at the input.
+    loop_gains : (m, N)
+        Singular values of the loop transfer at the input.
+    channels : complex (m, N)
+        Loop transfer of each torquer with all others closed, 1/S_ii − 1.
+    controller_gain : (N,)
+        Largest singular value of the controller.
+    angle_per_rate : (3, N)
+        Norm of all angles per rate about each root axis.
+    angle_per_torque : (N,)
+        Largest singular value from torque disturbance to angle.
+    poles, spread_poles
+        Closed loop with the nominal and with all other plants, s-plane equivalents, rad/s.
+    """
+
+    design: LoopDesign
+    gang: Gang
+    sensitivity: FloatArray
+    complementary: FloatArray
+    balanced: FloatArray
+    smallest_sensitivity: FloatArray
+    loop_gains: FloatArray
+    channels: ComplexArray
+    controller_gain: FloatArray
+    angle_per_rate: FloatArray
+    angle_per_torque: FloatArray
+    poles: ComplexArray
+    spread_poles: ComplexArray
+
+
+@value
+class LoopResponses:
+    """Responses of all designs of a loop, on one grid.
+
+    Attributes
+    ----------
+    frequency : (N,)
+        rad/s.
+    designs
+        In the job's order.
+    open_angle_per_rate : (3, N), open_angle_per_torque : (N,)
+        The same disturbances without a controller.
+    """
+
+    frequency: FloatArray
+    designs: tuple[DesignResponses, ...]
+    open_angle_per_rate: FloatArray
+    open_angle_per_torque: FloatArray
+
+
+@value
+class RootLocus:
+    """Closed-loop poles while every gain of the controller is multiplied by one factor.
+
+    Attributes
+    ----------
+    gains : (G,)
+        The factors.
+    branches : complex (G, poles)
+        s-plane equivalents, rad/s, each column one continuous branch.
+    stable : (G,)
+        Whether the closed loop is.
+    """
+
+    gains: FloatArray
+    branches: ComplexArray
+    stable: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+    @property
+    def stable_range(self) -> tuple[float, float] | None:
+        """Lowest and highest factor of the stable range around 1, or None where the loop itself is unstable."""
+        at = int(np.argmin(np.abs(self.gains - 1.0)))
+        if not self.stable[at]:
+            return None
+        low = high = at
+        while low > 0 and self.stable[low - 1]:
+            low -= 1
+        while high + 1 < len(self.gains) and self.stable[high + 1]:
+            high += 1
+        return float(self.gains[low]), float(self.gains[high])
+
+
+def following_grid(poles: ComplexArray, low: float, high: float, points: int = 220) -> FloatArray:
+    """Return frequencies from `low` to `high`, logarithmic, with extra ones around every resonance of `poles` (s-plane)."""
+    plain = np.geomspace(low, high, points)
+    near = [plain]
+    for s in np.asarray(poles).ravel():
+        centre = abs(s.imag)
+        if np.isfinite(centre) and low < centre < high and abs(s.real) < 0.5 * centre:
+            width = max(abs(s.real), _SHARPEST * centre)
+            near += [centre + width * _OFFSETS, centre - width * _OFFSETS]
+    grid = np.concatenate(near)
+    grid = np.unique(grid[(grid >= low) & (grid <= high)])
+    # A marginally stable pole: keep off it, its response is infinite there.
+    for s in np.asarray(poles).ravel():
+        if abs(s.real) < _SHARPEST * abs(s.imag):
+            grid = grid[np.abs(grid - abs(s.imag)) > 0.3 * _SHARPEST * abs(s.imag)]
+    kept = np.concatenate([[True], np.diff(np.log(grid)) > 2e-4])
+    return np.asarray(grid[kept])
+
+
+def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | None:
+    """Return the responses of all designs of `outcome`; None for a loop that is judged in the coupled system alone."""
+    designs = [design for design in outcome.designs if design.plants is not None]
+    if not designs or designs[0].plants is None:
+        return None
+    plants = designs[0].plants
+    plant = nominal_plant(plants)
+    nyquist = np.pi / plants.period
+    poles = {id(d): continuous_poles(closed_loop_poles(plants, d.controller), plants.period) for d in designs}
+    plant_poles = continuous_poles(np.linalg.eigvals(plants.A[0]), plants.period)
+    every = np.concatenate([plant_poles, *(poles[id(d)][0] for d in designs)])
+    low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
+    frequency = following_grid(every, low, 0.999 * nyquist)
+    from_rate = _angle_per_rate(model, rows_of(model, outcome.spec.gimbals), frequency)
+    open_torque = frequency_response_arrays(
+        plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period, frequency
+    )
+    return LoopResponses(
+        frequency=frequency,
+        designs=tuple(_design_responses(d, gang(plant, d.controller, frequency), from_rate, poles[id(d)]) for d in designs),
+        open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
+        open_angle_per_torque=_largest(open_torque),
+    )
+
+
+def _design_responses(
+    design: LoopDesign, responses: Gang, from_rate: ComplexArray, poles: ComplexArray
+) -> DesignResponses:
+    S_in, T_in = _frequency_first(responses.S_input), _frequency_first(responses.T_input)
+    S_out, T_out = _frequency_first(responses.S_output), _frequency_first(responses.T_output)
+    own = np.moveaxis(np.diagonal(S_in, axis1=-2, axis2=-1), -1, 0)
+    with np.errstate(all="ignore"):
+        # L = S⁻¹ T: never the product of two integrators' infinities.
+        loop = np.linalg.solve(S_in, T_in)
+        channels = 1.0 / own - 1.0
+    K = state_arrays(design.controller, design.name)
+    return DesignResponses(
+        design=design,
+        gang=responses,
+        sensitivity=np.maximum(_largest(S_in), _largest(S_out)),
+        complementary=np.maximum(_largest(T_in), _largest(T_out)),
+        balanced=np.maximum(_largest(0.5 * (S_in - T_in)), _largest(0.5 * (S_out - T_out))),
+        smallest_sensitivity=np.linalg.svd(S_in, compute_uv=False)[:, -1],
+        loop_gains=np.linalg.svd(loop, compute_uv=False).T,
+        channels=channels,
+        controller_gain=_largest(frequency_response_arrays(*K, responses.frequency)),
+        angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
+        angle_per_torque=_largest(_frequency_first(responses.angle_per_torque)),
+        poles=poles[0],
+        spread_poles=poles[1:].ravel(),
+    )
+
+
+def _angle_per_rate(model: LinearModel, rows: list[int], frequency: FloatArray) -> ComplexArray:
+    """Return the response of the uncontrolled gimbals in `rows` to Omega, continuous, (N, rows, 3)."""
+    part = np.ix_(rows, rows)
+    n = len(rows)
+    mobility = np.linalg.inv(model.M[part])
+    M_Omega, G_Omega, G = model.M_Omega[rows], model.G_Omega[rows], model.G[part]
+    A = np.block([[np.zeros((n, n)), mobility], [-model.K[part], -G @ mobility]])
+    B = np.vstack([-mobility @ M_Omega, G @ mobility @ M_Omega - G_Omega])
+    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    return frequency_response_arrays(A, B, C, np.zeros((n, 3)), 0.0, frequency)
+
+
+def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:
+    """Return the poles of the nominal closed loop for controller gains 0 to `highest` times the designed ones.
+
+    Raises
+    ------
+    ValueError
+        The design has no plants of its own.
+    """
+    if design.plants is None:
+        raise ValueError(f"{design.loop}, {design.name}: no plants of its own, expected a design with plants")
+    plants, K = design.plants, state_arrays(design.controller, design.name)
+    gains = np.linspace(0.0, highest, points)
+    factor = gains[:, None, None]
+    A = closed_loop_arrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], K.A, K.B, factor * K.C, factor * K.D)[0]
+    z = _branches(np.asarray(np.linalg.eigvals(A), dtype=np.complex128))
+    return RootLocus(
+        gains=gains,
+        branches=continuous_poles(z, plants.period),
+        stable=np.abs(z).max(axis=1) < 1.0,
+    )
+
+
+def _branches(z: ComplexArray) -> ComplexArray:
+    """Sort the columns of each row so that every column moves as little as possible from row to row."""
+    from scipy.optimize import linear_sum_assignment
+
+    out = z.copy()
+    for k in range(1, len(z)):
+        distance = np.abs(out[k - 1][:, None] - z[k][None, :])
+        out[k] = z[k][linear_sum_assignment(distance)[1]]
+    return out
+
+
+def controller_entries(arrays: StateArrays, frequency: FloatArray) -> ComplexArray:
+    """Return the controller's response, (outputs, inputs, N)."""
+    return np.moveaxis(frequency_response_arrays(*arrays, frequency), 0, -1)
+
+
+def _frequency_first(response: ComplexArray) -> ComplexArray:
+    return np.moveaxis(response, -1, 0)
+
+
+def _largest(response: ComplexArray) -> FloatArray:
+    """Largest singular values of (N, p, m)."""
+    return np.asarray(np.linalg.norm(response, 2, axis=(-2, -1)))

@@ -1,0 +1,86 @@
+"""Numbers as a reader wants them: a unit of handy size, as many digits as matter, words where there is no number."""
+
+from __future__ import annotations
+
+import math
+
+# What is handy for small torques and angles: a thousandth of the unit.
+_SMALL = {"N m": "mN m", "rad": "mrad"}
+
+MINUS = "\u2212"
+
+
+def handy_unit(unit: str, size: float) -> tuple[float, str]:
+    """Return the factor and the unit in which a number of magnitude `size` (in `unit`) reads well."""
+    if unit in _SMALL and (not math.isfinite(size) or abs(size) < 1.0):
+        return 1e3, _SMALL[unit]
+    return 1.0, unit
+
+
+def plain(number: float, digits: int = 4) -> str:
+    """Return `number` with `digits` significant digits and a real minus sign; ``unstable`` where it is not finite."""
+    if not math.isfinite(number):
+        return "unstable"
+    if number != 0.0 and not 1e-4 <= abs(number) < 1e6:
+        mantissa, exponent = f"{number:.{max(digits - 1, 0)}e}".split("e")
+        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        return f"{mantissa}·10{_superscript(int(exponent))}".replace("-", MINUS)
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(number)))) if number else 0
+    text = f"{number:.{decimals}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return text.replace("-", MINUS)
+
+
+def quantity(number: float, unit: str, digits: int = 4, like: float | None = None) -> str:
+    """Return `number` with its unit, in the unit that suits `like` (default: the number itself)."""
+    factor, name = handy_unit(unit, number if like is None else like)
+    if not math.isfinite(number):
+        return "unstable"
+    return f"{plain(factor * number, digits)} {name}".rstrip()
+
+
+def compared(number: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return value and limit in the same unit, with digits enough to tell them apart."""
+    factor, name = handy_unit(unit, limit)
+    shown_limit = f"{plain(factor * limit, 6)} {name}".rstrip()
+    if not math.isfinite(number):
+        return "unstable", shown_limit
+    for digits in (4, 6, 9):
+        if number == limit or float(f"{number:.{digits - 1}e}") != float(f"{limit:.{digits - 1}e}"):
+            break
+    return f"{plain(factor * number, digits)} {name}".rstrip(), shown_limit
+
+
+def percent(share: float) -> str:
+    """Return `share` in per cent with its sign; a dash where it is not finite."""
+    if not math.isfinite(share):
+        return "\u2013"
+    text = f"{100.0 * share:+.1f}" if abs(share) < 0.0995 else f"{100.0 * share:+.0f}"
+    return f"{text} %".replace("-", MINUS)
+
+
+def count(number: int, noun: str, plural: str = "") -> str:
+    """Return ``1 loop``, ``2 loops``."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
+def listed(words: list[str] | tuple[str, ...]) -> str:
+    """Return ``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+_RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+
+
+def _superscript(exponent: int) -> str:
+    return str(exponent).translate(_RAISED)
+
+
+def power_of_ten(number: float) -> str:
+    """Return a decade as a tick label: 0.01 to 1000 in digits, beyond that as a power of ten."""
+    if number <= 0.0:
+        return ""
+    exponent = round(math.log10(number))
+    if -2 <= exponent <= 3:
+        return f"{10.0**exponent:g}"
+    return f"10{_superscript(exponent)}"

@@ -1,0 +1,148 @@
+"""The job with its plant as one TOML text: the exact inputs, which `platform_ctrl.read_job` reads back to the last bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.description import Platform
+from platform_ctrl.job import Job
+
+
+def job_data(job: Job) -> dict[str, Any]:
+    """Return the job as a dict of the job file's structure, with the plant as a table."""
+    data: dict[str, Any] = {
+        "schema": 1,
+        "name": job.name,
+        "operation": {"Omega": job.Omega.tolist(), "seed": job.seed},
+        "spread": {"inertia": job.spread.inertia, "spin": job.spread.spin},
+        "sampling": {"rate_hz": 1.0 / job.sampling.period, "delay": job.sampling.delay},
+        "coupled": _given({"disk_margin": job.coupled.disk_margin, "coupling_cost": job.coupled.coupling_cost}),
+        "loop": [],
+        "manoeuvre": [],
+        "plant": plant_data(job.platform),
+    }
+    for spec in job.loops:
+        limits = spec.limits
+        data["loop"].append(
+            {
+                "name": spec.name,
+                "kind": spec.kind,
+                **({"gimbals": list(spec.gimbals)} if spec.gimbals else {}),
+                "use": spec.use,
+                "limits": _given(
+                    {
+                        "bandwidth_hz": limits.bandwidth_hz,
+                        "disk_margin": limits.disk_margin,
+                        "damping": limits.damping,
+                        "torque_noise": limits.torque_noise,
+                        "disk_margin_spread": limits.disk_margin_spread,
+                        "damping_spread": limits.damping_spread,
+                    }
+                ),
+                "design": [{"name": d.name, "method": d.method, "tune": d.tune, **d.options} for d in spec.designs],
+            }
+        )
+    for manoeuvre in job.manoeuvres:
+        own: dict[str, Any] = {"name": manoeuvre.name, "mode": manoeuvre.mode, "axis": manoeuvre.axis}
+        own["duration"] = manoeuvre.duration
+        if manoeuvre.mode == "caged":
+            own |= {"rate": manoeuvre.rate, "rise": manoeuvre.rise, "hold": manoeuvre.hold}
+        else:
+            own["torque"] = manoeuvre.torque
+        data["manoeuvre"].append(own | {"limits": dict(manoeuvre.limits)})
+    return data
+
+
+def plant_data(platform: Platform) -> dict[str, Any]:
+    """Return the plant as a dict of the plant file's structure."""
+    angle = {gimbal.name: gimbal.angle for gimbal in platform.gimbals}
+    return {
+        "schema": 1,
+        "name": platform.name,
+        "source": platform.source,
+        "root": {"name": platform.root_name, "inertia": platform.root_inertia.tolist()},
+        "gimbal": [
+            {
+                "name": g.name,
+                "parent": g.parent,
+                "axis": g.axis.tolist(),
+                "inertia": g.inertia.tolist(),
+                "angle": angle[g.name],
+                **({} if g.stops is None else {"stops": list(g.stops)}),
+            }
+            for g in platform.gimbals
+        ],
+        "rotor": [
+            {
+                "name": r.name,
+                "carrier": r.carrier,
+                "axis": r.axis.tolist(),
+                "axial_inertia": r.axial_inertia,
+                "transverse_inertia": r.transverse_inertia,
+                "angular_momentum": r.angular_momentum,
+                "control": r.control,
+            }
+            for r in platform.rotors
+        ],
+        "torquer": [
+            _given({"name": t.name, "gimbal": t.gimbal, "root_axis": t.root_axis, "limit": t.limit, "lag": t.lag})
+            for t in platform.torquers
+        ],
+        "pickoff": [
+            {
+                "gimbal": s.gimbal,
+                "noise_rms": s.noise_rms,
+                "noise_bandwidth_hz": s.noise_bandwidth_hz,
+                "quantisation": s.quantisation,
+            }
+            for s in platform.pickoffs
+        ],
+    }
+
+
+def toml(data: Mapping[str, Any], header: str = "") -> str:
+    """Return `data` as TOML: plain values first, then tables, then arrays of tables, every number exact."""
+    lines, tables = [], []
+    for key, item in data.items():
+        path = f"{header}.{key}" if header else key
+        if isinstance(item, Mapping):
+            tables.append(f"\n[{path}]\n{toml(item, path)}" if item else "")
+        elif isinstance(item, Sequence) and item and isinstance(item[0], Mapping):
+            tables += [f"\n[[{path}]]\n{toml(one, path)}" for one in item]
+        elif not (isinstance(item, Sequence) and not isinstance(item, str) and not item):
+            lines.append(f"{key} = {_literal(item)}\n")
+    return "".join(lines + tables)
+
+
+def _literal(item: Any) -> str:
+    if isinstance(item, bool):
+        return "true" if item else "false"
+    if isinstance(item, str):
+        # JSON's escapes are TOML's.
+        return json.dumps(item, ensure_ascii=False)
+    if isinstance(item, Sequence):
+        return f"[{', '.join(_literal(one) for one in item)}]"
+    return repr(item.item() if isinstance(item, np.generic) else item)
+
+
+def _given(data: dict[str, Any]) -> dict[str, Any]:
+    return {key: item for key, item in data.items() if item is not None}
+
+
+def versions() -> list[tuple[str, str]]:
+    """Return name and version of Python and of every package that the figures depend on."""
+    out = [("python", python_version())]
+    for name in ("platform_ctrl", "numpy", "scipy", "control", "cvxpy", "numba", "matplotlib"):
+        try:
+            out.append((name, version(name)))
+        except PackageNotFoundError:
+            from platform_ctrl import __version__
+
+            out.append((name, __version__ if name == "platform_ctrl" else "not installed"))
+    return out

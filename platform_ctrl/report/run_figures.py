@@ -1,0 +1,145 @@
+"""The figures of the simulated runs: angles, torques, rates and attitude over time, with their limits."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from platform_ctrl.check.simulated import Run
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.style import (
+    BEYOND,
+    LIMIT,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    envelope,
+    linear_axis,
+    panels,
+    signal_style,
+)
+
+# Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
+_FAR = 4.0
+
+
+def run_figure(run: Run, platform: Platform) -> Figure:
+    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
+    t = run.trajectory
+    free = t.mode == "stabilised"
+    figure, rows = panels(2, 3 if free else 2, 4.9)
+    limits = run.manoeuvre.limits
+    roots = [k for k, torquer in enumerate(platform.torquers) if torquer.root_axis is not None]
+    gimbals = [k for k in range(len(platform.torquers)) if k not in roots]
+
+    _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")))
+    rows[0][0].set_title("gimbal angles")
+    rows[0][0].set_ylabel("mrad")
+    _torques(rows[0][1], run, platform, gimbals, "torques on the gimbals")
+    if free:
+        _torques(rows[0][2], run, platform, roots, "torques on the platform")
+        _traces(rows[1][0], t.t, 1e3 * t.attitude_angles, _axes_names("θ"), _thousand(limits.get("attitude")))
+        rows[1][0].set_title("platform angles against inertial axes")
+        rows[1][0].set_ylabel("mrad")
+    rate = rows[1][1 if free else 0]
+    factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
+    _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None)
+    rate.set_title("platform rate" if free else "platform rate, prescribed")
+    rate.set_ylabel(unit)
+    _shares(rows[1][-1], run, platform, gimbals + roots if free else gimbals, limits.get("torque_share"))
+    if not t.completed:
+        for axes in [axes for row in rows for axes in row][:-1]:
+            axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
+    for axes in [axes for row in rows for axes in row][:-1]:
+        axes.set_xlim(0.0, run.manoeuvre.duration)
+        axes.set_xlabel("time, s")
+        linear_axis(axes.xaxis, 6)
+    return figure
+
+
+def _traces(axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None) -> None:
+    for k, name in enumerate(names):
+        good = np.isfinite(y[:, k])
+        axes.plot(*envelope(t[good], y[good, k]), label=name, **signal_style(k))
+    finite = np.abs(y[np.isfinite(y)])
+    largest = float(finite.max(initial=0.0))
+    top = 1.15 * largest if largest > 0.0 else 1.0
+    if limit is not None and largest > _FAR * 5.0 * limit:
+        # A run that went wild: its beginning and the limit say more than its end.
+        top = 5.0 * limit
+    if limit is not None and limit <= _FAR * largest:
+        top = max(top, 1.15 * limit)
+        for sign in (-1.0, 1.0):
+            axes.axhspan(sign * limit, sign * 2.0 * top, color=BEYOND, linewidth=0, zorder=0)
+            axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
+    elif limit is not None:
+        _note(axes, f"limit ±{limit:g}, off the scale")
+    # Room for the legend inside the panel, above the traces.
+    axes.set_ylim(-top, 1.32 * top)
+    linear_axis(axes.yaxis)
+    axes.legend(loc="upper right", ncols=min(5, len(names)), handlelength=1.1, columnspacing=0.9, borderaxespad=0.1, fontsize=7)
+
+
+def _torques(axes: Axes, run: Run, platform: Platform, columns: list[int], title: str) -> None:
+    t = run.trajectory
+    names = tuple(t.torquer_names[k] for k in columns)
+    allowed = {platform.torquers[k].limit for k in columns}
+    largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
+    factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
+    common = allowed.pop() if len(allowed) == 1 else None
+    _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common)
+    axes.set_title(title)
+    axes.set_ylabel(unit)
+
+
+def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit: float | None) -> None:
+    """Bars of the largest commanded torque of every torquer over its own limit."""
+    t = run.trajectory
+    asked = limit if limit is not None else 1.0
+    chosen = [k for k in columns if platform.torquers[k].limit is not None]
+    axes.set_title("largest command, share of the torquer's limit")
+    if not chosen or not t.t.size:
+        axes.set_axis_off()
+        _note(axes, "no torquer has a limit")
+        return
+    peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
+    share = peaks / np.array([platform.torquers[k].limit for k in chosen], dtype=np.float64)
+    share = np.where(np.isfinite(share), share, 10.0 * asked)
+    place = np.arange(len(chosen), dtype=np.float64)[::-1]
+    right = 1.12 * max(1.0, asked, min(float(share.max()), 3.0))
+    axes.barh(place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= asked else LIMIT for s in share], linewidth=0)
+    for y, s in zip(place, share, strict=True):
+        inside = s > 0.8 * right
+        axes.annotate(
+            f"{100.0 * s:.0f} %",
+            (min(s, right), y),
+            (-3 if inside else 3, 0),
+            textcoords="offset points",
+            va="center",
+            ha="right" if inside else "left",
+            fontsize=7.5,
+            color="#ffffff" if inside else MUTED,
+        )
+    axes.axvline(asked, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
+    axes.set_yticks(place, [t.torquer_names[k] for k in chosen])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(False, axis="y")
+    axes.set_xlim(0.0, right)
+    axes.set_ylim(-0.6, len(chosen) - 0.4)
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
+    linear_axis(axes.xaxis, 6)
+    axes.set_xlabel("share of the limit, 1")
+
+
+def _note(axes: Axes, text: str) -> None:
+    axes.annotate(text, (0.0, 0.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=MUTED, fontsize=7)
+
+
+def _axes_names(symbol: str) -> tuple[str, ...]:
+    return tuple(f"{symbol}{index}" for index in ("₁", "₂", "₃"))
+
+
+def _thousand(number: float | None) -> float | None:
+    return None if number is None else 1e3 * number

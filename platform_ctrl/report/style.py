@@ -1,0 +1,236 @@
+"""How figures look: colours that colour-blind people tell apart, in a light and a dark page alike.
+
+Figures are drawn once. Every colour is drawn as that of the light page; when the SVG goes into the page each becomes a
+CSS variable with that colour as its default, and the page's style sheet sets the variables for the theme.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from io import StringIO
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.quantities import MINUS, power_of_ten
+
+# Okabe and Ito's colours, yellow left out: it vanishes on white. Line styles and markers differ as well.
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a00", "#6a5acd")
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 1.6, 1.2, 1.6)), (0, (8, 2)), (0, (3, 1)), "-", "-")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+INK, MUTED, GRID, FRAME = "#1b2430", "#5c6675", "#e4e7ec", "#b9c0ca"
+LIMIT, BEYOND = "#b3261e", "#f6dcd9"
+BAND, REFERENCE = "#dfe7f1", "#8a93a0"
+
+_VARIABLES = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    FRAME: "frame",
+    LIMIT: "limit",
+    BEYOND: "beyond",
+    BAND: "band",
+    REFERENCE: "reference",
+} | {colour: f"series-{k + 1}" for k, colour in enumerate(SERIES)}
+
+FULL_WIDTH = 9.6
+
+_SETTINGS: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "platform_ctrl",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.titlepad": 6.0,
+    "axes.labelsize": 8.0,
+    "axes.labelcolor": MUTED,
+    "axes.edgecolor": FRAME,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": FRAME,
+    "ytick.color": FRAME,
+    "xtick.labelcolor": MUTED,
+    "ytick.labelcolor": MUTED,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "xtick.minor.size": 0.0,
+    "ytick.minor.size": 0.0,
+    "text.color": INK,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.labelcolor": INK,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": "none",
+    "savefig.facecolor": "none",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.2,
+}
+
+
+def settings() -> Any:
+    """Return the context in which figures are made and drawn; the caller's own settings come back after it."""
+    return mpl.rc_context(_SETTINGS)
+
+
+def panels(
+    rows: int, columns: int, height: float, *, width: float = FULL_WIDTH, legend: bool = False, left: float = 0.62
+) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with a grid of axes, margins in inches so that every figure of the page lines up."""
+    figure = Figure(figsize=(width, height))
+    FigureCanvasSVG(figure)
+    gap_x, gap_y, bottom, right = 0.68, 0.72, 0.46, 0.14
+    top = 0.56 if legend else 0.3
+    cell = ((width - left - right - (columns - 1) * gap_x) / columns, (height - top - bottom - (rows - 1) * gap_y) / rows)
+    grid = figure.subplots(
+        rows,
+        columns,
+        squeeze=False,
+        gridspec_kw={
+            "left": left / width,
+            "right": 1.0 - right / width,
+            "bottom": bottom / height,
+            "top": 1.0 - top / height,
+            "wspace": gap_x / cell[0],
+            "hspace": gap_y / cell[1],
+        },
+    )
+    return figure, [list(row) for row in grid]
+
+
+def line_style(k: int) -> dict[str, Any]:
+    """Return colour and dashes of the k-th series."""
+    return {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[k % len(DASHES)]}
+
+
+def signal_style(k: int) -> dict[str, Any]:
+    """Return colour and line of the k-th measured signal: noisy traces stay solid and thin."""
+    return {"color": SERIES[k % len(SERIES)], "linestyle": "-", "linewidth": 0.9}
+
+
+def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
+    """Put one legend for all panels into the strip above them."""
+    height = figure.get_figheight()
+    figure.legend(
+        handles,
+        labels,
+        loc="upper left",
+        ncols=max(1, len(labels)),
+        bbox_to_anchor=(0.55 / figure.get_figwidth(), 1.0 - 0.0 / height),
+        borderaxespad=0.0,
+        borderpad=0.2,
+        handlelength=2.6,
+        columnspacing=1.8,
+    )
+
+
+def _decade(number: float, place: int | None) -> str:
+    return power_of_ten(number)
+
+
+def log_axis(axis: Any) -> None:
+    """Label the decades plainly; grid lines at the decades alone."""
+    axis.set_major_locator(LogLocator(base=10.0, numticks=9))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(_decade))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def frequency_axes(axes: Axes, low: float, high: float, *, log_gain: bool = True, label: bool = True) -> None:
+    """Make x a logarithmic frequency axis from `low` to `high` Hz, and y logarithmic too unless told otherwise."""
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    log_axis(axes.xaxis)
+    if label:
+        axes.set_xlabel("frequency, Hz")
+    if log_gain:
+        axes.set_yscale("log")
+        log_axis(axes.yaxis)
+
+
+def linear_axis(axis: Any, ticks: int = 5) -> None:
+    """Use a handful of round ticks."""
+    axis.set_major_locator(MaxNLocator(ticks, steps=[1, 2, 2.5, 5, 10]))
+
+
+def gain_limits(axes: Axes, curves: Sequence[FloatArray], low: float | None = None, high: float | None = None) -> None:
+    """Set whole decades around the finite positive values of `curves`, at most `low` to `high`."""
+    values = np.concatenate([np.ravel(curve) for curve in curves]) if curves else np.ones(1)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    bottom, top = (values.min(), values.max()) if values.size else (0.1, 10.0)
+    bottom = max(bottom, low) if low is not None else bottom
+    top = min(top, high) if high is not None else top
+    decades = np.floor(np.log10(bottom) + 1e-9), np.ceil(np.log10(top) - 1e-9)
+    axes.set_ylim(10.0 ** decades[0], 10.0 ** max(decades[1], decades[0] + 1.0))
+
+
+def envelope(t: FloatArray, y: FloatArray, buckets: int = 450) -> tuple[FloatArray, FloatArray]:
+    """Return a trace thinned to the least and the largest value of each of `buckets` stretches, in their order.
+
+    Drawn, it covers the same ink as the whole trace: no peak is lost.
+    """
+    N = len(y)
+    if N <= 3 * buckets:
+        return t, y
+    edges = np.linspace(0, N, buckets + 1).astype(np.intp)[:-1]
+    width = int(np.diff(np.append(edges, N)).max())
+    index = np.minimum(edges[:, None] + np.arange(width), np.append(edges[1:], N)[:, None] - 1)
+    stretch = y[index]
+    rows = np.arange(buckets)
+    low, high = index[rows, stretch.argmin(axis=1)], index[rows, stretch.argmax(axis=1)]
+    keep = np.unique(np.concatenate([[0], low, high, [N - 1]]))
+    return t[keep], y[keep]
+
+
+_COLOUR = re.compile("|".join(_VARIABLES))
+_STRIP = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", re.DOTALL)
+_NAMES = re.compile(r' id="(?!m[0-9a-f]|p[0-9a-f]|h[0-9a-f])[^"]*"')
+_FONT = re.compile(r"font: ((?:bold |700 )?)([0-9.]+)px [^;\"]*")
+
+
+def svg(figure: Figure, description: str) -> str:
+    """Return `figure` as an SVG element for the page: theme variables for colours, the page's own font, no address.
+
+    Parameters
+    ----------
+    figure
+        Made within `settings`.
+    description
+        What it shows, in words, for readers who do not see it.
+    """
+    out = StringIO()
+    width, height = figure.get_size_inches() * 72.0
+    figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = _STRIP.sub("", out.getvalue())
+    text = re.sub(r"(\.\d\d)\d+", r"\1", text)
+    text = _NAMES.sub("", text).replace("xlink:href", "href")
+    text = _FONT.sub(lambda found: f"font-size: {found[2]}px" + ("; font-weight: 600" if found[1] else ""), text)
+    text = _COLOUR.sub(lambda found: f"var(--{_VARIABLES[found[0]]}, {found[0]})", text)
+    text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
+    escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}">'
+    return head + text[text.index(">") + 1 :].strip()
+
+
+def signed(number: float) -> str:
+    """Return a tick label with a real minus sign."""
+    return f"{number:g}".replace("-", MINUS)

@@ -1,0 +1,264 @@
+"""The tables of the report as rows of text; the terminal shows the same requirement table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.frozen import value
+from platform_ctrl.report.modes import Mode, modes_at
+from platform_ctrl.report.quantities import MINUS, compared, count, percent, plain, quantity
+from platform_ctrl.requirements import CheckResult
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+MET, NOT_MET = "\u2713", "\u2717"
+_BOUND = {"at least": "\u2265", "at most": "\u2264"}
+
+
+@value
+class RequirementRow:
+    """One requirement as the tables show it.
+
+    Attributes
+    ----------
+    subject, design, requirement, value, limit, margin, stage
+        Words; `limit` carries its sense, `margin` is in per cent.
+    share
+        The margin as a number between −1 and 1, for a bar; 0 where there is none.
+    passed
+        Whether it is met.
+    evidence
+        What recomputes the value.
+    """
+
+    subject: str
+    design: str
+    requirement: str
+    value: str
+    limit: str
+    margin: str
+    share: float
+    stage: str
+    passed: bool
+    evidence: str
+
+    @property
+    def symbol(self) -> str:
+        """A tick or a cross."""
+        return MET if self.passed else NOT_MET
+
+
+@value
+class MeasureRow:
+    """One figure of every design of a loop: a name, and for each design (text, passed or None where nothing is asked)."""
+
+    name: str
+    limit: str
+    cells: tuple[tuple[str, bool | None], ...]
+
+
+def requirement_rows(result: JobResult) -> tuple[RequirementRow, ...]:
+    """Return all requirements, subjects in the order of the chain, the worst first within each.
+
+    Stability that is met stands last: its margin is not one that is traded against the others'.
+    """
+    subjects = list(dict.fromkeys(one.subject for one in result.requirements))
+    ordered = sorted(result.requirements, key=lambda one: (subjects.index(one.subject), *_badness(one)))
+    return tuple(_row(one) for one in ordered)
+
+
+def _badness(one: CheckResult) -> tuple[bool, bool, float]:
+    return one.passed, one.passed and _is_stability(one), one.margin
+
+
+def _is_stability(one: CheckResult) -> bool:
+    return one.name.startswith("largest pole radius")
+
+
+def _row(one: CheckResult) -> RequirementRow:
+    number, limit = compared(one.value, one.limit, one.unit)
+    stability = _is_stability(one)
+    return RequirementRow(
+        subject=one.subject,
+        design=one.design,
+        requirement=one.name,
+        value=number,
+        limit=f"{_BOUND[one.sense]} {limit}",
+        margin="\u2013" if stability else percent(one.margin),
+        share=float(np.clip(one.margin, -1.0, 1.0)) if np.isfinite(one.margin) and not stability else 0.0,
+        stage=one.stage,
+        passed=one.passed,
+        evidence=one.evidence,
+    )
+
+
+def verdict(result: JobResult) -> str:
+    """Return the verdict in one sentence."""
+    asked = len(result.requirements)
+    missed = sum(not one.passed for one in result.requirements)
+    if not missed:
+        return f"All {count(asked, 'requirement')} met." if asked != 1 else "The one requirement is met."
+    return f"{missed} of {count(asked, 'requirement')} not met."
+
+
+def terminal_table(result: JobResult) -> Table:
+    """Return the requirement table for a terminal."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=result.job.name, title_justify="left", title_style="bold", header_style="bold", expand=False)
+    for name in ("subject", "requirement"):
+        table.add_column(name, overflow="fold")
+    for name in ("value", "limit", "margin"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("stage", no_wrap=True)
+    table.add_column("met", justify="center", no_wrap=True)
+    rows = requirement_rows(result)
+    for k, row in enumerate(rows):
+        new = k == 0 or rows[k - 1].subject != row.subject
+        if new and k:
+            table.add_section()
+        style = "" if row.passed else "bold red"
+        cells = [row.subject if new else "", row.requirement, row.value, row.limit, row.margin, row.stage]
+        words = [Text(cell, style="" if cell == row.subject else style) for cell in cells]
+        table.add_row(*words, Text(row.symbol, style="green" if row.passed else "bold red"))
+    return table
+
+
+def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
+    """Return gimbal, what carries it, axis, angle, J about the axis, stops, torquer and pick-off of each gimbal."""
+    platform = result.job.platform
+    torquers = {t.gimbal: t for t in platform.torquers if t.gimbal is not None}
+    pickoffs = {s.gimbal: s for s in platform.pickoffs}
+    depth: dict[str, int] = {platform.root_name: -1}
+    rows = []
+    for k, gimbal in enumerate(platform.gimbals):
+        depth[gimbal.name] = depth.get(gimbal.parent, -1) + 1
+        stops = "none" if gimbal.stops is None else " to ".join(plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
+        torquer, pickoff = torquers.get(gimbal.name), pickoffs.get(gimbal.name)
+        limit = "" if torquer is None else "no limit" if torquer.limit is None else f"\u00b1{quantity(torquer.limit, 'N m')}"
+        rows.append(
+            (
+                "\u2003" * depth[gimbal.name] + gimbal.name,
+                gimbal.parent,
+                axis_text(gimbal.axis),
+                gimbal.angle,
+                f"{plain(float(result.model.M[k, k]))} kg m²",
+                stops,
+                "none" if torquer is None else f"{torquer.name}, {limit}",
+                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms",
+            )
+        )
+    return rows
+
+
+def rotor_rows(result: JobResult) -> list[tuple[str, ...]]:
+    """Return rotor, carrier, spin axis, L, C, spin and speed control of each rotor."""
+    return [
+        (
+            rotor.name,
+            rotor.carrier,
+            axis_text(rotor.axis),
+            f"{plain(rotor.angular_momentum)} N m s",
+            f"{plain(rotor.axial_inertia)} kg m²",
+            f"{plain(rotor.spin)} rad/s",
+            rotor.control,
+        )
+        for rotor in result.job.platform.rotors
+    ]
+
+
+def axis_text(axis: Sequence[float] | np.ndarray) -> str:
+    """Return +1, −3 for a body axis, otherwise its components."""
+    direction = np.asarray(axis, dtype=np.float64)
+    k = int(np.argmax(np.abs(direction)))
+    if np.isclose(abs(direction[k]), 1.0, atol=1e-9):
+        return ("+" if direction[k] > 0.0 else MINUS) + str(k + 1)
+    return f"({', '.join(plain(float(x), 3) for x in direction)})"
+
+
+_KIND = {
+    "nutation": "nutation",
+    "precession": "precession",
+    "inertial": "no gyro stiffens this direction",
+    "precession and inertial": "precession and inertial motion",
+}
+
+
+def mode_rows(result: JobResult) -> list[tuple[str, ...]]:
+    """Return subsystem, kind, poles and frequency at rest and at the largest rate of the job."""
+    rows = [(*_mode_cells(mode), "at rest") for mode in modes_at(result, (0.0, 0.0, 0.0))]
+    if np.any(result.job.Omega > 0.0):
+        rate = f"Ω = ({', '.join(plain(float(x), 3) for x in result.job.Omega)}) rad/s"
+        rows += [(*_mode_cells(mode), rate) for mode in modes_at(result, result.job.Omega)]
+    order = list(dict.fromkeys(row[0] for row in rows))
+    return sorted(rows, key=lambda row: order.index(row[0]))
+
+
+def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
+    if mode.frequency == 0.0:
+        frequency = "at the origin"
+    else:
+        frequency = f"{plain(mode.frequency)} rad/s = {plain(mode.frequency / (2.0 * np.pi))} Hz"
+    kind = _KIND[mode.kind]
+    if mode.growth > 0.0:
+        kind += f", growing at {plain(mode.growth, 3)} 1/s"
+    return "-".join(mode.gimbals), kind, str(mode.poles), frequency
+
+
+def measure_rows(outcome: LoopOutcome) -> list[MeasureRow]:
+    """Return what the designs of a loop do, side by side: first what is asked, then what was measured besides."""
+    designs = outcome.designs
+    rows = []
+    for name in dict.fromkeys(one.name for design in designs for one in design.results):
+        found = [next((one for one in design.results if one.name == name), None) for design in designs]
+        first = next(one for one in found if one is not None)
+        cells = [("\u2013", None) if one is None else (compared(one.value, one.limit, one.unit)[0], one.passed) for one in found]
+        limit = f"{_BOUND[first.sense]} {compared(first.value, first.limit, first.unit)[1]}"
+        rows.append(MeasureRow(name=name, limit=limit, cells=tuple(cells)))
+    asked = {row.name for row in rows}
+    for name, unit, figure in (
+        ("bandwidth", "Hz", lambda m: m.bandwidth / (2.0 * np.pi)),
+        ("disk margin", "", lambda m: m.disk_margin[0]),
+        ("disk margin over the spread", "", lambda m: m.disk_margin[1:].min(initial=np.inf)),
+        ("damping", "", lambda m: m.damping[0]),
+        ("damping over the spread", "", lambda m: m.damping[1:].min(initial=np.inf)),
+        ("torque noise, rms", "N m", lambda m: m.torque_noise.max(initial=0.0)),
+    ):
+        if name in asked or all(design.measures is None for design in designs):
+            continue
+        texts = ["\u2013" if d.measures is None else quantity(float(figure(d.measures)), unit) for d in designs]
+        rows.append(MeasureRow(name=name, limit="", cells=tuple((text, None) for text in texts)))
+    return rows
+
+
+def claim_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
+    """Return what the methods claim, name by name, a text for every design."""
+    return _by_name([design.claims for design in outcome.designs])
+
+
+def option_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the options as finally used, name by name, a text for every design."""
+    return _by_name([design.options for design in outcome.designs])
+
+
+def _by_name(columns: Sequence[dict[str, float]]) -> list[tuple[str, tuple[str, ...]]]:
+    names = dict.fromkeys(name for column in columns for name in column)
+    return [(name, tuple(plain(column[name]) if name in column else "\u2013" for column in columns)) for name in names]
+
+
+def signals(design: LoopDesign) -> tuple[str, str, str]:
+    """Return what a controller reads, what it sets, and its order and sample period, in words."""
+    K = design.controller
+    return (
+        ", ".join(K.input_labels),
+        ", ".join(K.output_labels),
+        f"{count(K.nstates, 'state')}, {plain(1e3 * float(K.dt or 0.0))} ms",
+    )
