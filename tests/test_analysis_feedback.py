@@ -67,7 +67,7 @@ def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: 
 
 
 def test_the_convention_is_torque_equals_k_times_pick_off() -> None:
-    # 1/s with u = -5 y: T = 5/(s + 5), and a unit torque disturbance deflects by 1/5; the integrator passes no noise at DC.
+    # 1/s with u = -5 y: T = 5/(s + 5); a unit torque disturbance deflects by 1/5; no noise gets to the torque at DC.
     plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
     loop = analysis.closed_loop(plant, control.ss([], [], [], [[-5.0]]))
     np.testing.assert_allclose(analysis.poles(loop), [-5.0])

@@ -141,6 +141,10 @@ def disk_margin(loop_transfer: control.StateSpace, skew: float = 0.0, frequency:
     shown = grid if given is None else given
     response = frequency_response_arrays(*disk, shown)
     mu, D = mu_upper_bound(response, 1e-4)
+    with np.errstate(divide="ignore"):
+        lower_response = 1.0 / mu
+        upper_response = 1.0 / np.minimum(mu_lower_bound(response, D, iterations=15), mu)
+        unstructured_response = 1.0 / np.linalg.norm(response, 2, axis=(-2, -1))
     return DiskMargin(
         alpha=lower,
         lower=lower,
@@ -150,9 +154,9 @@ def disk_margin(loop_transfer: control.StateSpace, skew: float = 0.0, frequency:
         proved=proved,
         skew=float(skew),
         frequencies=shown,
-        lower_response=1.0 / mu,
-        upper_response=1.0 / np.minimum(mu_lower_bound(response, D, iterations=15), mu),
-        unstructured_response=1.0 / np.linalg.norm(response, 2, axis=(-2, -1)),
+        lower_response=lower_response,
+        upper_response=upper_response,
+        unstructured_response=unstructured_response,
     )
 
 
@@ -278,7 +282,7 @@ class _Peak:
             self.mu, self.frequency, self.D = float(mu[i]), float(frequency[i]), D[i]
         return mu, D
 
-    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 4) -> None:
+    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 2) -> None:
         """Refine the highest local maxima of `mu` on `grid` side by side."""
         padded = np.concatenate([[-np.inf], mu, [-np.inf]])
         tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
@@ -287,10 +291,10 @@ class _Peak:
         left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
         row = np.arange(len(tops))
         self.exact(grid[tops])
-        for _ in range(9):
-            fan = np.linspace(left, right, 7, axis=1)
+        for _ in range(6):
+            fan = np.linspace(left, right, 11, axis=1)
             at = self.exact(fan.ravel())[0].reshape(fan.shape).argmax(axis=1)
-            left, right = fan[row, np.maximum(at - 1, 0)], fan[row, np.minimum(at + 1, 6)]
+            left, right = fan[row, np.maximum(at - 1, 0)], fan[row, np.minimum(at + 1, 10)]
 
     def prove(self, slack: float = 1e-4, most: int = 80) -> bool:
         """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
