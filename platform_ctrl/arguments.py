@@ -59,7 +59,9 @@ def known_name(kind: str, given: str, known: Sequence[str]) -> int:
         return list(known).index(given)
     near = difflib.get_close_matches(str(given), known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise ArgumentError(f"{kind}: given {given!r}; expected one of {', '.join(map(repr, known)) or 'none at all'}{hint}")
+    raise ArgumentError(
+        f"{kind}: given {given!r}; expected one of {', '.join(map(repr, known)) or 'none at all'}{hint}"
+    )
 
 
 def _short(given: object) -> str:

@@ -58,6 +58,6 @@ def value(cls: type[T]) -> type[T]:
         cls.__post_init__ = _freeze_arrays  # type: ignore[attr-defined]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True)(cls)
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
-    made.__getstate__ = _get_state  # type: ignore[attr-defined, method-assign]
+    made.__getstate__ = _get_state  # type: ignore[method-assign]
     made.__deepcopy__ = _deep_copy  # type: ignore[attr-defined]
     return made

@@ -143,7 +143,12 @@ def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
     """Return what `limits` ask of a loop; stability of every plant is always asked."""
     asked: list[LoopRequirement] = [
         LoopRequirement(
-            name="largest pole radius, nominal and spread", limit=1.0 - 1e-6, unit="", sense="at most", kind="stability", over_spread=True
+            name="largest pole radius, nominal and spread",
+            limit=1.0 - 1e-6,
+            unit="",
+            sense="at most",
+            kind="stability",
+            over_spread=True,
         )
     ]
 

@@ -78,7 +78,7 @@ def state_space(
     control.StateSpace
         States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3).
         Inputs: the torquers in the file's order, then Omega1 to Omega3 (free root: the gimbals' torquers, then M1 to
-        M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All are deviations from the trim.
+        M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All deviate from the trim.
 
     Raises
     ------
@@ -145,7 +145,9 @@ def _rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
     if isinstance(gimbals, str):
-        raise ArgumentError(f"gimbals: given the string {gimbals!r}; expected a sequence of names, for example ({gimbals!r},)")
+        raise ArgumentError(
+            f"gimbals: given the string {gimbals!r}; expected a sequence of names, for example ({gimbals!r},)"
+        )
     chosen = {known_name("gimbals", name, model.gimbal_names) for name in gimbals}
     for group in subsystems(model):
         members = {model.gimbal_names.index(name) for name in group}

@@ -6,7 +6,6 @@ import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from platform_ctrl.analysis.arrays import StateArrays, state_space
 from platform_ctrl.analysis.plant_set import measure
@@ -119,7 +118,9 @@ def test_corner_plants_have_their_own_nutation(job):
     plants = loop_plants(job, ("9", "10"))
     corner = plants.labels.index("J9-10% J10-10% L11+10%")
     fast = [np.abs(np.log(np.linalg.eigvals(plants.A[k])[:, None] + 1e-300) / PERIOD) for k in (0, corner)]
-    nutation = [f[np.abs(f - plants.nutation * guess).argmin()] for f, guess in zip(fast, (1.0, 1.1 / 0.9), strict=True)]
+    nutation = [
+        f[np.abs(f - plants.nutation * guess).argmin()] for f, guess in zip(fast, (1.0, 1.1 / 0.9), strict=True)
+    ]
     assert nutation[0] == pytest.approx(L / np.sqrt(J9 * J10), rel=1e-6)
     assert nutation[1] / nutation[0] == pytest.approx(1.1 / 0.9, rel=1e-6)
 
@@ -236,9 +237,7 @@ def test_rates_from_the_torques_of_the_caged_gyros(model):
     """Omega1 = Q9/L, Omega2 = −(Q5 + Q7)/(2 L), Omega3 = −Q10/L."""
     estimate, used = rate_estimate(model)
     assert [model.gimbal_names[k] for k in used] == ["5", "7", "9", "10"]
-    np.testing.assert_allclose(
-        estimate, [[0, 0, 1 / L, 0], [-0.5 / L, -0.5 / L, 0, 0], [0, 0, 0, -1 / L]], atol=1e-9
-    )
+    np.testing.assert_allclose(estimate, [[0, 0, 1 / L, 0], [-0.5 / L, -0.5 / L, 0, 0], [0, 0, 0, -1 / L]], atol=1e-9)
 
 
 def test_gyros_that_do_not_see_a_rate_are_refused(job):

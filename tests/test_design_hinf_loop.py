@@ -45,7 +45,7 @@ def test_the_sampled_controller_meets_what_the_job_asks(loop, by_route, route):
 
 def test_the_claimed_norm_is_that_of_the_weighted_sampled_loop(loop, by_route):
     """Recomputed along the unit circle from plant, controller and weights alone."""
-    spec, plants, channel = loop
+    _, plants, channel = loop
     controller, options, claims = by_route["lmi"]
     T = plants.period
     w = np.concatenate([np.geomspace(0.1, 6200.0, 1500), np.linspace(200, 600, 800)])

@@ -24,7 +24,12 @@ def _gimbal(name, parent, axis, inertia, angle):
 
 def _rotor(name, carrier, axis, C, A, L):
     return Rotor(
-        name=name, carrier=carrier, axis=np.array(axis, float), axial_inertia=C, transverse_inertia=A, angular_momentum=L
+        name=name,
+        carrier=carrier,
+        axis=np.array(axis, float),
+        axial_inertia=C,
+        transverse_inertia=A,
+        angular_momentum=L,
     )
 
 
@@ -47,10 +52,10 @@ PLATFORM = Platform(
 )
 
 
-def coefficients(terms, O, Od):
+def coefficients(terms, Omega, Omega_dot):
     """Rows 4, 5, 7, 9, 10: (constant part of −Q, coefficients of q̈, q̇, q)."""
-    o1, o2, o3 = O
-    d1, d2, d3 = Od
+    o1, o2, o3 = Omega
+    d1, d2, d3 = Omega_dot
     e = 1.0 if terms == "exact" else 0.0
 
     def j(value):  # a term that the paper drops
@@ -138,7 +143,11 @@ def test_exact_form_is_the_derivative_of_the_non_linear_equations():
             np.concatenate([size * omega_dot, size * acceleration]),
         )[3:]
         linear = model.Q0 + size * (
-            model.M @ acceleration + model.G @ rate + model.K @ direction + model.M_Omega @ omega_dot + model.G_Omega @ omega
+            model.M @ acceleration
+            + model.G @ rate
+            + model.K @ direction
+            + model.M_Omega @ omega_dot
+            + model.G_Omega @ omega
         )
         errors.append(np.abs(exact - linear).max())
     assert errors[1] < 0.011 * errors[0]

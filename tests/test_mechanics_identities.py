@@ -96,10 +96,14 @@ def test_exact_linear_form_is_the_tangent_of_the_non_linear_equations(platform, 
     size = 1 + np.abs(model.G).max() + np.abs(model.K).max() + np.abs(model.G_Omega).max()
     for j in range(n):
         e = h * np.eye(n)[j]
-        slope = inverse_dynamics(platform, q + e, trim, np.zeros(3 + n)) - inverse_dynamics(platform, q - e, trim, np.zeros(3 + n))
+        slope = inverse_dynamics(platform, q + e, trim, np.zeros(3 + n)) - inverse_dynamics(
+            platform, q - e, trim, np.zeros(3 + n)
+        )
         np.testing.assert_allclose(model.K[:, j], slope[3:] / (2 * h), atol=1e-8 * size)
         rates = np.concatenate([np.zeros(3), e])
-        slope = inverse_dynamics(platform, q, trim + rates, 0 * trim) - inverse_dynamics(platform, q, trim - rates, 0 * trim)
+        slope = inverse_dynamics(platform, q, trim + rates, 0 * trim) - inverse_dynamics(
+            platform, q, trim - rates, 0 * trim
+        )
         np.testing.assert_allclose(model.G[:, j], slope[3:] / (2 * h), atol=1e-8 * size)
     for a in range(3):
         e = h * np.eye(3 + n)[a]

@@ -24,6 +24,7 @@ from platform_ctrl.analysis.feedback import (
     sensitivities,
     series_arrays,
 )
+from platform_ctrl.analysis.joining import joined
 from platform_ctrl.analysis.margins import DiskMargin, LoopMargins, disk_margin, disk_to_gain_phase, loop_margins
 from platform_ctrl.analysis.norms import (
     h2_norm,
@@ -32,6 +33,7 @@ from platform_ctrl.analysis.norms import (
     noise_rms,
     noise_rms_arrays,
 )
+from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
 from platform_ctrl.analysis.poles import (
     Damping,
     continuous_poles,
@@ -62,6 +64,8 @@ __all__ = [
     "DiskMargin",
     "Gang",
     "LoopMargins",
+    "LoopMeasures",
+    "PlantSet",
     "StateArrays",
     "bandwidth",
     "bandwidth_of_response",
@@ -81,8 +85,10 @@ __all__ = [
     "hinf_norm",
     "hinf_norm_arrays",
     "is_stable",
+    "joined",
     "loop_margins",
     "loop_transfer",
+    "measure",
     "minimum_damping",
     "noise_rms",
     "noise_rms_arrays",

@@ -139,13 +139,13 @@ def measure(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
     """
     K = frequency_response_arrays(*controller, plants.frequency)
     p, m = plants.C.shape[-2], plants.B.shape[-1]
-    S_output = np.linalg.inv(np.eye(p) - plants.response @ K)
+    S_output: ComplexArray = np.asarray(np.linalg.inv(np.eye(p) - plants.response @ K), dtype=np.complex128)
     # At the input S = I + K S_output P: one inverse serves both.
     S_input = np.eye(m) + K @ S_output @ plants.response
     half = 0.5 * np.eye(p)
     peak = np.maximum(_largest(S_output - half), _largest(S_input - half[:m, :m]))
     A, B, C, D = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *controller[:4])
-    poles = np.linalg.eigvals(A)
+    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     radius = np.abs(poles).max(axis=-1)
     stable = radius < 1.0
     return LoopMeasures(

@@ -1,7 +1,7 @@
 """All loops closed on the coupled sampled model: poles, margins, and what the coupling costs.
 
-The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under the
-torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
+The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
+the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
-from platform_ctrl.analysis.joined import joined
+from platform_ctrl.analysis.joining import joined
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.norms import noise_rms
 from platform_ctrl.analysis.sampled import sampled
@@ -102,12 +102,12 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
 
 
 def coupled_plant(job: Job, model: LinearModel) -> control.StateSpace:
-    """Return the sampled model with a free platform: inputs in the plant file's order of torquers, outputs the angles."""
+    """Return the sampled model with a free platform: from the torquers, in the plant file's order, to the angles."""
     system = linear_state_space(model, root="free")
     torquers = job.platform.torquers
     signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in torquers]
     part = system[list(model.angle_names), signals]
-    arrays = StateArrays(*(np.asarray(m) for m in (part.A, part.B, part.C, part.D)), dt=0.0)
+    arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
     named = state_space(arrays, [t.name for t in torquers], list(model.angle_names))
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
@@ -125,7 +125,9 @@ def _decoupled_margins(
     caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
     margins: dict[str, float] = {}
     if caging:
-        K = joined(caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers], job.sampling.period)
+        K = joined(
+            caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers], job.sampling.period
+        )
         system = linear_state_space(model)[list(model.angle_names), [t.name for t in gimbal_torquers]]
         plant = sampled(system, job.sampling.period, job.sampling.delay, [t.lag for t in gimbal_torquers])
         margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
@@ -174,21 +176,34 @@ def _judged(
     out = [stable.judge(radius, subject=subject, stage="coupled", evidence="poles of the coupled sampled closed loop")]
     if job.coupled.disk_margin is not None:
         asked = Requirement(name="simultaneous disk margin", limit=job.coupled.disk_margin, unit="", sense="at least")
-        evidence = f"{len(channels)} channels at the torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
+        evidence = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
         out.append(asked.judge(simultaneous.lower, subject=subject, stage="coupled", evidence=evidence))
     if job.coupled.coupling_cost is not None:
-        asked = Requirement(name="disk margin lost by coupling", limit=job.coupled.coupling_cost, unit="", sense="at most")
+        asked = Requirement(
+            name="disk margin lost by coupling", limit=job.coupled.coupling_cost, unit="", sense="at most"
+        )
         worst = int(np.nanargmax(cost)) if np.any(np.isfinite(cost)) else 0
         out.append(
-            asked.judge(float(cost[worst]), subject=subject, stage="coupled", evidence=f"channel {channels[worst]}, loop by loop")
+            asked.judge(
+                float(cost[worst]),
+                subject=subject,
+                stage="coupled",
+                evidence=f"channel {channels[worst]}, loop by loop",
+            )
         )
     for spec in job.loops:
         if spec.kind == "stabilisation" and spec.limits.torque_noise is not None:
-            roots = [k for k, name in enumerate(channels) if name in {t.name for t in job.platform.torquers if t.root_axis}]
+            roots = [
+                k for k, name in enumerate(channels) if name in {t.name for t in job.platform.torquers if t.root_axis}
+            ]
             if roots:
-                asked = Requirement(name="torque noise, rms", limit=spec.limits.torque_noise, unit="N m", sense="at most")
+                asked = Requirement(
+                    name="torque noise, rms", limit=spec.limits.torque_noise, unit="N m", sense="at most"
+                )
                 worst = max(roots, key=lambda k: noise[k])
                 out.append(
-                    asked.judge(float(noise[worst]), subject=spec.name, stage="coupled", evidence=f"torquer {channels[worst]}")
+                    asked.judge(
+                        float(noise[worst]), subject=spec.name, stage="coupled", evidence=f"torquer {channels[worst]}"
+                    )
                 )
     return tuple(out)

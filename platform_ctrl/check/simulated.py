@@ -86,6 +86,8 @@ def _judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[Che
         name, unit = _WORDS[key]
         figure, signal = found[key]
         asked = Requirement(name=name, limit=limit, unit=unit, sense="at most")
-        evidence = f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
+        evidence = (
+            f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
+        )
         out.append(asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence))
     return tuple(out)

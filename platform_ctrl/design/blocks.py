@@ -25,7 +25,7 @@ def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> Bl
 
 
 def notch(frequency: float, depth: float, width: float, period: float) -> Block:
-    """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), Tustin's rule prewarped at f = `frequency` rad/s."""
+    """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
     two = frequency / np.tan(0.5 * frequency * period)
     f2, damping = frequency**2, 2.0 * width * frequency
     a = np.array([two**2 + damping * two + f2, 2.0 * (f2 - two**2), two**2 - damping * two + f2])

@@ -13,10 +13,10 @@ H-infinity norm: no Padé, no reduction. There, in the channels of the gyros (se
 
     W_e = 1/M + ω_e/s,   W_t constant,   W_u constant,   d scaled by `disturbance`.
 
-W_e bounds S by a line that rises through the bandwidth to the peak M; its integrator stands in the path to the controller,
-so that the loop has integral action and the norm stays finite. W_t bounds T. The torque disturbance d is what sets the
-damping of nutation: from the noise n alone nutation would be cancelled, not damped. Torques count in units of
-h ω_nutation (pairs) and J ω_nutation² (inertial directions).
+W_e bounds S by a line that rises through the bandwidth to the peak M; its integrator stands in the path to the
+controller, so that the loop has integral action and the norm stays finite. W_t bounds T. The torque disturbance d is
+what sets the damping of nutation: from the noise n alone nutation would be cancelled, not damped. Torques count in
+units of h ω_nutation (pairs) and J ω_nutation² (inertial directions).
 """
 
 from __future__ import annotations
@@ -104,9 +104,7 @@ def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSe
     seen = np.hstack([gain[:, None] * C, np.diag(rate)])
     seen_direct = gain[:, None] * np.hstack([eye, D @ disturbance, D])
     C_w = np.vstack([seen, kt * np.hstack([C, none]), np.zeros((size, n + size)), seen])
-    D_w = np.vstack(
-        [seen_direct, kt * np.hstack([none, D @ disturbance, D]), np.hstack([none, none, ku]), seen_direct]
-    )
+    D_w = np.vstack([seen_direct, kt * np.hstack([none, D @ disturbance, D]), np.hstack([none, none, ku]), seen_direct])
     return WeightedPlant(
         arrays=StateArrays(A_w, B_w, C_w, D_w, 0.0), size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit
     )

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.bandwidth import bandwidth
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.errors import DesignError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, LoopSpec
 from platform_ctrl.requirements import CheckResult, loop_requirements
 
@@ -69,7 +69,12 @@ def nominal_plant(plants: PlantSet) -> control.StateSpace:
 
 
 def certified(
-    spec: LoopSpec, design: DesignSpec, controller: Block, plants: PlantSet, options: dict[str, float], claims: dict[str, float]
+    spec: LoopSpec,
+    design: DesignSpec,
+    controller: Block,
+    plants: PlantSet,
+    options: dict[str, float],
+    claims: dict[str, float],
 ) -> LoopDesign:
     """Return the design with all its figures recomputed from the closed loops.
 
@@ -82,8 +87,8 @@ def certified(
     measures = exact_measures(plants, K)
     if not measures.radius[0] < 1.0:
         raise DesignError(
-            f"{spec.name}, {design.name}: the closed loop has a pole of radius {measures.radius[0]:.4f}; expected a stable "
-            "loop; try a lower crossover_hz, or tune = true",
+            f"{spec.name}, {design.name}: the closed loop has a pole of radius {measures.radius[0]:.4f}; expected a "
+            "stable loop; try a lower crossover_hz, or tune = true",
             plants,
         )
     return LoopDesign(
@@ -175,10 +180,8 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
     )
 
 
-def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> FloatArray:
+def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> ComplexArray:
     """Return the poles of every plant's closed loop, complex (N, poles), in z."""
     K = state_arrays(controller, "closed_loop_poles")
     A = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *K[:4])[0]
-    return np.asarray(np.linalg.eigvals(A))
-
-
+    return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)

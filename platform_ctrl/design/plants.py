@@ -99,7 +99,9 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     )
 
 
-def _gimbal_arrays(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _gimbal_arrays(
+    model: LinearModel, gimbals: tuple[str, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     rows = rows_of(model, gimbals)
     part = np.ix_(rows, rows)
     n = len(rows)

@@ -1,8 +1,8 @@
 """The platform servo: rates from the torques of the caged gyros, angles by integration, torques on the root.
 
-A caged gyro measures: in the steady state Q = G_Omega Omega at zero angles, for the three-gyro platform Q9 = L11 Omega1,
-Q5 + Q7 = −(L6 + L8) Omega2, Q10 = −L11 Omega3. The least-squares inverse of G_Omega gives the rates; a second-order
-low-pass keeps the pick-offs' noise out of the root's torquers; then
+A caged gyro measures: in the steady state Q = G_Omega Omega at zero angles, for the three-gyro platform Q9 = L11
+Omega1, Q5 + Q7 = −(L6 + L8) Omega2, Q10 = −L11 Omega3. The least-squares inverse of G_Omega gives the rates; a
+second-order low-pass keeps the pick-offs' noise out of the root's torquers; then
 
     M = −J ωc (Omega + ωp ∫Omega dt),        J the inertia of the root with the gimbals at rest in it.
 """
@@ -35,8 +35,8 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     if sizes.size < 3 or sizes[-1] < 1e-6 * sizes[0]:
         blind = right[-1] if sizes.size == 3 else np.zeros(3)
         raise DesignError(
-            f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); expected "
-            "rotors whose torques G_Omega Omega show all three rates",
+            f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); "
+            "expected rotors whose torques G_Omega Omega show all three rates",
             model,
         )
     inverse = (right.T / sizes) @ left.T

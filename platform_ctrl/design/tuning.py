@@ -18,9 +18,7 @@ Builder = Callable[[dict[str, float]], Block]
 _IN_VIEW = 8
 
 
-def worst_ratio(
-    controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]
-) -> float:
+def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
     measures = measure(plants, StateArrays(*controller, dt=plants.period))
     radius = float(measures.radius.max())

@@ -20,9 +20,7 @@ from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
 _SINGULAR = 1e-13
 
 
-def inverse_dynamics(
-    platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
-) -> FloatArray:
+def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
     """Return the generalised forces [M, Q] that cause a motion, (3 + n,), N m.
 
     Parameters
@@ -81,7 +79,9 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     diagonal = np.diag(A_star)
     names = ("Omega1", "Omega2", "Omega3", *platform.angle_names)
     if np.any(diagonal <= 0.0):
-        raise MechanicsError(f"A* is singular: {names[int(np.argmin(diagonal))]} moves no inertia; expected some in its body")
+        raise MechanicsError(
+            f"A* is singular: {names[int(np.argmin(diagonal))]} moves no inertia; expected some in its body"
+        )
     scale = 1.0 / np.sqrt(diagonal)
     values, vectors = np.linalg.eigh(scale[:, None] * A_star * scale)
     if values[0] < _SINGULAR * values[-1]:
@@ -91,9 +91,7 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     return out
 
 
-def _moments(
-    platform: Platform, at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray
-) -> FloatArray:
+def _moments(platform: Platform, at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:
     tree = topology(platform)
     n = len(tree.parents)
     spin = np.zeros((1 + n, 3))

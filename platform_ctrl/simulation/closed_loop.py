@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.joined import joined
+from platform_ctrl.analysis.joining import joined
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
