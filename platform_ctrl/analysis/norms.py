@@ -95,12 +95,16 @@ def hinf_norm_arrays(
         best, frequency = direct, math.inf
     if best == 0.0:
         best = np.finfo(float).tiny
-    for _ in range(30):
-        best, frequency = _climbed(system, best, frequency)
+    for _ in range(60):
         found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
-        if not found > best * (1.0 + tolerance):
-            return max((best, frequency), (found, at))
-        best, frequency = found, at
+        if found > best * (1.0 + tolerance):
+            best, frequency = found, at
+            continue
+        # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
+        before = best
+        best, frequency = _climbed(system, s, best, frequency)
+        if best <= before * (1.0 + tolerance):
+            break
     return best, frequency
 
 
@@ -175,19 +179,19 @@ def _largest(system: StateArrays, frequency: FloatArray) -> tuple[float, float]:
     return float(sizes[i]), float(frequency[i])
 
 
-def _climbed(system: StateArrays, best: float, frequency: float) -> tuple[float, float]:
-    """Return the local maximum near `frequency`: a few fans of frequencies that contract around the best."""
+def _climbed(system: StateArrays, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
+    """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
-    s = continuous_poles(pole_arrays(system.A), system.dt)
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
-    for _ in range(14):
-        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 9)))
-        if found > best:
+    for _ in range(8):
+        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
+        rise = found - best
+        if rise > 0.0:
             best, frequency = found, at
-        width *= 0.3
-        if width < 1e-10 * frequency:
+        width *= 0.15
+        if width < 1e-10 * frequency or (abs(rise) < 1e-13 * best and width < 1e-3 * frequency):
             break
     return best, frequency
 
