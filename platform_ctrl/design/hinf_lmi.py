@@ -24,19 +24,22 @@ if TYPE_CHECKING:
 GAMMA_RANGE = 8.0
 # Other units of gamma to start from where the first solve gives nothing.
 GAINS = (1.0, 1e2, 1e-2, 1e4, 1e-4)
+# A gamma below this (above its inverse) is not looked into any closer.
+LEAST_GAIN = 1e-12
 # Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for.
 LARGEST_SEPARATION = 10.0
 # Largest mean eigenvalue of X and of Y, and its least multiple of what gamma alone needs: in directions that no
 # inequality bounds X and Y would grow without end.
 LARGEST_MEAN = 100.0
 LEAST_ROOM = 10.0
-# What the second step pays for the mean eigenvalues of X and Y, one round after the other until everything holds. The
-# separation sees one direction only. Where X and Y are small in the others, I − X Y is near singular there and the
-# controller has poles ten to a hundred times faster than that of the Riccati route; but large ones hide violations
-# from the solver.
-REWARDS = (1e-4, -1e-4, -1e-4)
-# How far, relative to gamma, the second step keeps the inequalities from zero.
-STRICTNESS = 1e-6
+# Rounds of the second step until everything holds: how far the inequalities are kept from zero, relative to gamma and
+# the back-off, and what is paid for the mean eigenvalues of X and Y. The separation sees one direction only. Where X
+# and Y are small in the others, I − X Y is near singular there and the controller has poles ten to a hundred times
+# faster than that of the Riccati route; but large ones hide violations from the solver.
+ROUNDS = ((5e-3, 1e-4), (5e-4, 1e-4), (5e-5, -1e-4))
+LEAST_STRICTNESS = 1e-6
+# Tolerance of the first solve, which only serves to find the right states.
+ROUGH = 1e-4
 
 
 @value
@@ -47,6 +50,10 @@ class Certificate:
     X: FloatArray
     Y: FloatArray
     separation: float
+
+
+class _OutOfTime(DesignError):
+    """The solver was stopped: nothing else is tried."""
 
 
 def hinf_lmi(
@@ -61,16 +68,20 @@ def hinf_lmi(
     """
     scaled, least = _rough(plant, time_limit, P)
     turned, failure = scaled.plant, None
-    for reward in REWARDS:
+    for share, reward in ROUNDS:
         turned = _balanced(turned, least)
         # In these states X = Y; their mean square does not depend on the states.
         own = float(np.sqrt(np.trace(least.X @ least.Y) / len(least.X)))
         bound = max(LARGEST_MEAN, LEAST_ROOM * own)
         try:
-            least = _solve(turned, None, time_limit, P)
-            best = _solve(turned, (1 + backoff) * least.gamma, time_limit, P, reward, bound)
+            least = _minimised(turned, time_limit, P)
+            level = (1 + backoff) * least.gamma
+            strictness = max(LEAST_STRICTNESS, share * min(backoff, 0.02)) * level
+            best = _separated(turned, level, strictness, reward, bound, time_limit, P)
             residual = _strict(turned, best, scaled.gain, P)
             made = _reconstructed(turned, scaled.control_rank, scaled.measurement_rank, best, P)
+        except _OutOfTime:
+            raise
         except DesignError as error:
             failure = failure or error
             continue
@@ -100,17 +111,20 @@ def _rough(plant: Partition, time_limit: float, P: StateSpace) -> tuple[ScaledPl
     for gain in GAINS:
         scaled = autoscale(plant, gain)
         try:
-            rough = _solve(scaled.plant, None, time_limit, P)
-            if not 1 / GAMMA_RANGE <= rough.gamma <= GAMMA_RANGE:
-                scaled = autoscale(plant, gain * max(rough.gamma, 1e-3))
-                rough = _solve(scaled.plant, None, time_limit, P)
+            rough = _minimised(scaled.plant, time_limit, P, ROUGH)
+            while not 1 / GAMMA_RANGE <= rough.gamma <= GAMMA_RANGE and LEAST_GAIN < scaled.gain < 1 / LEAST_GAIN:
+                # Far from one gamma is only known roughly: not too far in one step.
+                scaled = autoscale(plant, scaled.gain * float(np.clip(rough.gamma, 1e-3, 1e6)))
+                rough = _minimised(scaled.plant, time_limit, P, ROUGH)
+        except _OutOfTime:
+            raise
         except DesignError as error:
             failure = failure or error
             continue
         return scaled, rough
     sigma, word, pole = weakest_mode(autoscale(plant))
     hint = ""
-    if word:
+    if word and sigma < 1e-4:
         hint = (
             f"; nearest to a violated assumption: the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is "
             f"hardly {word} (smallest singular value {sigma:.1g} of the scaled plant)"
@@ -162,50 +176,68 @@ def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -
     return out
 
 
-def _solve(
-    plant: Partition, level: float | None, time_limit: float, P: StateSpace, reward: float = 0.0, bound: float = 0.0
-) -> Certificate:
-    """Least gamma, or at the given level the X and Y that are separated most."""
-    cp: Any = import_module("cvxpy")  # its annotations are incomplete
-
+def _minimised(plant: Partition, time_limit: float, P: StateSpace, tolerance: float = 1e-8) -> Certificate:
+    """Least gamma for which the inequalities hold."""
+    cp = _cvxpy()
     n = len(plant.A)
-    one = np.eye(n)
+    X, Y, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
+    problem = cp.Problem(cp.Minimize(gamma), _constraints(plant, X, Y, gamma, 0.0, 1.0))
+    _solve(problem, (X, Y, gamma), "minimising gamma", time_limit, P, tolerance)
+    return Certificate(gamma=float(gamma.value), X=X.value, Y=Y.value, separation=1.0)
+
+
+def _separated(
+    plant: Partition, gamma: float, strictness: float, reward: float, bound: float, time_limit: float, P: StateSpace
+) -> Certificate:
+    """X and Y for which the inequalities hold at `gamma` and [[X, tI], [tI, Y]] ≥ 0 with the largest t."""
+    cp = _cvxpy()
+    n = len(plant.A)
     X, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
-    gamma = cp.Variable() if level is None else cp.Constant(level)
-    constraints = []
+    mean_X, mean_Y = cp.trace(X) / n, cp.trace(Y) / n
+    constraints = _constraints(plant, X, Y, gamma, strictness, t)
+    constraints += [t <= LARGEST_SEPARATION, mean_X <= bound, mean_Y <= bound]
+    problem = cp.Problem(cp.Maximize(t + reward * (mean_X + mean_Y)), constraints)
+    _solve(problem, (X, Y, t), f"separating X and Y at gamma = {gamma:.6g} (scaled)", time_limit, P, 1e-8)
+    return Certificate(gamma=gamma, X=X.value, Y=Y.value, separation=float(t.value))
+
+
+def _cvxpy() -> Any:
+    return import_module("cvxpy")  # Any: its annotations are incomplete
+
+
+def _constraints(plant: Partition, X: Any, Y: Any, gamma: Any, strictness: float, t: Any) -> list[Any]:
+    cp = _cvxpy()
+    one = np.eye(len(plant.A))
+    constraints = [cp.bmat([[X, t * one], [t * one, Y]]) >> 0]
     for V, (N1, F, N2, G) in zip((X, Y), _sides(plant), strict=True):
         half = N1.T @ V @ F
         block = cp.bmat([[half + half.T - gamma * (N2.T @ N2), G], [G.T, -gamma * np.eye(G.shape[1])]])
-        constraints.append(block << (0.0 if level is None else -STRICTNESS * level) * np.eye(block.shape[0]))
-    if level is None:
-        constraints += [cp.bmat([[X, one], [one, Y]]) >> 0, t == 0]
-        objective = cp.Minimize(gamma)
-    else:
-        constraints += [cp.bmat([[X, t * one], [t * one, Y]]) >> 0, t <= LARGEST_SEPARATION]
-        constraints += [cp.trace(X) <= n * bound, cp.trace(Y) <= n * bound]
-        objective = cp.Maximize(t + reward / n * (cp.trace(X) + cp.trace(Y)))
-    problem = cp.Problem(objective, constraints)
-    what = "minimising gamma" if level is None else f"separating X and Y at gamma = {level:.6g} (scaled)"
+        constraints.append(block << -strictness * np.eye(block.shape[0]))
+    return constraints
+
+
+def _solve(
+    problem: Any, variables: tuple[Any, ...], what: str, time_limit: float, P: StateSpace, tolerance: float
+) -> None:
+    """Solve in silence; raise a DesignError unless every variable has a value."""
+    cp = _cvxpy()
     cure = 'give a larger backoff, other weights, or method="riccati"'
+    options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            problem.solve(solver=cp.CLARABEL, time_limit=time_limit)
+            problem.solve(solver=cp.CLARABEL, time_limit=time_limit, **options)
         except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
             raise DesignError(f"hinf, lmi: the solver gave up when {what}; {cure}", P) from None
-
     if problem.status == cp.USER_LIMIT:
-        raise DesignError(
+        raise _OutOfTime(
             f"hinf, lmi: the solver did not finish in {time_limit:.3g} s when {what}; give a larger time_limit", P
         )
-    found = [v.value for v in (gamma, X, Y, t)]
     # An inaccurate answer is judged like every other: by the inequalities and by the closed loop.
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or not all(
-        v is not None and np.all(np.isfinite(v)) for v in found
+        v.value is not None and np.all(np.isfinite(v.value)) for v in variables
     ):
         raise DesignError(f"hinf, lmi: the solver says {problem.status} when {what}; {cure}", P)
-    least, x, y, separation = (np.asarray(v, dtype=np.float64) for v in found)
-    return Certificate(gamma=float(least), X=x, Y=y, separation=float(separation))
 
 
 def _reconstructed(plant: Partition, r: int, s: int, best: Certificate, P: StateSpace) -> Realisation:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 ACCURACY = 1e-8
 # Least and largest gamma of the scaled plant that are tried.
 LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
+# Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
+AXIS = 1e-10
+# Largest relative asymmetry of a Riccati solution before it is made symmetric.
+SYMMETRY = 1e-6
 
 
 @value
@@ -135,11 +139,15 @@ def _stabilising(H: FloatArray) -> FloatArray | None:
     """Stabilising solution of a Hamiltonian matrix's Riccati equation; None where none is positive semidefinite."""
     n = len(H) // 2
     try:
-        _, U, stable = schur(H, output="real", sort="lhp")
-        if stable != n:
+        T, U, stable = schur(H, output="real", sort="lhp")
+        # Eigenvalues on the axis come out on either side of it, sometimes n on each.
+        if stable != n or np.min(np.abs(np.diag(T))) < AXIS * np.linalg.norm(H):
             return None
         X = np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T
     except np.linalg.LinAlgError:
+        return None
+    # Then their subspace is not Lagrangian.
+    if not np.linalg.norm(X - X.T) <= SYMMETRY * np.linalg.norm(X):
         return None
     X = 0.5 * (X + X.T)
     values = np.linalg.eigvalsh(X)

@@ -29,6 +29,7 @@ HinfMethod = Literal["lmi", "riccati"]
 RANK_TOLERANCE = 1e-8
 # How much more than the backed-off bound the recomputed norm may be, relative to the bound.
 NORM_TOLERANCE = 0.01
+CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 
 
 @value
@@ -185,16 +186,19 @@ def hinf(
         raise ArgumentError(f"hinf: time_limit = {time_limit!r}; expected a positive number of seconds")
     plant = partition(P, nmeas, ncon)
     require_stabilisable(plant, P)
-    if method == "lmi":
-        from platform_ctrl.design.hinf_lmi import hinf_lmi
-
-        made, optimal, residual = hinf_lmi(plant, backoff, time_limit, P)
-    elif method == "riccati":
-        from platform_ctrl.design.hinf_riccati import hinf_riccati
-
-        made, optimal, residual = hinf_riccati(plant, backoff, P)
-    else:
+    if method not in ("lmi", "riccati"):
         raise ArgumentError(f"hinf: method = {method!r}; expected 'lmi' or 'riccati'")
+    try:
+        if method == "lmi":
+            from platform_ctrl.design.hinf_lmi import hinf_lmi
+
+            made, optimal, residual = hinf_lmi(plant, backoff, time_limit, P)
+        else:
+            from platform_ctrl.design.hinf_riccati import hinf_riccati
+
+            made, optimal, residual = hinf_riccati(plant, backoff, P)
+    except np.linalg.LinAlgError as error:
+        raise DesignError(f"hinf, {method}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
     return certify(P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {method}", residual=residual)
 
 
@@ -219,6 +223,8 @@ def partition(P: StateSpace, nmeas: int, ncon: int) -> Partition:
             raise ArgumentError(
                 f"plant: {name} = {number!r} of {total} {what}; expected a whole number from 1 to {total - 1}"
             )
+    if P.nstates == 0:
+        raise ArgumentError("plant: no states; expected a dynamic plant")
     A, B, C, D = (np.asarray(m, dtype=np.float64) for m in (P.A, P.B, P.C, P.D))
     for name, m in zip("ABCD", (A, B, C, D), strict=True):
         if not np.all(np.isfinite(m)):
@@ -411,30 +417,34 @@ def certify(
 
     from platform_ctrl.analysis.norms import hinf_norm
 
-    cure = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
     try:
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
-        raise DesignError(f"{method}: I − D_K D22 is singular, the loop is not well posed; {cure}", P) from None
+        raise DesignError(f"{method}: I − D_K D22 is singular, the loop is not well posed; {CURE}", P) from None
     if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
-        raise DesignError(f"{method}: the controller is not finite; {cure}", P)
+        raise DesignError(f"{method}: the controller is not finite; {CURE}", P)
     poles = np.linalg.eigvals(loop.A)
     worst = poles[np.argmax(poles.real)] if poles.size else complex(-np.inf)
     if not worst.real < 0:
         raise DesignError(
             f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j rad/s; "
-            f"expected all in the left half-plane; {cure}",
+            f"expected all in the left half-plane; {CURE}",
             P,
         )
     u, y = P.input_labels[-plant.B2.shape[1] :], P.output_labels[-plant.C2.shape[0] :]
     w, z = P.input_labels[: -len(u)], P.output_labels[: -len(y)]
     system = control.StateSpace(loop.A, loop.B, loop.C, loop.D, inputs=w, outputs=z)
-    gamma, frequency = hinf_norm(system)
+    try:
+        gamma, frequency = hinf_norm(system)
+    except ArgumentError:
+        raise DesignError(
+            f"{method}: the closed loop is on the boundary of stability; expected it stable; {CURE}", P
+        ) from None
     limit = (1 + backoff + NORM_TOLERANCE) * gamma_optimal
     if not gamma <= limit:
         raise DesignError(
             f"{method}: the closed loop has the norm {gamma:.6g} at {frequency:.4g} rad/s; "
-            f"expected at most {limit:.6g} for the least gamma {gamma_optimal:.6g}; {cure}",
+            f"expected at most {limit:.6g} for the least gamma {gamma_optimal:.6g}; {CURE}",
             P,
         )
     return Synthesis(
