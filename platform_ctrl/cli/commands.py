@@ -6,6 +6,7 @@ In their help a line with a backspace, click's own mark, keeps the lines below i
 from __future__ import annotations
 
 import json
+import shlex
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 DESIGNED = Path("out")
 CHECKED = Path("check")
 RESULT, REPORT = "result.json", "report.html"
+
+Shown = Callable[[], int]
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -123,7 +126,8 @@ def design(
         from platform_ctrl.design import loops
 
         result = checked(read, loops(read, say), say)
-        return _delivered(result, out, as_json, say)
+        show = _delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)])
+    return show()
 
 
 @app.command()
@@ -168,7 +172,9 @@ def check(
         others = read_controllers(file, read, "alternatives")
         _prepared(folder)
         result = checked(read, outcomes_from(read, closed, others), say)
-        return _delivered(result, folder, as_json, say)
+        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+        show = _delivered(result, folder, as_json, say, command)
+    return show()
 
 
 @app.command()
@@ -261,17 +267,23 @@ def _prepared(folder: Path) -> None:
             raise InputError(f"-o {folder}: {name} is a folder there; expected a file or nothing")
 
 
-def _delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str], None]) -> int:
+def _delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str], None], command: list[str]) -> Shown:
+    """Write both files; return what shows the result and gives the exit code, for when the spinner has gone."""
     from platform_ctrl.check.records import laid_out, result_record, write_record
-    from platform_ctrl.cli.terminal import show_requirements, show_verdict
+    from platform_ctrl.cli.terminal import show_result
+    from platform_ctrl.report import write_page
 
+    say(f"drawing the report: {folder / REPORT}")
+    write_page(result, folder / REPORT, command=shlex.join(["platform-ctrl", *command]))
     record = result_record(result)
-    say(f"writing {folder / RESULT}")
     write_record(record, folder / RESULT)
-    if as_json:
-        typer.echo(laid_out(record))
-    else:
-        show_requirements(result.requirements, result.job.name)
-        show_verdict(result.requirements)
-        typer.echo(f"figures: {folder / RESULT}")
-    return 0 if result.passed else 1
+
+    def show() -> int:
+        if as_json:
+            typer.echo(laid_out(record))
+        else:
+            show_result(result)
+            typer.echo(f"report: {folder / REPORT}, figures: {folder / RESULT}")
+        return 0 if result.passed else 1
+
+    return show

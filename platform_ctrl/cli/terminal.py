@@ -12,14 +12,12 @@ from platform_ctrl.requirements import CheckResult
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
-    from platform_ctrl.check import Run
+    from platform_ctrl.check import JobResult, Run
 
 # Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120
-_NARROW = 76
+_NARROW = 96
 
 
 @contextmanager
@@ -55,18 +53,17 @@ def screen() -> Console:
     return Console(highlight=False, width=None if fitting else _PIPE_WIDTH)
 
 
-def show_requirements(results: Sequence[CheckResult], title: str = "") -> None:
-    """Print the requirements with what was found: as a table, or as lines where it would not fit."""
-    from rich.text import Text
+def show_result(result: JobResult) -> None:
+    """Print all requirements, as the report's table or as lines where it would not fit, and the verdict."""
+    from platform_ctrl.report.tables import terminal_table
 
     console = screen()
     if console.width >= _NARROW:
-        console.print(_requirement_table(results, title))
-        return
-    if title:
-        console.print(title, markup=False)
-    for one in results:
-        console.print(Text.assemble(_mark(one), f" {_subject(one)}: {one.name} {_figure(one)} ({_limit(one)})"))
+        console.print(terminal_table(result))
+    else:
+        console.print(result.job.name, style="bold", markup=False)
+        _show_lines(console, result.requirements)
+    _show_verdict(console, result.requirements)
 
 
 def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
@@ -89,56 +86,30 @@ def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
         table.add_row(name, words)
     console.print(run.manoeuvre.name, style="bold", markup=False)
     console.print(table)
-    if run.results:
-        show_requirements(run.results)
+    _show_lines(console, run.results)
 
 
-def show_verdict(results: Sequence[CheckResult]) -> None:
-    """Print whether every requirement is met, and which is nearest to its limit."""
-    met = sum(one.passed for one in results)
-    passed = met == len(results)
-    count = len(results)
-    words = f"every requirement met ({count})" if passed else f"{count - met} of {count} requirements not met"
-    if results:
-        nearest = min(results, key=lambda one: one.margin if one.margin == one.margin else float("-inf"))
-        words += f"; nearest to its limit or beyond: {_subject(nearest)}, {nearest.name}"
-    verdict, style = ("PASSED", "green") if passed else ("FAILED", "bold red")
-    screen().print(f"{verdict}: {words}", style=style, markup=False)
-
-
-def _requirement_table(results: Sequence[CheckResult], title: str) -> Table:
-    from rich import box
-    from rich.table import Table
+def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
     from rich.text import Text
 
-    table = Table(title=Text(title) if title else None, title_justify="left", box=box.SIMPLE, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    table.add_column("of", overflow="fold")
-    table.add_column("requirement", overflow="fold")
-    table.add_column("found", justify="right", no_wrap=True)
-    table.add_column("limit", no_wrap=True)
-    table.add_column("margin", justify="right", no_wrap=True)
-    table.add_column("seen in", no_wrap=True)
     for one in results:
-        margin = f"{one.margin:+.0%}" if abs(one.margin) < 100.0 else ""
-        table.add_row(_mark(one), Text(_subject(one)), one.name, _figure(one), _limit(one), margin, one.stage)
-    return table
+        mark = Text("met    ", "green") if one.passed else Text("NOT MET", "bold red")
+        found, limit = f"{one.value:.4g} {one.unit}".rstrip(), f"{one.sense} {one.limit:.6g}"
+        console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({limit})"))
 
 
-def _mark(one: CheckResult) -> Text:
-    from rich.text import Text
-
-    return Text("met", "green") if one.passed else Text("NOT MET", "bold red")
+def _show_verdict(console: Console, results: Sequence[CheckResult]) -> None:
+    missed = sum(not one.passed for one in results)
+    words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
+    # A pole radius is near 1 in every sampled loop: met, it says nothing about how tight the design is.
+    telling = [one for one in results if not (one.passed and one.name.startswith("largest pole radius"))]
+    if telling:
+        worst = min(telling, key=lambda one: (one.passed, one.margin))
+        words += f"; {'worst' if missed else 'tightest'}: {_subject(worst)}, {worst.name}"
+        words += f" ({worst.margin:+.0%})" if abs(worst.margin) < 10.0 else ""
+    verdict, style = ("FAILED", "bold red") if missed else ("PASSED", "green")
+    console.print(f"{verdict}: {words}", style=style, markup=False)
 
 
 def _subject(one: CheckResult) -> str:
     return f"{one.subject}, {one.design}" if one.design else one.subject
-
-
-def _figure(one: CheckResult) -> str:
-    return f"{one.value:.4g} {one.unit}".rstrip()
-
-
-def _limit(one: CheckResult) -> str:
-    # The limit of a pole radius is just below 1: four digits would show it as 1.
-    return f"{one.sense} {one.limit:.6g} {one.unit}".rstrip()
