@@ -40,7 +40,7 @@ def test_the_sampled_controller_meets_what_the_job_asks(loop, by_route, route):
     controller, options, claims = by_route[route]
     design = certified(spec, spec.designs[1], controller, plants, options, claims)
     assert [r.name for r in design.results if not r.passed] == []
-    assert len(design.results) == 7
+    assert {"bandwidth", "disk margin over the spread", "damping over the spread"} < {r.name for r in design.results}
 
 
 def test_the_claimed_norm_is_that_of_the_weighted_sampled_loop(loop, by_route):

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.norms import noise_rms_arrays
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.frozen import FloatArray, value
 
@@ -79,8 +82,8 @@ class LoopMeasures:
         1/‖(S − T)/2‖, all channels at once, the smaller of input and output; 0 where the loop is unstable.
     damping : (N,)
         Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
-    radius : (N,)
-        Spectral radius of the closed loop.
+    decay : (N,)
+        Decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable.
     torque_noise : (m,)
         Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     """
@@ -88,7 +91,7 @@ class LoopMeasures:
     bandwidth: float
     disk_margin: FloatArray
     damping: FloatArray
-    radius: FloatArray
+    decay: FloatArray
     torque_noise: FloatArray
 
 
@@ -139,58 +142,25 @@ def measure(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
     """
     K = frequency_response_arrays(*controller, plants.frequency)
     p, m = plants.C.shape[-2], plants.B.shape[-1]
-    S_output: ComplexArray = np.asarray(np.linalg.inv(np.eye(p) - plants.response @ K), dtype=np.complex128)
+    S_output, _ = sensitivities(-plants.response @ K)
     # At the input S = I + K S_output P: one inverse serves both.
-    S_input = np.eye(m) + K @ S_output @ plants.response
-    half = 0.5 * np.eye(p)
-    peak = np.maximum(_largest(S_output - half), _largest(S_input - half[:m, :m]))
+    S_input = np.asarray(np.eye(m) + K @ S_output @ plants.response, dtype=np.complex128)
+    peak = np.maximum(_largest(S_output - 0.5 * np.eye(p)), _largest(S_input - 0.5 * np.eye(m)))
     A, B, C, D = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *controller[:4])
-    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    radius = np.abs(poles).max(axis=-1)
-    stable = radius < 1.0
+    poles = pole_arrays(A)
+    decay = -spectral_abscissa(continuous_poles(poles, plants.period))
+    torque_noise = noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], plants.noise)
     return LoopMeasures(
-        bandwidth=crossing(plants.frequency, np.maximum(_largest(S_output[0]), _largest(S_input[0]))),
-        disk_margin=np.where(stable, 1.0 / peak.max(axis=-1), 0.0),
-        damping=damping_above(poles, plants.period, plants.nutation / 10.0),
-        radius=radius,
-        torque_noise=_noise(A[0], B[0][:, m:] * plants.noise, C[0][:m], D[0][:m, m:] * plants.noise, bool(stable[0])),
+        bandwidth=float(min(bandwidth_of_response(plants.frequency, S[0]) for S in (S_output, S_input))),
+        disk_margin=np.where(decay > 0.0, 1.0 / peak.max(axis=-1), 0.0),
+        damping=minimum_damping(poles, plants.nutation / 10.0, plants.period),
+        decay=decay,
+        torque_noise=torque_noise,
     )
-
-
-def crossing(frequency: FloatArray, gain: FloatArray, level: float = 0.5**0.5) -> float:
-    """Return the lowest frequency at which `gain` reaches `level`, interpolated in logarithms."""
-    above = np.flatnonzero(gain >= level)
-    if above.size == 0:
-        return float(frequency[-1])
-    k = int(above[0])
-    if k == 0:
-        return float(frequency[0])
-    share = np.log(level / gain[k - 1]) / np.log(gain[k] / gain[k - 1])
-    return float(frequency[k - 1] * (frequency[k] / frequency[k - 1]) ** share)
-
-
-def damping_above(poles: ComplexArray, period: float, above: float) -> FloatArray:
-    """Return the smallest damping ratio of the discrete `poles` (..., n) with |ln z|/period over `above`, (...)."""
-    size = np.maximum(np.abs(poles), 1e-300)
-    s = (np.log(size) + 1j * np.angle(poles)) / period
-    natural = np.abs(s)
-    ratio = -s.real / np.maximum(natural, np.finfo(float).tiny)
-    out: FloatArray = np.where(natural > above, ratio, 1.0).min(axis=-1)
-    return out
 
 
 def _largest(matrices: ComplexArray) -> FloatArray:
     """Largest singular values, (...): from the Hermitian square, which is faster in batches."""
     square = matrices.conj().swapaxes(-1, -2) @ matrices
     out: FloatArray = np.sqrt(np.linalg.eigvalsh(square)[..., -1])
-    return out
-
-
-def _noise(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, stable: bool) -> FloatArray:
-    if not stable:
-        return np.full(len(C), np.inf)
-    from scipy.linalg import solve_discrete_lyapunov
-
-    covariance = solve_discrete_lyapunov(A, B @ B.T)
-    out: FloatArray = np.sqrt(np.maximum(np.diag(C @ covariance @ C.T + D @ D.T), 0.0))
     return out

@@ -21,10 +21,10 @@ _IN_VIEW = 8
 def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
     measures = measure(plants, StateArrays(*controller, dt=plants.period))
-    radius = float(measures.radius.max())
-    if not radius < 1.0:
-        return 10.0 + min((radius - 1.0) / plants.period / plants.nutation, 1e6) * 100.0
-    ratios = (r.ratios(measures).max() for r in requirements if r.kind != "stability")
+    growth = -float(measures.decay.min())
+    if not growth < 0.0:
+        return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
+    ratios = (r.ratios(measures).max(initial=0.0) for r in requirements)
     return float(min(max(ratios, default=0.0), 10.0))
 
 
@@ -115,11 +115,10 @@ def tune(
 def _worst_plants(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> list[int]:
     """Return plant numbers, the worst first."""
     measures = measure(plants, StateArrays(*controller, dt=plants.period))
-    if not np.all(measures.radius < 1.0):
-        order = np.argsort(-measures.radius)
-        return [int(k) for k in order]
+    if not np.all(measures.decay > 0.0):
+        return [int(k) for k in np.argsort(measures.decay)]
     ratios = np.zeros(len(plants.labels))
     for requirement in requirements:
-        if requirement.over_spread and requirement.kind != "stability":
+        if requirement.over_spread:
             ratios[1:] = np.maximum(ratios[1:], requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]
