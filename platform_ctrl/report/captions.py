@@ -8,7 +8,7 @@ from platform_ctrl.check.simulated import Run
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
-from platform_ctrl.report.quantities import count, listed, percent, plain, quantity
+from platform_ctrl.report.quantities import count, listed, plain, quantity
 
 
 def nutation(result: JobResult) -> str:
@@ -16,8 +16,9 @@ def nutation(result: JobResult) -> str:
     spread = result.job.spread.spin
     shaded = f" The shaded band is the spread of the rotors' speed, ±{plain(100.0 * spread, 3)} %." if spread else ""
     return (
-        "Nutation frequencies of the uncontrolled gimbals at rest, all rotors at the same share of their speed; the marker is the "
-        f"nominal plant, the dotted lines the bandwidths of the closed loops: the closer, the harder the design.{shaded}"
+        "Nutation frequencies of the uncontrolled gimbals at rest, all rotors at the same share of their speed; "
+        "the marker is the nominal plant, the dotted lines the bandwidths of the closed loops: the closer, the "
+        f"harder the design.{shaded}"
     )
 
 
@@ -44,9 +45,10 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
     asked = outcome.spec.limits.bandwidth_hz
     shaded = " the shaded band is the bandwidth that is asked for;" if asked is not None else ""
     return (
-        f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for “{outcome.closed.name}” (marker);"
-        f"{shaded} thin: the smallest singular value. Right: the peak is one over the disk margin; it stands at "
-        f"{quantity(float(at), 'Hz', 3)}, where this loop is closest to losing its stability."
+        f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for "
+        f"“{outcome.closed.name}” (marker);{shaded} thin: the smallest singular value. Right: the peak is one over "
+        f"the disk margin; it stands at {quantity(float(at), 'Hz', 3)}, where this loop is closest to losing its "
+        "stability."
     )
 
 
@@ -54,9 +56,10 @@ def loop_transfer(outcome: LoopOutcome) -> str:
     """Loop transfer, controller, channel by channel."""
     del outcome
     return (
-        "First column: singular values of the loop transfer at the torquers, and the controller's largest gain. Others: the loop that "
-        "each torquer closes while all the others stay closed. Stability margins show where the gain passes 1: the phase there "
-        "should keep away from −180° and its odd multiples; the nutation shows as a resonance that the phase has to pass on the safe side."
+        "First column: singular values of the loop transfer at the torquers, and the controller's largest gain. "
+        "Others: the loop that each torquer closes while all the others stay closed. Stability margins show where "
+        "the gain passes 1: the phase there should keep away from −180° and its odd multiples; the nutation shows "
+        "as a resonance that the phase has to pass on the safe side."
     )
 
 
@@ -65,9 +68,9 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
     closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
     worst = 1e3 * float(np.nanmax(closed.angle_per_rate, initial=0.0))
     return (
-        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift away at low frequency "
-        f"and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate moves them by more than {plain(worst, 3)} mrad "
-        "per rad/s."
+        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift "
+        f"away at low frequency and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate "
+        f"moves them by more than {plain(worst, 3)} mrad per rad/s."
     )
 
 
@@ -81,8 +84,9 @@ def poles(outcome: LoopOutcome, plants: int) -> str:
         lines.append(f"dotted, {plain(limits.damping_spread)}, over the spread")
     asked = f" Red lines: the damping that is asked of fast poles ({'; '.join(lines)})." if lines else ""
     return (
-        f"Poles as s = ln(z)/T. Strong: nominal plant; faint: all {plants} plants of the spread and of the platform's rates. Stable poles lie "
-        f"left of the shaded half plane.{asked} How far the clouds reach to the right is what the spread costs."
+        f"Poles as s = ln(z)/T. Strong: nominal plant; faint: all {plants} plants of the spread and of the "
+        f"platform's rates. Stable poles lie left of the shaded half plane.{asked} How far the clouds reach to the "
+        "right is what the spread costs."
     )
 
 
@@ -93,11 +97,16 @@ def root_locus(outcome: LoopOutcome, locus: RootLocus) -> str:
         words = "the loop is unstable at its design gain"
     else:
         low = "from the smallest gain drawn" if found[0] <= locus.gains[1] else f"from {plain(found[0], 3)}"
-        high = f"to beyond {plain(float(locus.gains[-1]), 3)}" if found[1] >= locus.gains[-1] else f"to {plain(found[1], 3)}"
+        high = (
+            f"to beyond {plain(float(locus.gains[-1]), 3)}"
+            if found[1] >= locus.gains[-1]
+            else f"to {plain(found[1], 3)}"
+        )
         words = f"the loop is stable {low} {high} times its gain"
     return (
-        f"Poles of “{outcome.closed.name}” on the nominal plant while all its gains grow together from 0 to {plain(float(locus.gains[-1]), 3)} "
-        f"times the design. Steps of 0.5 are marked, the design itself large and orange, labelled along the least damped branch: {words}."
+        f"Poles of “{outcome.closed.name}” on the nominal plant while all its gains grow together from 0 to "
+        f"{plain(float(locus.gains[-1]), 3)} times the design. Steps of 0.5 are marked, the design itself large "
+        f"and orange, labelled along the least damped branch: {words}."
     )
 
 
@@ -105,8 +114,8 @@ def servo(result: JobResult) -> str:
     """The platform servo's loops."""
     del result
     return (
-        "The loop through each torquer of the platform, all others closed: gain 1 is crossed at the servo's crossover; the gyros' own loops "
-        "must be fast enough to leave phase there."
+        "The loop through each torquer of the platform, all others closed: gain 1 is crossed at the servo's "
+        "crossover; the gyros' own loops must be fast enough to leave phase there."
     )
 
 
@@ -116,20 +125,27 @@ def coupled_summary(result: JobResult) -> str:
     radius = float(np.abs(check.poles).max(initial=0.0))
     if not check.stable:
         return (
-            f"The coupled system is unstable: its largest pole radius is {plain(radius, 7)}, expected below 1. Margins and noise have no "
-            "meaning until it is stable; try slower loops, or caging loops and servo further apart in bandwidth."
+            f"The coupled system is unstable: its largest pole radius is {plain(radius, 7)}, expected below 1. "
+            "Margins and noise have no meaning until it is stable; try slower loops, or caging loops and servo "
+            "further apart in bandwidth."
         )
-    text = f"With all loops closed the coupled system is stable: largest pole radius {plain(radius, 6)}, {count(len(check.poles), 'pole')}."
+    poles = count(len(check.poles), "pole")
+    text = f"With all loops closed the coupled system is stable: largest pole radius {plain(radius, 6)}, {poles}."
     if np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))
-        text += f" Coupling costs at most {plain(100.0 * max(float(check.cost[k]), 0.0), 2)} % of a disk margin (channel {check.channels[k]})."
+        cost = plain(100.0 * max(float(check.cost[k]), 0.0), 2)
+        text += f" Coupling costs at most {cost} % of a disk margin (channel {check.channels[k]})."
     return text
 
 
 def coupled_poles(result: JobResult) -> str:
     """Poles of the coupled system."""
     radius = float(np.abs(result.coupled.poles).max(initial=0.0))
-    where = "All lie in the left half plane" if result.coupled.stable else "Red poles lie in the right half plane or on its edge"
+    where = (
+        "All lie in the left half plane"
+        if result.coupled.stable
+        else "Red poles lie in the right half plane or on its edge"
+    )
     slowest = -np.log(radius) / result.job.sampling.period if 0.0 < radius < 1.0 else 0.0
     settle = f"; the slowest decays with {plain(slowest, 3)} 1/s" if slowest > 0.0 else ""
     return f"Poles as s = ln(z)/T of all gimbals, the free platform and all controllers together. {where}{settle}."
@@ -138,10 +154,10 @@ def coupled_poles(result: JobResult) -> str:
 def margin_bars(result: JobResult) -> str:
     """Loop-by-loop margins."""
     asked = result.job.coupled.coupling_cost
-    limit = f" At most {percent(-asked)} is allowed." if asked is not None else ""
+    limit = f" A loss of {plain(100.0 * asked, 3)} % is allowed." if asked is not None else ""
     return (
-        "Each pair of bars: the disk margin of one loop before and after the platform feels the gyros' reactions. The design models are "
-        f"good where the pairs are alike.{limit}"
+        "Each pair of bars: the disk margin of one loop before and after the platform feels the gyros' reactions. "
+        f"The design models are good where the pairs are alike.{limit}"
     )
 
 
@@ -151,9 +167,9 @@ def simultaneous(result: JobResult) -> str:
     low, high, phase = margin.gain_phase
     words = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
     return (
-        f"All {len(result.coupled.channels)} loops may change together: any gains from {words} times nominal, or any phases within "
-        f"±{plain(float(np.degrees(phase)), 3)}°, in every channel at once and independently, keep the system stable. The dip shows at which frequency "
-        "the system is most sensitive."
+        f"All {len(result.coupled.channels)} loops may change together: any gains from {words} times nominal, or "
+        f"any phases within ±{plain(float(np.degrees(phase)), 3)}°, in every channel at once and independently, "
+        "keep the system stable. The dip shows at which frequency the system is most sensitive."
     )
 
 
@@ -162,7 +178,8 @@ def platform_disturbance(result: JobResult) -> str:
     del result
     return (
         "Left: how far a torque turns the platform, with all loops closed and (grey) with no controller at all. "
-        "Right: how far the gimbals then leave their zero. Low is good; flat towards low frequency means that a constant torque is held."
+        "Right: how far the gimbals then leave their zero. Low is good; flat towards low frequency means that a "
+        "constant torque leaves a constant angle."
     )
 
 
@@ -171,16 +188,21 @@ def run(one: Run) -> str:
     trajectory = one.trajectory
     if not trajectory.completed:
         return (
-            f"The run {trajectory.ended} (red line): the loops lost the gimbals. Look for the first trace that leaves its limits, and for torques "
-            "at theirs."
+            f"The run {trajectory.ended} (red line): the loops lost the gimbals. Look for the first trace that "
+            "leaves its limits, and for torques at theirs."
         )
     worst = 1e3 * float(np.abs(trajectory.q).max(initial=0.0))
     text = f"No gimbal leaves ±{plain(worst, 3)} mrad."
     saturated = int(trajectory.saturated.sum())
     if trajectory.mode == "caged":
-        text += " A caged gyro holds the rate with the torque L Ω: the torques copy the rate, and what is left in the angles is the transient and noise."
+        text += (
+            " A caged gyro holds the rate with the torque L Ω: the torques copy the rate; transient and noise are left "
+        )
+        text += "in the angles."
     else:
-        text += " The platform gives way until the servo holds the torque, then returns; the torques of the caged gyros are what measures its rate."
+        text += (
+            " The platform gives way until the servo holds the torque; the torques of the caged gyros measure its rate."
+        )
     if saturated:
         text += f" Torquers were at their limits in {count(saturated, 'sample')}."
     if int(trajectory.stop_contacts.sum()):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.check.coupled import CoupledCheck
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.frozen import FloatArray
@@ -30,17 +33,21 @@ from platform_ctrl.report.style import (
 from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.state_space import state_space as linear_state_space
 
+if TYPE_CHECKING:
+    import control
+
 _HZ = 1.0 / (2.0 * np.pi)
 
 
-def coupled_pole_figure(check: CoupledCheck, period: float) -> Figure:
-    """Poles of the coupled closed loop: all of them, and the slow ones near the origin."""
+def coupled_pole_figure(result: JobResult) -> Figure:
+    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
+    check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
     s = continuous_poles(check.poles, period)
     s = s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))]
     nyquist = np.pi / period
-    sizes = np.abs(s)
-    slow = 4.0 * float(np.median(sizes)) if s.size else nyquist
+    nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
+    slow = 1.7 * max(nutations, default=float(np.median(np.abs(s))) if s.size else nyquist)
     for axes, left, right, top in (
         (wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist),
         (close, -1.2 * slow, 0.2 * slow, min(slow, nyquist)),
@@ -57,13 +64,13 @@ def coupled_pole_figure(check: CoupledCheck, period: float) -> Figure:
         axes.set_xlabel("real part, 1/s")
     wide.set_ylabel("imaginary part, rad/s")
     wide.set_title("all poles up to the Nyquist frequency")
-    close.set_title("the slower half, enlarged")
+    close.set_title("around the nutation frequencies and below")
     return figure
 
 
 def margin_bars_figure(check: CoupledCheck) -> Figure:
     """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
-    figure, [[axes]] = panels(1, 1, 2.9, legend=True)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
     coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
@@ -88,18 +95,17 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
 
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
     """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
-    figure, [[axes]] = panels(1, 1, 2.9, legend=True)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
     f = margin.frequencies[kept] * _HZ
     lower, upper = margin.lower_response[kept], margin.upper_response[kept]
     handles = axes.plot(f, lower, **line_style(0))
     handles += axes.plot(f, upper, **line_style(1))
-    handles += axes.plot(f, margin.unstructured_response[kept], **line_style(2))
     frequency_axes(axes, f[0], f[-1])
     floor = min(margin.lower, limit or np.inf)
     axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
-    labels = ["guaranteed", "some perturbation of this size destabilises", "perturbations that couple the channels"]
+    labels = ["guaranteed", "some perturbation of this size destabilises"]
     if limit is not None:
         handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
         labels.append(f"limit {limit:g}")
@@ -118,7 +124,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
 
 
 def coupled_grid(result: JobResult) -> FloatArray:
-    """Return frequencies for the coupled system, rad/s: a thousandth of the Nyquist frequency and below, and up to it."""
+    """Return frequencies for the coupled system, rad/s, from below its slowest pole up to the Nyquist frequency."""
     period = result.job.sampling.period
     s = continuous_poles(result.coupled.poles, period)
     finite = np.abs(s[np.isfinite(s.real) & (np.abs(s) > 0.0)])
@@ -128,7 +134,7 @@ def coupled_grid(result: JobResult) -> FloatArray:
 
 
 def servo_figure(result: JobResult) -> Figure | None:
-    """Bode diagram of every root torquer's loop in the coupled system, all others closed; None without such a torquer."""
+    """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
     check = result.coupled
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
     channels = [k for k, name in enumerate(check.channels) if name in roots]
@@ -163,7 +169,9 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     handles, labels = [], []
     f = w * _HZ
     for axis in range(3):
-        platform.plot(f, opened[:, -3 + axis, axis], color=REFERENCE, linewidth=0.9, linestyle=line_style(axis)["linestyle"])
+        platform.plot(
+            f, opened[:, -3 + axis, axis], color=REFERENCE, linewidth=0.9, linestyle=line_style(axis)["linestyle"]
+        )
         handles += platform.plot(f, closed[:, -3 + axis, axis], **line_style(axis))
         labels.append(f"torque about axis {axis + 1}")
         gimbals.plot(f, np.linalg.norm(closed[:, :-3, axis], axis=1), **line_style(axis))
@@ -184,7 +192,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
 
 
 def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return gimbal and platform angles per torque on the root, without and with all controllers, (N, n + 3, 3), rad/(N m).
+    """Return gimbal and platform angles per root torque without and with controllers, (N, n + 3, 3), rad/(N m).
 
     The disturbance acts in continuous time: its response is the continuous plant's, brought into the loop by the
     sampled loop's sensitivity, which holds below the Nyquist frequency where the samples see it.
@@ -195,11 +203,12 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     outputs = [*names, *OMEGA_NAMES]
     signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
-    to_angle = np.ones(len(outputs), dtype=np.complex128)[None, :, None] * np.ones((len(frequency), 1, 1))
+    # The platform's rates become angles.
+    to_angle = np.ones((len(frequency), len(outputs), 1), dtype=np.complex128)
     to_angle[:, -3:] = (1.0 / (1j * frequency))[:, None, None]
-    from platform_ctrl.analysis.sampled import sampled
-
-    driven = sampled(free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers])
+    driven = sampled(
+        free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
+    )
     P = _response(driven, frequency)
     check = result.coupled
     K = state_arrays(check.controller, "all loops")
@@ -212,6 +221,5 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     return np.abs(to_angle * direct), np.abs(to_angle * closed)
 
 
-def _response(system: object, frequency: FloatArray) -> ComplexArray:
-    arrays: StateArrays = state_arrays(system, "coupled system")  # type: ignore[arg-type]
-    return frequency_response_arrays(*arrays, frequency)
+def _response(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
+    return frequency_response_arrays(*state_arrays(system, "coupled system"), frequency)

@@ -60,7 +60,8 @@ def write_page(result: JobResult, path: str | os.PathLike[str], *, command: str 
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
         raise InputError(
-            f"{target}: cannot be written ({error.strerror or error}); expected a path in a folder that exists and may be written to"
+            f"{target}: cannot be written ({error.strerror or error}); expected a path in a folder that exists and "
+            "may be written to"
         ) from None
     except BaseException:
         if temporary is not None:
@@ -107,7 +108,9 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             "platform": result.job.platform,
             "verdict": tables.verdict(result),
             "rows": rows,
-            "groups": [(name, [row for row in rows if row.subject == name]) for name in dict.fromkeys(r.subject for r in rows)],
+            "groups": [
+                (name, [row for row in rows if row.subject == name]) for name in dict.fromkeys(r.subject for r in rows)
+            ],
             "gimbals": tables.gimbal_rows(result),
             "rotors": tables.rotor_rows(result),
             "modes": tables.mode_rows(result),
@@ -164,12 +167,16 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         return []
     limits = outcome.spec.limits
     plates = [
-        _plate(figures.sensitivity_figure(responses, limits), "Sensitivities", captions.sensitivity(outcome, responses)),
+        _plate(
+            figures.sensitivity_figure(responses, limits), "Sensitivities", captions.sensitivity(outcome, responses)
+        ),
         _plate(
             figures.loop_transfer_figure(responses, plants.torques), "Loop transfer", captions.loop_transfer(outcome)
         ),
         _plate(
-            figures.disturbance_figure(responses), "Disturbances to gimbal angles", captions.disturbance(outcome, responses)
+            figures.disturbance_figure(responses),
+            "Disturbances to gimbal angles",
+            captions.disturbance(outcome, responses),
         ),
         _plate(
             figures.pole_figure(responses, limits, plants.nutation, plants.period),
@@ -195,8 +202,9 @@ def _coupled_plates(result: JobResult) -> list[Plate]:
     from platform_ctrl.report import figures
 
     check = result.coupled
-    period = result.job.sampling.period
-    plates = [_plate(figures.coupled_pole_figure(check, period), "Poles of the coupled system", captions.coupled_poles(result))]
+    plates = [
+        _plate(figures.coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result))
+    ]
     if check.channels:
         plates.append(
             _plate(figures.margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
@@ -216,5 +224,7 @@ def _run_section(result: JobResult, k: int) -> dict[str, Any]:
     run = result.runs[k]
     return {
         "run": run,
-        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, captions.run(run)) if run.trajectory.t.size else None,
+        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, captions.run(run))
+        if run.trajectory.t.size
+        else None,
     }

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import LoopLimits
-from platform_ctrl.report.loop_responses import DesignResponses, LoopResponses, RootLocus
+from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.style import (
     BAND,
     INK,
@@ -117,20 +117,22 @@ def disturbance_figure(responses: LoopResponses) -> Figure:
 
 
 def pole_figure(responses: LoopResponses, limits: LoopLimits, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong) and of all other plants (faint), with the damping that is asked."""
+    """Closed-loop poles of the nominal plant (strong) and of all others (faint), with the damping that is asked."""
     figure, [[wide, close]] = panels(1, 2, 3.7, legend=True)
     nyquist = np.pi / period
     handles = []
     for axes in (wide, close):
         for k, one in enumerate(responses.designs):
             spread, own = _upper(one.spread_poles), _upper(one.poles)
-            style = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
+            style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
             axes.plot(spread.real, spread.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
-            drawn = axes.plot(own.real, own.imag, **style | {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3})
+            drawn = axes.plot(
+                own.real, own.imag, **style | {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
+            )
             handles += drawn if axes is wide else []
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, nutation)
+    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, False)
     extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, nutation)
+    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, True)
     wide.set_title("all poles up to the Nyquist frequency")
     close.set_title("around the nutation frequency and below")
     _design_legend(figure, handles, responses)
@@ -139,8 +141,9 @@ def pole_figure(responses: LoopResponses, limits: LoopLimits, nutation: float, p
 
 def root_locus_figure(locus: RootLocus, limits: LoopLimits, nutation: float, period: float) -> Figure:
     """Poles of the closed design while its gain goes from 0 to twice its value."""
-    figure, [[wide, close]] = panels(1, 2, 3.7)
+    figure, [[wide, close]] = panels(1, 2, 3.9, legend=True)
     nyquist = np.pi / period
+    handles: list[Any] = []
     marks = [int(np.argmin(np.abs(locus.gains - g))) for g in _LABELLED_GAINS if g <= locus.gains[-1]]
     for axes in (wide, close):
         for branch in locus.branches.T:
@@ -150,7 +153,7 @@ def root_locus_figure(locus: RootLocus, limits: LoopLimits, nutation: float, per
         for n, k in enumerate(marks):
             points = _upper(locus.branches[k])
             nominal = abs(locus.gains[k] - 1.0) < 1e-9
-            axes.plot(
+            drawn = axes.plot(
                 points.real,
                 points.imag,
                 linestyle="none",
@@ -159,10 +162,12 @@ def root_locus_figure(locus: RootLocus, limits: LoopLimits, nutation: float, per
                 color=SERIES[1] if nominal else SERIES[0],
                 markerfacecolor="none",
             )
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, nutation)
+            handles += drawn if axes is wide else []
+    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, False)
     extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, nutation)
+    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, True)
     _label_gains(close, locus, marks, extent)
+    legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
     wide.set_title("all branches up to the Nyquist frequency")
     close.set_title("around the nutation frequency and below")
     return figure
@@ -187,24 +192,28 @@ def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) 
             last = s
 
 
-def _s_plane(axes: Axes, left: float, right: float, top: float, limits: LoopLimits, nutation: float) -> None:
-    """Axes of the upper half plane; to the right of a damping line poles above a tenth of the nutation are too weak."""
+def _s_plane(axes: Axes, left: float, right: float, top: float, limits: LoopLimits, named: bool) -> None:
+    """Axes of the upper half plane; fast poles to the right of a damping line are damped too little."""
     axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
     axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-    for ratio, dashes in ((limits.damping, (0, (5, 2))), (limits.damping_spread, (0, (1.2, 1.4)))):
+    for ratio, dashes, height in (
+        (limits.damping, (0, (5, 2)), 0.96),
+        (limits.damping_spread, (0, (1.2, 1.4)), 0.88),
+    ):
         if ratio is not None and 0.0 < ratio < 1.0:
             slope = ratio / np.sqrt(1.0 - ratio**2)
             axes.plot([0.0, -slope * top], [0.0, top], color=LIMIT, linestyle=dashes, linewidth=0.9)
-            axes.annotate(
-                f"{ratio:g}",
-                (-slope * 0.965 * top, 0.965 * top),
-                (-2, 0),
-                textcoords="offset points",
-                ha="right",
-                va="center",
-                color=LIMIT,
-                fontsize=7,
-            )
+            if named:
+                axes.annotate(
+                    f"{ratio:g}",
+                    (-slope * height * top, height * top),
+                    (-3, 0),
+                    textcoords="offset points",
+                    ha="right",
+                    va="center",
+                    color=LIMIT,
+                    fontsize=7,
+                )
     axes.set_xlim(left, right)
     axes.set_ylim(0.0, top)
     linear_axis(axes.xaxis, 6)
@@ -256,8 +265,3 @@ def phase_axes(axes: Axes, f: FloatArray) -> None:
 def _upper(s: ComplexArray) -> ComplexArray:
     """Poles of the closed upper half plane that are finite."""
     return np.asarray(s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))])
-
-
-def main_resonance(one: DesignResponses) -> float:
-    """Return the frequency of the peak of S, Hz."""
-    return float(one.gang.frequency[int(np.argmax(one.sensitivity))] * _HZ)

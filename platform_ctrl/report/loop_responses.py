@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
@@ -116,7 +118,7 @@ class RootLocus:
 
 
 def following_grid(poles: ComplexArray, low: float, high: float, points: int = 220) -> FloatArray:
-    """Return frequencies from `low` to `high`, logarithmic, with extra ones around every resonance of `poles` (s-plane)."""
+    """Return frequencies from `low` to `high`, logarithmic, denser around every resonance of `poles` (s-plane)."""
     plain = np.geomspace(low, high, points)
     near = [plain]
     for s in np.asarray(poles).ravel():
@@ -153,7 +155,9 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     )
     return LoopResponses(
         frequency=frequency,
-        designs=tuple(_design_responses(d, gang(plant, d.controller, frequency), from_rate, poles[id(d)]) for d in designs),
+        designs=tuple(
+            _design_responses(d, gang(plant, d.controller, frequency), from_rate, poles[id(d)]) for d in designs
+        ),
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
         open_angle_per_torque=_largest(open_torque),
     )
@@ -176,8 +180,8 @@ def _design_responses(
         sensitivity=np.maximum(_largest(S_in), _largest(S_out)),
         complementary=np.maximum(_largest(T_in), _largest(T_out)),
         balanced=np.maximum(_largest(0.5 * (S_in - T_in)), _largest(0.5 * (S_out - T_out))),
-        smallest_sensitivity=np.linalg.svd(S_in, compute_uv=False)[:, -1],
-        loop_gains=np.linalg.svd(loop, compute_uv=False).T,
+        smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
+        loop_gains=np.asarray(np.linalg.svd(loop, compute_uv=False).T, dtype=np.float64),
         channels=channels,
         controller_gain=_largest(frequency_response_arrays(*K, responses.frequency)),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
@@ -210,15 +214,39 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
     if design.plants is None:
         raise ValueError(f"{design.loop}, {design.name}: no plants of its own, expected a design with plants")
     plants, K = design.plants, state_arrays(design.controller, design.name)
+
+    def poles(gains: FloatArray) -> ComplexArray:
+        factor = gains[:, None, None]
+        P = (plants.A[0], plants.B[0], plants.C[0], plants.D[0])
+        A = closed_loop_arrays(*P, K.A, K.B, factor * K.C, factor * K.D)[0]
+        return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+
     gains = np.linspace(0.0, highest, points)
-    factor = gains[:, None, None]
-    A = closed_loop_arrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], K.A, K.B, factor * K.C, factor * K.D)[0]
-    z = _branches(np.asarray(np.linalg.eigvals(A), dtype=np.complex128))
+    gains = np.union1d(gains, _near_breakaways(gains, poles))
+    z = _branches(poles(gains))
     return RootLocus(
         gains=gains,
         branches=continuous_poles(z, plants.period),
         stable=np.abs(z).max(axis=1) < 1.0,
     )
+
+
+def _near_breakaways(gains: FloatArray, poles: Callable[[FloatArray], ComplexArray]) -> FloatArray:
+    """Return more gains around those where poles leave the real axis: there they move fastest."""
+
+    def real(z: ComplexArray) -> FloatArray:
+        return np.asarray((z.imag == 0.0).sum(axis=-1), dtype=np.float64)
+
+    counts = real(poles(gains))
+    at = np.flatnonzero(np.diff(counts))
+    low, high, left = gains[at].copy(), gains[at + 1].copy(), counts[at]
+    for _ in range(24 if at.size else 0):
+        middle = 0.5 * (low + high)
+        before = real(poles(middle)) == left
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    steps = (gains[1] - gains[0]) * (np.arange(-8, 9) / 8.0) ** 2 * np.sign(np.arange(-8, 9))
+    more = (high[:, None] + steps).ravel()
+    return np.asarray(more[(more >= gains[0]) & (more <= gains[-1])])
 
 
 def _branches(z: ComplexArray) -> ComplexArray:

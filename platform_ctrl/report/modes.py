@@ -14,8 +14,8 @@ from platform_ctrl.design.plants import changed, rows_of
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, linearise
 
-# A pole this small against the fastest of its group counts as zero: quadruple zeros come out that large in floating point.
-_ZERO = 1e-3
+# A pole this small against the fastest of its group counts as zero: multiple zeros come out that large in floats.
+_ZERO = 1e-5
 
 
 @value
@@ -31,9 +31,9 @@ class Mode:
     poles
         How many.
     frequency
-        |s|, rad/s; 0 for poles at the origin.
+        Of the oscillation, |Im s|, rad/s; 0 where there is none.
     growth
-        Largest real part, 1/s; 0 at rest.
+        Largest real part, 1/s; 0 where nothing grows.
     """
 
     gimbals: tuple[str, ...]
@@ -75,7 +75,7 @@ def modes(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Mode, ...]:
         if inertial:
             out.append(_mode(gimbals, "inertial", np.zeros(2 * inertial, dtype=np.complex128), s))
         return tuple(out)
-    # With a platform rate the restraint mixes precession and inertial directions: told apart by speed alone they are not.
+    # With a platform rate the restraint mixes precession and inertial directions.
     kind = "precession" if not inertial else "precession and inertial"
     out += [_mode(gimbals, kind, slow[k : k + 2], s) for k in range(0, len(slow), 2)]
     return tuple(out)
@@ -83,13 +83,13 @@ def modes(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Mode, ...]:
 
 def _mode(gimbals: tuple[str, ...], kind: str, s: ComplexArray, every: ComplexArray) -> Mode:
     small = _ZERO * float(np.abs(every).max(initial=0.0))
-    growth = float(s.real.max(initial=0.0))
+    frequency, growth = float(np.abs(s.imag).max(initial=0.0)), float(s.real.max(initial=0.0))
     return Mode(
         gimbals=gimbals,
         kind=kind,
         poles=len(s),
-        frequency=float(np.abs(s).max(initial=0.0)) if np.abs(s).max(initial=0.0) > small else 0.0,
-        growth=growth if growth > 1e-6 * float(np.abs(every).max(initial=1.0)) else 0.0,
+        frequency=frequency if frequency > small else 0.0,
+        growth=growth if growth > small else 0.0,
     )
 
 

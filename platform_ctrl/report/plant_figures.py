@@ -16,7 +16,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
     lines = nutation_over_speed(result, speed)
     if not lines:
         return None
-    figure, [[axes]] = panels(1, 1, 2.9, legend=True, width=6.4)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False, width=6.4)
     handles = []
     nominal = int(np.argmin(np.abs(speed - 1.0)))
     for k, (_, frequency) in enumerate(lines):
@@ -37,6 +37,8 @@ def nutation_figure(result: JobResult) -> Figure | None:
     axes.set_ylabel("frequency, Hz")
     if bandwidths:
         handles.append(axes.plot([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.4)))[0])
-    labels = [f"nutation of {'-'.join(group)}" for group, _ in lines] + (["bandwidth of the loops"] if bandwidths else [])
+    labels = [f"nutation of {'-'.join(group)}" for group, _ in lines] + (
+        ["bandwidth of the loops"] if bandwidths else []
+    )
     legend_above(figure, handles, labels)
     return figure

@@ -21,7 +21,7 @@ def plain(number: float, digits: int = 4) -> str:
     """Return `number` with `digits` significant digits and a real minus sign; ``unstable`` where it is not finite."""
     if not math.isfinite(number):
         return "unstable"
-    if number != 0.0 and not 1e-4 <= abs(number) < 1e6:
+    if number != 0.0 and not 1e-3 <= abs(number) < 1e6:
         mantissa, exponent = f"{number:.{max(digits - 1, 0)}e}".split("e")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
         return f"{mantissa}·10{_superscript(int(exponent))}".replace("-", MINUS)

@@ -1,4 +1,4 @@
-"""The job with its plant as one TOML text: the exact inputs, which `platform_ctrl.read_job` reads back to the last bit."""
+"""The job with its plant as one TOML text: the exact inputs, which `read_job` reads back to the last bit."""
 
 from __future__ import annotations
 

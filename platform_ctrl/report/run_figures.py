@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,7 +24,9 @@ from platform_ctrl.report.style import (
 )
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
-_FAR = 4.0
+_FAR = 3.7
+# A trace beyond so many times its limit is cut off.
+_WILD = 5.0
 
 
 def run_figure(run: Run, platform: Platform) -> Figure:
@@ -34,20 +38,16 @@ def run_figure(run: Run, platform: Platform) -> Figure:
     roots = [k for k, torquer in enumerate(platform.torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(platform.torquers)) if k not in roots]
 
-    _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")))
-    rows[0][0].set_title("gimbal angles")
-    rows[0][0].set_ylabel("mrad")
+    _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")), "gimbal angles", "mrad")
     _torques(rows[0][1], run, platform, gimbals, "torques on the gimbals")
     if free:
         _torques(rows[0][2], run, platform, roots, "torques on the platform")
-        _traces(rows[1][0], t.t, 1e3 * t.attitude_angles, _axes_names("θ"), _thousand(limits.get("attitude")))
-        rows[1][0].set_title("platform angles against inertial axes")
-        rows[1][0].set_ylabel("mrad")
+        attitude, limit = 1e3 * t.attitude_angles, _thousand(limits.get("attitude"))
+        _traces(rows[1][0], t.t, attitude, _axes_names("θ"), limit, "inertial platform angles", "mrad")
     rate = rows[1][1 if free else 0]
     factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
-    _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None)
-    rate.set_title("platform rate" if free else "platform rate, prescribed")
-    rate.set_ylabel(unit)
+    title = "platform rate" if free else "platform rate, prescribed"
+    _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None, title, unit)
     _shares(rows[1][-1], run, platform, gimbals + roots if free else gimbals, limits.get("torque_share"))
     if not t.completed:
         for axes in [axes for row in rows for axes in row][:-1]:
@@ -59,27 +59,45 @@ def run_figure(run: Run, platform: Platform) -> Figure:
     return figure
 
 
-def _traces(axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None) -> None:
-    for k, name in enumerate(names):
+def _traces(
+    axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None, title: str, unit: str
+) -> None:
+    # The noisiest trace lies at the back, so that it hides no other.
+    noise = np.argsort(np.argsort(-np.nan_to_num(np.abs(np.diff(y, axis=0))).sum(axis=0)))
+    handles: list[Any] = []
+    for k in range(len(names)):
         good = np.isfinite(y[:, k])
-        axes.plot(*envelope(t[good], y[good, k]), label=name, **signal_style(k))
-    finite = np.abs(y[np.isfinite(y)])
-    largest = float(finite.max(initial=0.0))
-    top = 1.15 * largest if largest > 0.0 else 1.0
-    if limit is not None and largest > _FAR * 5.0 * limit:
-        # A run that went wild: its beginning and the limit say more than its end.
-        top = 5.0 * limit
+        handles += axes.plot(*envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **signal_style(k))
+    finite = y[np.isfinite(y)]
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
+    largest = max(-low, high)
+    if limit is not None and largest > _WILD * limit:
+        # Its beginning and the limit say more than its end.
+        low, high = max(low, -_WILD * limit), min(high, _WILD * limit)
     if limit is not None and limit <= _FAR * largest:
-        top = max(top, 1.15 * limit)
+        low, high = min(low, -1.12 * limit), max(high, 1.12 * limit)
         for sign in (-1.0, 1.0):
-            axes.axhspan(sign * limit, sign * 2.0 * top, color=BEYOND, linewidth=0, zorder=0)
+            axes.axhspan(sign * limit, sign * 10.0 * max(-low, high), color=BEYOND, linewidth=0, zorder=0)
             axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
     elif limit is not None:
-        _note(axes, f"limit ±{limit:g}, off the scale")
+        title += f" (limit ±{limit:g} {unit})"
+    extent = (high - low) or 1.0
     # Room for the legend inside the panel, above the traces.
-    axes.set_ylim(-top, 1.32 * top)
+    columns = 3 if len(names) > 3 and axes.get_position().width < 0.3 else 5
+    axes.set_ylim(low - 0.08 * extent, high + (0.12 + 0.12 * -(-len(names) // columns)) * extent)
     linear_axis(axes.yaxis)
-    axes.legend(loc="upper right", ncols=min(5, len(names)), handlelength=1.1, columnspacing=0.9, borderaxespad=0.1, fontsize=7)
+    axes.set_title(title)
+    axes.set_ylabel(unit)
+    axes.legend(
+        handles,
+        names,
+        loc="upper right",
+        ncols=min(columns, len(names)),
+        handlelength=1.1,
+        columnspacing=0.9,
+        borderaxespad=0.1,
+        fontsize=7,
+    )
 
 
 def _torques(axes: Axes, run: Run, platform: Platform, columns: list[int], title: str) -> None:
@@ -89,9 +107,7 @@ def _torques(axes: Axes, run: Run, platform: Platform, columns: list[int], title
     largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
     factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
     common = allowed.pop() if len(allowed) == 1 else None
-    _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common)
-    axes.set_title(title)
-    axes.set_ylabel(unit)
+    _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
 
 
 def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit: float | None) -> None:
@@ -99,7 +115,7 @@ def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit:
     t = run.trajectory
     asked = limit if limit is not None else 1.0
     chosen = [k for k in columns if platform.torquers[k].limit is not None]
-    axes.set_title("largest command, share of the torquer's limit")
+    axes.set_title("largest command over its limit")
     if not chosen or not t.t.size:
         axes.set_axis_off()
         _note(axes, "no torquer has a limit")
@@ -109,7 +125,9 @@ def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit:
     share = np.where(np.isfinite(share), share, 10.0 * asked)
     place = np.arange(len(chosen), dtype=np.float64)[::-1]
     right = 1.12 * max(1.0, asked, min(float(share.max()), 3.0))
-    axes.barh(place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= asked else LIMIT for s in share], linewidth=0)
+    axes.barh(
+        place, np.minimum(share, right), 0.6, color=[SERIES[0] if s <= asked else LIMIT for s in share], linewidth=0
+    )
     for y, s in zip(place, share, strict=True):
         inside = s > 0.8 * right
         axes.annotate(
@@ -134,7 +152,9 @@ def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit:
 
 
 def _note(axes: Axes, text: str) -> None:
-    axes.annotate(text, (0.0, 0.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=MUTED, fontsize=7)
+    axes.annotate(
+        text, (0.0, 0.0), (4, 4), xycoords="axes fraction", textcoords="offset points", color=MUTED, fontsize=7
+    )
 
 
 def _axes_names(symbol: str) -> tuple[str, ...]:

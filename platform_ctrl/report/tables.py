@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import LoopMeasures
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
@@ -17,6 +18,9 @@ from platform_ctrl.requirements import CheckResult
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+# Claims that the measures hold already.
+_MEASURED = ("disk_margin", "damping")
 
 MET, NOT_MET = "\u2713", "\u2717"
 _BOUND = {"at least": "\u2265", "at most": "\u2264"}
@@ -57,7 +61,7 @@ class RequirementRow:
 
 @value
 class MeasureRow:
-    """One figure of every design of a loop: a name, and for each design (text, passed or None where nothing is asked)."""
+    """One figure of every design of a loop: for each design (text, passed or None where nothing is asked)."""
 
     name: str
     limit: str
@@ -100,12 +104,12 @@ def _row(one: CheckResult) -> RequirementRow:
 
 
 def verdict(result: JobResult) -> str:
-    """Return the verdict in one sentence."""
+    """Return the verdict in a few words."""
     asked = len(result.requirements)
     missed = sum(not one.passed for one in result.requirements)
     if not missed:
-        return f"All {count(asked, 'requirement')} met." if asked != 1 else "The one requirement is met."
-    return f"{missed} of {count(asked, 'requirement')} not met."
+        return f"all {count(asked, 'requirement')} met" if asked != 1 else "the one requirement is met"
+    return f"{missed} of {count(asked, 'requirement')} not met"
 
 
 def terminal_table(result: JobResult) -> Table:
@@ -138,12 +142,18 @@ def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
     torquers = {t.gimbal: t for t in platform.torquers if t.gimbal is not None}
     pickoffs = {s.gimbal: s for s in platform.pickoffs}
     depth: dict[str, int] = {platform.root_name: -1}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for k, gimbal in enumerate(platform.gimbals):
         depth[gimbal.name] = depth.get(gimbal.parent, -1) + 1
         stops = "none" if gimbal.stops is None else " to ".join(plain(1e3 * x, 3) for x in gimbal.stops) + " mrad"
         torquer, pickoff = torquers.get(gimbal.name), pickoffs.get(gimbal.name)
-        limit = "" if torquer is None else "no limit" if torquer.limit is None else f"\u00b1{quantity(torquer.limit, 'N m')}"
+        limit = (
+            ""
+            if torquer is None
+            else "no limit"
+            if torquer.limit is None
+            else f"\u00b1{quantity(torquer.limit, 'N m')}"
+        )
         rows.append(
             (
                 "\u2003" * depth[gimbal.name] + gimbal.name,
@@ -187,8 +197,8 @@ def axis_text(axis: Sequence[float] | np.ndarray) -> str:
 _KIND = {
     "nutation": "nutation",
     "precession": "precession",
-    "inertial": "no gyro stiffens this direction",
-    "precession and inertial": "precession and inertial motion",
+    "inertial": "free inertia: no gyro acts in this direction",
+    "precession and inertial": "precession and free inertia",
 }
 
 
@@ -204,12 +214,12 @@ def mode_rows(result: JobResult) -> list[tuple[str, ...]]:
 
 def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     if mode.frequency == 0.0:
-        frequency = "at the origin"
+        frequency = "at the origin" if mode.growth == 0.0 else "no oscillation"
     else:
         frequency = f"{plain(mode.frequency)} rad/s = {plain(mode.frequency / (2.0 * np.pi))} Hz"
     kind = _KIND[mode.kind]
     if mode.growth > 0.0:
-        kind += f", growing at {plain(mode.growth, 3)} 1/s"
+        kind += f", unstable, grows at {plain(mode.growth, 3)} 1/s"
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency
 
 
@@ -220,28 +230,39 @@ def measure_rows(outcome: LoopOutcome) -> list[MeasureRow]:
     for name in dict.fromkeys(one.name for design in designs for one in design.results):
         found = [next((one for one in design.results if one.name == name), None) for design in designs]
         first = next(one for one in found if one is not None)
-        cells = [("\u2013", None) if one is None else (compared(one.value, one.limit, one.unit)[0], one.passed) for one in found]
+        cells: list[tuple[str, bool | None]] = [
+            ("\u2013", None) if one is None else (compared(one.value, one.limit, one.unit)[0], one.passed)
+            for one in found
+        ]
         limit = f"{_BOUND[first.sense]} {compared(first.value, first.limit, first.unit)[1]}"
         rows.append(MeasureRow(name=name, limit=limit, cells=tuple(cells)))
     asked = {row.name for row in rows}
-    for name, unit, figure in (
-        ("bandwidth", "Hz", lambda m: m.bandwidth / (2.0 * np.pi)),
-        ("disk margin", "", lambda m: m.disk_margin[0]),
-        ("disk margin over the spread", "", lambda m: m.disk_margin[1:].min(initial=np.inf)),
-        ("damping", "", lambda m: m.damping[0]),
-        ("damping over the spread", "", lambda m: m.damping[1:].min(initial=np.inf)),
-        ("torque noise, rms", "N m", lambda m: m.torque_noise.max(initial=0.0)),
-    ):
-        if name in asked or all(design.measures is None for design in designs):
-            continue
-        texts = ["\u2013" if d.measures is None else quantity(float(figure(d.measures)), unit) for d in designs]
-        rows.append(MeasureRow(name=name, limit="", cells=tuple((text, None) for text in texts)))
+    measured = [{} if design.measures is None else _measured(design.measures) for design in designs]
+    for name in dict.fromkeys(name for figures in measured for name in figures if name not in asked):
+        cells = [(figures.get(name, "\u2013"), None) for figures in measured]
+        rows.append(MeasureRow(name=name, limit="", cells=tuple(cells)))
     return rows
 
 
+def _measured(measures: LoopMeasures) -> dict[str, str]:
+    """Return all figures by the names that requirements give them."""
+    out = {
+        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz"),
+        "disk margin": plain(float(measures.disk_margin[0])),
+        "damping": plain(float(measures.damping[0])),
+        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
+    }
+    if len(measures.disk_margin) > 1:
+        out["disk margin over the spread"] = plain(float(measures.disk_margin[1:].min()))
+        out["damping over the spread"] = plain(float(measures.damping[1:].min()))
+    return out
+
+
 def claim_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
-    """Return what the methods claim, name by name, a text for every design."""
-    return _by_name([design.claims for design in outcome.designs])
+    """Return what the methods claim beyond the measures, name by name, a text for every design."""
+    return _by_name(
+        [{name: x for name, x in design.claims.items() if name not in _MEASURED} for design in outcome.designs]
+    )
 
 
 def option_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
