@@ -211,7 +211,7 @@ def test_solver_s_answer_satisfies_every_inequality_and_none_holds_below_the_lea
     assert len(eigenvalues) == 3
     assert max(eigenvalues) < 0
     scaled = autoscale(partition(P, nmeas, ncon)).plant
-    best = _minimised(scaled, 60.0, P)
+    best = _minimised(scaled, 60.0, P, 1e-7)
     worst = [np.linalg.eigvalsh(m)[-1] for m in inequalities(scaled, 0.9 * best.gamma, best.X, best.Y).values()]
     assert max(worst) > 1e-3
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -32,14 +32,33 @@ LARGEST_SEPARATION = 10.0
 # inequality bounds X and Y would grow without end.
 LARGEST_MEAN = 100.0
 LEAST_ROOM = 10.0
-# Rounds of the second step until everything holds: how far the inequalities are kept from zero, relative to gamma and
-# the back-off, and what is paid for the mean eigenvalues of X and Y. The separation sees one direction only. Where X
-# and Y are small in the others, I − X Y is near singular there and the controller has poles ten to a hundred times
-# faster than that of the Riccati route; but large ones hide violations from the solver.
-ROUNDS = ((5e-3, 1e-4), (5e-4, 1e-4), (5e-5, -1e-4))
+
+
+class Round(NamedTuple):
+    """How the second step is tried.
+
+    Attributes
+    ----------
+    strictness
+        How far the inequalities are kept from zero, relative to gamma and the back-off.
+    reward
+        What is paid for the mean eigenvalues of X and Y. The separation sees one direction only. Where X and Y are
+        small in the others, I − X Y is near singular there and the controller has poles ten to a hundred times faster
+        than that of the Riccati route; but large ones hide violations from the solver.
+    tolerance
+        The solver's.
+    """
+
+    strictness: float
+    reward: float
+    tolerance: float
+
+
+# Until everything holds.
+ROUNDS = (Round(5e-3, 1e-4, 1e-6), Round(5e-4, 1e-4, 1e-8), Round(5e-5, -1e-4, 1e-8))
 LEAST_STRICTNESS = 1e-6
-# Tolerance of the first solve, which only serves to find the right states.
-ROUGH = 1e-4
+# Tolerances of the first solve, which only serves to find the right states, and of the least gamma.
+ROUGH, FINE = 1e-4, 1e-7
 
 
 @value
@@ -68,16 +87,16 @@ def hinf_lmi(
     """
     scaled, least = _rough(plant, time_limit, P)
     turned, failure = scaled.plant, None
-    for share, reward in ROUNDS:
+    for attempt in ROUNDS:
         turned = _balanced(turned, least)
         # In these states X = Y; their mean square does not depend on the states.
         own = float(np.sqrt(np.trace(least.X @ least.Y) / len(least.X)))
         bound = max(LARGEST_MEAN, LEAST_ROOM * own)
         try:
-            least = _minimised(turned, time_limit, P)
+            least = _minimised(turned, time_limit, P, FINE)
             level = (1 + backoff) * least.gamma
-            strictness = max(LEAST_STRICTNESS, share * min(backoff, 0.02)) * level
-            best = _separated(turned, level, strictness, reward, bound, time_limit, P)
+            margin = max(LEAST_STRICTNESS, attempt.strictness * min(backoff, 0.02)) * level
+            best = _separated(turned, level, margin, bound, attempt, time_limit, P)
             residual = _strict(turned, best, scaled.gain, P)
             made = _reconstructed(turned, scaled.control_rank, scaled.measurement_rank, best, P)
         except _OutOfTime:
@@ -176,7 +195,7 @@ def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -
     return out
 
 
-def _minimised(plant: Partition, time_limit: float, P: StateSpace, tolerance: float = 1e-8) -> Certificate:
+def _minimised(plant: Partition, time_limit: float, P: StateSpace, tolerance: float) -> Certificate:
     """Least gamma for which the inequalities hold."""
     cp = _cvxpy()
     n = len(plant.A)
@@ -187,17 +206,17 @@ def _minimised(plant: Partition, time_limit: float, P: StateSpace, tolerance: fl
 
 
 def _separated(
-    plant: Partition, gamma: float, strictness: float, reward: float, bound: float, time_limit: float, P: StateSpace
+    plant: Partition, gamma: float, margin: float, bound: float, attempt: Round, time_limit: float, P: StateSpace
 ) -> Certificate:
     """X and Y for which the inequalities hold at `gamma` and [[X, tI], [tI, Y]] ≥ 0 with the largest t."""
     cp = _cvxpy()
     n = len(plant.A)
     X, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     mean_X, mean_Y = cp.trace(X) / n, cp.trace(Y) / n
-    constraints = _constraints(plant, X, Y, gamma, strictness, t)
+    constraints = _constraints(plant, X, Y, gamma, margin, t)
     constraints += [t <= LARGEST_SEPARATION, mean_X <= bound, mean_Y <= bound]
-    problem = cp.Problem(cp.Maximize(t + reward * (mean_X + mean_Y)), constraints)
-    _solve(problem, (X, Y, t), f"separating X and Y at gamma = {gamma:.6g} (scaled)", time_limit, P, 1e-8)
+    problem = cp.Problem(cp.Maximize(t + attempt.reward * (mean_X + mean_Y)), constraints)
+    _solve(problem, (X, Y, t), f"separating X and Y at gamma = {gamma:.6g} (scaled)", time_limit, P, attempt.tolerance)
     return Certificate(gamma=gamma, X=X.value, Y=Y.value, separation=float(t.value))
 
 
@@ -205,14 +224,14 @@ def _cvxpy() -> Any:
     return import_module("cvxpy")  # Any: its annotations are incomplete
 
 
-def _constraints(plant: Partition, X: Any, Y: Any, gamma: Any, strictness: float, t: Any) -> list[Any]:
+def _constraints(plant: Partition, X: Any, Y: Any, gamma: Any, margin: float, t: Any) -> list[Any]:
     cp = _cvxpy()
     one = np.eye(len(plant.A))
     constraints = [cp.bmat([[X, t * one], [t * one, Y]]) >> 0]
     for V, (N1, F, N2, G) in zip((X, Y), _sides(plant), strict=True):
         half = N1.T @ V @ F
         block = cp.bmat([[half + half.T - gamma * (N2.T @ N2), G], [G.T, -gamma * np.eye(G.shape[1])]])
-        constraints.append(block << -strictness * np.eye(block.shape[0]))
+        constraints.append(block << -margin * np.eye(block.shape[0]))
     return constraints
 
 
