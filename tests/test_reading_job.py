@@ -39,8 +39,8 @@ def job() -> dict[str, Any]:
                 "use": "hand",
                 "limits": {"bandwidth_hz": 40, "damping": 0.1},
                 "design": [
-                    {"name": "hand", "method": "classical", "tune": True, "crossover_hz": 40, "direct_gain": -2},
-                    {"name": "machine", "method": "hinf", "crossover_hz": 40},
+                    {"name": "hand", "method": "classical", "tune": True, "crossover_hz": 40, "notch_depth": -2},
+                    {"name": "machine", "method": "hinf", "bandwidth_hz": 40},
                 ],
             },
             {
@@ -127,7 +127,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
         [HAND, 'method = "clasical"', 'expected "classical" or "hinf" or "platform-servo"'],
     ),
     "method for another kind": (
-        put("platform-servo", "loop", 0, "design", 1, "method"),
+        put({"name": "machine", "method": "platform-servo", "crossover_hz": 40}, "loop", 0, "design", 1),
         ['method = "platform-servo"', "does not make a caging loop", '"classical" or "hinf"'],
     ),
     "option unknown": (
@@ -286,8 +286,8 @@ def test_what_is_read_is_the_job() -> None:
     assert (caging.kind, caging.gimbals, caging.use) == ("caging", ("9", "10"), "hand")
     assert (servo.kind, servo.gimbals, servo.use) == ("stabilisation", (), "servo")
     hand, machine = caging.designs
-    assert (hand.method, hand.tune, hand.options) == ("classical", True, {"crossover_hz": 40.0, "direct_gain": -2.0})
-    assert (machine.method, machine.tune, machine.options) == ("hinf", False, {"crossover_hz": 40.0})
+    assert (hand.method, hand.tune, hand.options) == ("classical", True, {"crossover_hz": 40.0, "notch_depth": -2.0})
+    assert (machine.method, machine.tune, machine.options) == ("hinf", False, {"bandwidth_hz": 40.0})
     assert (caging.limits.bandwidth_hz, caging.limits.damping, caging.limits.disk_margin) == (40.0, 0.1, None)
     assert servo.limits.torque_noise is None
     assert (read.coupled.disk_margin, read.coupled.coupling_cost) == (0.5, None)
