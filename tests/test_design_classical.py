@@ -14,7 +14,7 @@ from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.design.loop import certified, closed_loop_poles, exact_measures, nominal_plant
 from platform_ctrl.design.plants import changed, corners, loop_plants
-from platform_ctrl.design.stabilisation import low_pass, rate_estimate
+from platform_ctrl.design.stabilisation import low_pass, platform_servo, rate_estimate
 from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.errors import DesignError
 from platform_ctrl.linearisation import linearise
@@ -244,3 +244,14 @@ def test_gyros_that_do_not_see_a_rate_are_refused(job):
     blind = dataclasses.replace(job.platform, rotors=job.platform.rotors[:2])
     with pytest.raises(DesignError, match="do not see the rate about"):
         rate_estimate(linearise(blind))
+
+
+def test_numbers_that_make_no_sense_are_named(job, model):
+    channel = channels(model, [3, 4])
+    with pytest.raises(DesignError, match="crossover_hz = 0; expected a number > 0"):
+        starting_values({"crossover_hz": 0.0}, channel, 474.0, PERIOD)
+    with pytest.raises(DesignError, match="notch_hz = 1500; expected less than half the sample rate"):
+        starting_values({"notch_hz": 1500.0}, channel, 474.0, PERIOD)
+    servo = dataclasses.replace(job.loops[2].designs[0], options={"filter_hz": 1000.0})
+    with pytest.raises(DesignError, match="filter_hz = 1000; expected less than half the sample rate"):
+        platform_servo(job, model, job.loops[2], servo)

@@ -18,6 +18,7 @@ import numpy as np
 
 from platform_ctrl.design.blocks import Block, first_order, gain, notch, series, side_by_side, stacked
 from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.options import completed
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray
 
@@ -63,20 +64,19 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
             "damping2_hz": 1.1 * nutation_hz,
             "lead_hz": 0.12 * nutation_hz,
             "rolloff_hz": 0.4 * rate_hz,
-            "notch_hz": nutation_hz,
-            "notch_depth": 1.0,
-            "notch_width": 0.3,
         }
+        if any(name.startswith("notch") for name in given):
+            out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
     if channel.inertial:
         out |= {
             "inertial_crossover_hz": 0.6 * nutation_hz,
             "inertial_lead_hz": 0.2 * nutation_hz,
             "inertial_rolloff_hz": 0.4 * rate_hz,
         }
-    unused = sorted(set(given) - set(out))
-    if unused:
-        raise DesignError(f"classical: option {unused[0]!r} has no meaning for this loop; it knows {', '.join(out)}")
-    return out | given
+    out = completed("classical", given, out)
+    if out.get("notch_hz", 0.0) >= 0.5 * rate_hz:
+        raise DesignError(f"classical: notch_hz = {out['notch_hz']:g}; expected less than half the sample rate")
+    return out
 
 
 def classical_controller(options: dict[str, float], channel: Channels, period: float) -> Block:
@@ -86,8 +86,8 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     ----------
     options
         Frequencies in Hz. ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
-        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``notch_hz``, ``notch_depth`` (1: none), ``notch_width``;
-        ``inertial_...`` of the inertial directions.
+        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``notch_hz``, ``notch_depth``, ``notch_width``, where there
+        is one; ``inertial_...`` of the inertial directions.
     channel
         Pairs and inertial directions.
     period
@@ -99,7 +99,7 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     for k, h in enumerate(channel.momenta):
         lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
         cross = integral
-        if options["notch_depth"] < 1.0:
+        if "notch_hz" in options:
             sharp = notch(rad["notch_hz"], options["notch_depth"], options["notch_width"], period)
             cross = series(integral, sharp)
         one, two = (

@@ -28,8 +28,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.design.blocks import Block, series
 from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.options import completed
 from platform_ctrl.design.synthesis import HinfMethod, hinf
-from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 
 
@@ -70,14 +70,7 @@ def default_options(given: dict[str, float], channel: Channels, nutation: float)
         out |= {"bandwidth_hz": bandwidth, "disturbance": 0.25, "torque": 0.1}
     if channel.inertial:
         out |= {"inertial_bandwidth_hz": bandwidth, "inertial_disturbance": 0.04, "inertial_torque": 0.15}
-    unused = sorted(set(given) - set(out))
-    if unused:
-        raise DesignError(f"hinf: option {unused[0]!r} has no meaning for this loop; it knows {', '.join(out)}")
-    out |= given
-    wrong = [name for name, x in out.items() if not x > 0.0]
-    if wrong:
-        raise DesignError(f"hinf: {wrong[0]} = {out[wrong[0]]:g}; expected a number > 0")
-    return out
+    return completed("hinf", given, out)
 
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:

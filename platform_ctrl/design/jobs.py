@@ -90,11 +90,7 @@ def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: Plan
     if design.tune:
         options = tune(
             options,
-            [
-                name
-                for name in TUNABLE
-                if name in options and (not name.startswith("notch") or options["notch_depth"] < 1.0)
-            ],
+            [name for name in TUNABLE if name in options],
             lambda trial: classical_controller(trial, channel, plants.period),
             plants,
             loop_requirements(spec.limits),

@@ -14,6 +14,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_space
 from platform_ctrl.design.blocks import Block, first_order, gain, series, side_by_side, stacked
 from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.options import completed
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
@@ -52,10 +53,20 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
     Raises
     ------
     DesignError
-        The gyros do not see all three rates, or a gimbal that shows a rate, or a root axis, has no torquer.
+        An option makes no sense, the gyros do not see all three rates, or a gimbal that shows a rate, or a root axis, has no torquer.
     """
-    options = {"crossover_hz": 5.0, "filter_damping": 0.7} | design.options
-    options = {"position_hz": 0.4 * options["crossover_hz"], "filter_hz": 8.0 * options["crossover_hz"]} | options
+    crossover = design.options.get("crossover_hz", 5.0)
+    defaults = {
+        "crossover_hz": crossover,
+        "position_hz": 0.3 * crossover,
+        "filter_hz": 10.0 * crossover,
+        "filter_damping": 0.7,
+    }
+    options = completed(design.method, design.options, defaults)
+    if options["filter_hz"] >= 0.5 / job.sampling.period:
+        raise DesignError(
+            f"{spec.name}: filter_hz = {options['filter_hz']:g}; expected less than half the sample rate", model
+        )
     estimate, used = rate_estimate(model)
     torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
     roots = {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
