@@ -53,7 +53,8 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
     Raises
     ------
     DesignError
-        An option makes no sense, the gyros do not see all three rates, or a gimbal that shows a rate, or a root axis, has no torquer.
+        An option makes no sense, the gyros do not see all three rates, or a gimbal that shows a rate, or a root axis,
+        has no torquer.
     """
     crossover = design.options.get("crossover_hz", 5.0)
     defaults = {
