@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.check.simulated import Run
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.quantities import count, listed, plain, quantity
 
@@ -31,9 +33,18 @@ def loop_summary(outcome: LoopOutcome) -> str:
         text += f" Compared with {listed([f'“{name}”' for name in others])}."
     if closed.results:
         text += f" It misses: {listed(missed)}." if missed else " It meets every limit of this loop on its own plants."
-    elif closed.measures is None:
+    if closed.measures is None:
         text += " It has no plants of its own: it is judged in the coupled system."
+    elif not unstable(closed):
+        return text
+    else:
+        text += " Its closed loop is unstable: its responses below are formulas, not those of a loop that runs."
     return text
+
+
+def unstable(design: LoopDesign) -> bool:
+    """Whether the closed loop with the nominal plant is unstable; False where a design has no plants of its own."""
+    return design.measures is not None and not design.measures.decay[0] > 0.0
 
 
 def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
@@ -41,7 +52,12 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
     closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
     at = responses.frequency[int(np.argmax(closed.balanced))] / (2.0 * np.pi)
     measures = outcome.closed.measures
-    bandwidth = measures.bandwidth / (2.0 * np.pi) if measures is not None else float("nan")
+    if measures is None or unstable(outcome.closed):
+        return (
+            f"With “{outcome.closed.name}” the loop is unstable: it has no bandwidth and no margin; the other "
+            "designs can still be compared."
+        )
+    bandwidth = measures.bandwidth / (2.0 * np.pi)
     asked = outcome.spec.limits.bandwidth_hz
     shaded = " the shaded band is the bandwidth that is asked for;" if asked is not None else ""
     return (
@@ -52,9 +68,8 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
     )
 
 
-def loop_transfer(outcome: LoopOutcome) -> str:
+def loop_transfer() -> str:
     """Loop transfer, controller, channel by channel."""
-    del outcome
     return (
         "First column: singular values of the loop transfer at the torquers, and the controller's largest gain. "
         "Others: the loop that each torquer closes while all the others stay closed. Stability margins show where "
@@ -110,9 +125,8 @@ def root_locus(outcome: LoopOutcome, locus: RootLocus) -> str:
     )
 
 
-def servo(result: JobResult) -> str:
+def servo() -> str:
     """The platform servo's loops."""
-    del result
     return (
         "The loop through each torquer of the platform, all others closed: gain 1 is crossed at the servo's "
         "crossover; the gyros' own loops must be fast enough to leave phase there."
@@ -122,15 +136,17 @@ def servo(result: JobResult) -> str:
 def coupled_summary(result: JobResult) -> str:
     """State of the coupled system in two sentences."""
     check = result.coupled
-    radius = float(np.abs(check.poles).max(initial=0.0))
+    decay = -float(spectral_abscissa(continuous_poles(check.poles, result.job.sampling.period)))
     if not check.stable:
         return (
-            f"The coupled system is unstable: its largest pole radius is {plain(radius, 7)}, expected below 1. "
+            f"The coupled system is unstable: its slowest decay is {plain(decay, 3)} 1/s, expected above 0. "
             "Margins and noise have no meaning until it is stable; try slower loops, or caging loops and servo "
             "further apart in bandwidth."
         )
     poles = count(len(check.poles), "pole")
-    text = f"With all loops closed the coupled system is stable: largest pole radius {plain(radius, 6)}, {poles}."
+    text = (
+        f"With all loops closed the coupled system is stable: {poles}, the slowest decays with {plain(decay, 3)} 1/s."
+    )
     if np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))
         cost = plain(100.0 * max(float(check.cost[k]), 0.0), 2)
@@ -140,15 +156,12 @@ def coupled_summary(result: JobResult) -> str:
 
 def coupled_poles(result: JobResult) -> str:
     """Poles of the coupled system."""
-    radius = float(np.abs(result.coupled.poles).max(initial=0.0))
     where = (
         "All lie in the left half plane"
         if result.coupled.stable
         else "Red poles lie in the right half plane or on its edge"
     )
-    slowest = -np.log(radius) / result.job.sampling.period if 0.0 < radius < 1.0 else 0.0
-    settle = f"; the slowest decays with {plain(slowest, 3)} 1/s" if slowest > 0.0 else ""
-    return f"Poles as s = ln(z)/T of all gimbals, the free platform and all controllers together. {where}{settle}."
+    return f"Poles as s = ln(z)/T of all gimbals, the free platform and all controllers together. {where}."
 
 
 def margin_bars(result: JobResult) -> str:
@@ -173,9 +186,8 @@ def simultaneous(result: JobResult) -> str:
     )
 
 
-def platform_disturbance(result: JobResult) -> str:
+def platform_disturbance() -> str:
     """Platform compliance."""
-    del result
     return (
         "Left: how far a torque turns the platform, with all loops closed and (grey) with no controller at all. "
         "Right: how far the gimbals then leave their zero. Low is good; flat towards low frequency means that a "

@@ -170,9 +170,7 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         _plate(
             figures.sensitivity_figure(responses, limits), "Sensitivities", captions.sensitivity(outcome, responses)
         ),
-        _plate(
-            figures.loop_transfer_figure(responses, plants.torques), "Loop transfer", captions.loop_transfer(outcome)
-        ),
+        _plate(figures.loop_transfer_figure(responses, plants.torques), "Loop transfer", captions.loop_transfer()),
         _plate(
             figures.disturbance_figure(responses),
             "Disturbances to gimbal angles",
@@ -195,7 +193,7 @@ def _servo_plates(result: JobResult) -> list[Plate]:
     from platform_ctrl.report import figures
 
     figure = figures.servo_figure(result)
-    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo(result))]
+    return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo())]
 
 
 def _coupled_plates(result: JobResult) -> list[Plate]:
@@ -214,7 +212,7 @@ def _coupled_plates(result: JobResult) -> list[Plate]:
         plates.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
     if check.stable:
         figure = figures.platform_disturbance_figure(result)
-        plates.append(_plate(figure, "Torque on the platform", captions.platform_disturbance(result)))
+        plates.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
     return plates
 
 

@@ -39,9 +39,9 @@ def run_figure(run: Run, platform: Platform) -> Figure:
     gimbals = [k for k in range(len(platform.torquers)) if k not in roots]
 
     _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")), "gimbal angles", "mrad")
-    _torques(rows[0][1], run, platform, gimbals, "torques on the gimbals")
+    _torques(rows[0][1], run, platform, gimbals, "gimbal torques")
     if free:
-        _torques(rows[0][2], run, platform, roots, "torques on the platform")
+        _torques(rows[0][2], run, platform, roots, "platform torques")
         attitude, limit = 1e3 * t.attitude_angles, _thousand(limits.get("attitude"))
         _traces(rows[1][0], t.t, attitude, _axes_names("θ"), limit, "inertial platform angles", "mrad")
     rate = rows[1][1 if free else 0]

@@ -69,34 +69,22 @@ class MeasureRow:
 
 
 def requirement_rows(result: JobResult) -> tuple[RequirementRow, ...]:
-    """Return all requirements, subjects in the order of the chain, the worst first within each.
-
-    Stability that is met stands last: its margin is not one that is traded against the others'.
-    """
+    """Return all requirements, subjects in the order of the chain, the worst first within each."""
     subjects = list(dict.fromkeys(one.subject for one in result.requirements))
-    ordered = sorted(result.requirements, key=lambda one: (subjects.index(one.subject), *_badness(one)))
+    ordered = sorted(result.requirements, key=lambda one: (subjects.index(one.subject), one.passed, one.margin))
     return tuple(_row(one) for one in ordered)
-
-
-def _badness(one: CheckResult) -> tuple[bool, bool, float]:
-    return one.passed, one.passed and _is_stability(one), one.margin
-
-
-def _is_stability(one: CheckResult) -> bool:
-    return one.name.startswith("largest pole radius")
 
 
 def _row(one: CheckResult) -> RequirementRow:
     number, limit = compared(one.value, one.limit, one.unit)
-    stability = _is_stability(one)
     return RequirementRow(
         subject=one.subject,
         design=one.design,
         requirement=one.name,
         value=number,
         limit=f"{_BOUND[one.sense]} {limit}",
-        margin="\u2013" if stability else percent(one.margin),
-        share=float(np.clip(one.margin, -1.0, 1.0)) if np.isfinite(one.margin) and not stability else 0.0,
+        margin=percent(one.margin),
+        share=float(np.clip(one.margin, -1.0, 1.0)) if np.isfinite(one.margin) else 0.0,
         stage=one.stage,
         passed=one.passed,
         evidence=one.evidence,

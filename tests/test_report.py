@@ -1,0 +1,503 @@
+"""The report: one file that needs nothing else, every requirement on it, figures that show what was computed."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import io
+import os
+import re
+import tomllib
+from html.parser import HTMLParser
+from itertools import pairwise
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import platform_ctrl as pc
+from platform_ctrl import report
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.check import JobResult, checked
+from platform_ctrl.design import loops
+from platform_ctrl.design.loop import closed_loop_poles, remeasured
+from platform_ctrl.errors import InputError
+from platform_ctrl.report import coupled_figures, document, figures, modes, record, style, tables
+from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
+from platform_ctrl.report.quantities import compared, percent, plain, quantity
+
+CAGING: dict[str, Any] = {
+    "name": "caging 9-10",
+    "kind": "caging",
+    "gimbals": ["9", "10"],
+    "use": "classical",
+    "limits": {"bandwidth_hz": 20, "disk_margin": 0.9, "damping": 0.05, "torque_noise": 0.008},
+    "design": [
+        {"name": "slow & <plain>", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+        {"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+    ],
+}
+CAGED = {
+    "name": "caged turn",
+    "mode": "caged",
+    "axis": 1,
+    "rate": 1.0,
+    "rise": 0.05,
+    "hold": 0.05,
+    "duration": 0.2,
+    "limits": {"angle": 0.003, "torque_share": 1.0},
+}
+JOB: dict[str, Any] = {
+    "schema": 1,
+    "name": "three gyros, a <b>bold</b> $name$",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
+    "spread": {"inertia": 0.1},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 4-5-7",
+            "kind": "caging",
+            "gimbals": ["4", "5", "7"],
+            "use": "classical",
+            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4},
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}],
+        },
+        CAGING,
+        {
+            "name": "stabilisation",
+            "kind": "stabilisation",
+            "use": "servo",
+            "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 5, "position_hz": 2}],
+        },
+    ],
+    "coupled": {"disk_margin": 0.2, "coupling_cost": 0.05},
+    "manoeuvre": [
+        CAGED,
+        {
+            "name": "step",
+            "mode": "stabilised",
+            "axis": 1,
+            "torque": 0.1,
+            "duration": 0.8,
+            "limits": {"attitude": 0.02, "angle": 0.0005},
+        },
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def result() -> JobResult:
+    job = pc.read_job(JOB)
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def page(result: JobResult) -> str:
+    return report.page(result)
+
+
+@pytest.fixture(scope="module")
+def lone_loop() -> JobResult:
+    """One loop, no servo, no manoeuvre, no spread: the free platform drifts, so the coupled system is not stable."""
+    job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "spread": {}, "coupled": {}})
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def lone_page(lone_loop: JobResult) -> str:
+    return report.page(lone_loop)
+
+
+class Cells(HTMLParser):
+    """Text of every table cell, row by row."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.inside = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+            self.inside = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self.inside = False
+
+    def handle_data(self, data: str) -> None:
+        if self.inside:
+            self.rows[-1][-1] += data
+
+
+def visible_text(page: str) -> str:
+    body = re.sub(r"<style.*?</style>|<pre.*?</pre>", " ", page, flags=re.DOTALL)
+    return html.unescape(re.sub(r"<[^>]*>", " ", body))
+
+
+def addresses(page: str) -> list[str]:
+    """Everything in a page that could be loaded from elsewhere."""
+    return re.findall(r"https?:|//\w|\bsrc=|@import|<link|<script|<iframe|url\((?!#)|href=\"(?!#)", page)
+
+
+# The page
+
+
+def test_the_page_needs_nothing_from_outside(page: str) -> None:
+    assert addresses(page) == []
+    assert addresses('<img src="x"><a href="http://a.b">') != []
+
+
+def test_every_requirement_stands_on_the_page_with_value_and_limit(result: JobResult, page: str) -> None:
+    shown = {tuple(cell.strip() for cell in row[1:3]) for row in Cells(page).rows if len(row) == 6}
+    rows = tables.requirement_rows(result)
+    assert len(rows) == len(result.requirements) > 10
+    for row in rows:
+        assert (row.value, row.limit) in shown
+        assert row.requirement in page
+
+
+def test_the_banner_counts_what_is_not_met(result: JobResult, page: str) -> None:
+    missed = sum(not one.passed for one in result.requirements)
+    assert missed > 0
+    assert f"{missed} of {len(result.requirements)} requirements not met" in visible_text(page)
+    only_met = dataclasses.replace(result, requirements=tuple(one for one in result.requirements if one.passed))
+    assert tables.verdict(only_met) == f"all {len(result.requirements) - missed} requirements met"
+
+
+def test_requirements_that_are_not_met_are_marked_by_symbol_and_colour(result: JobResult, page: str) -> None:
+    missed = sum(not one.passed for one in result.requirements)
+    assert page.count('<tr class="missed">') == missed
+    assert page.count("✗ not met") == missed
+
+
+def test_every_loop_and_run_has_its_figures(result: JobResult, page: str) -> None:
+    caging = sum(outcome.spec.kind == "caging" for outcome in result.loops)
+    servo, nutation, coupled = 1, 1, 4
+    assert page.count("<svg") == page.count("<figcaption") == 5 * caging + servo + nutation + coupled + len(result.runs)
+
+
+def test_every_figure_is_described_and_has_a_sentence(page: str) -> None:
+    for label in re.findall(r'<svg [^>]*aria-label="([^"]*)"', page):
+        assert len(label.split()) > 10
+    assert len(re.findall(r"<figcaption>[^<]{40,}</figcaption>", page)) == page.count("<svg")
+
+
+def test_all_colours_of_figures_follow_the_theme(page: str) -> None:
+    drawings = "".join(re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL))
+    themed = set(re.findall(r"var\(--([a-z0-9-]+), #[0-9a-f]{6}\)", drawings))
+    bare = re.sub(r"var\(--[a-z0-9-]+, #[0-9a-f]{6}\)", "", drawings)
+    assert set(re.findall(r"#[0-9a-f]{6}\b", bare)) <= {"#ffffff"}
+    [dark] = re.findall(r"prefers-color-scheme: dark\) \{(.*?)\n\}", page, flags=re.DOTALL)
+    assert themed
+    assert themed <= set(re.findall(r"--([a-z0-9-]+):", dark))
+
+
+def test_names_are_text_and_never_markup(page: str) -> None:
+    assert "<b>bold" not in page
+    assert "&lt;b&gt;bold&lt;/b&gt; $name$" in page
+    assert "slow &amp; &lt;plain&gt;" in page
+    assert "<plain>" not in page
+
+
+def test_numbers_written_in_figures_are_not_cut(result: JobResult, page: str) -> None:
+    assert f"{result.coupled.simultaneous.lower:.3f} at " in page
+
+
+def test_the_page_is_small_enough_to_send(page: str) -> None:
+    assert len(page.encode()) < 6e6
+
+
+def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
+    before = dict(mpl.rcParams)
+    with style.settings():
+        style.svg(figures.margin_bars_figure(result.coupled), "bars")
+    assert dict(mpl.rcParams) == before
+
+
+def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
+    again = report.page(lone_loop, command="platform-ctrl design 'my job.toml'")
+    section = '<section id="again">'
+    assert again.split(section)[0] == lone_page.split(section)[0]
+    assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
+
+
+def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str) -> None:
+    [printed] = re.findall(r"<pre>(name = .*?|schema = .*?)</pre>", page, flags=re.DOTALL)
+    again = pc.read_job(tomllib.loads(html.unescape(printed)))
+    assert record.job_data(again) == record.job_data(result.job)
+    before, after = pc.matrices(result.job.platform), pc.matrices(again.platform)
+    assert np.array_equal(before.A_star, after.A_star)
+    assert np.array_equal(before.L, after.L)
+
+
+def test_versions_of_all_that_computes_are_named(page: str) -> None:
+    text = visible_text(page)
+    for name in ("python", "platform_ctrl", "numpy", "scipy", "control", "cvxpy", "numba"):
+        assert re.search(rf"{name}\s+\d+\.\d+", text)
+
+
+# Writing
+
+
+def test_a_page_is_written_whole_or_not_at_all(
+    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("what stood there before")
+    monkeypatch.setattr(document, "page", lambda result, command: "a page with α and Ω")
+
+    def refuse(*paths: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", refuse)
+        with pytest.raises(InputError, match="No space left on device"):
+            report.write_page(lone_loop, target)
+    assert target.read_text() == "what stood there before"
+    assert os.listdir(tmp_path) == ["report.html"]
+    assert report.write_page(lone_loop, target) == target
+    assert target.read_text(encoding="utf-8") == "a page with α and Ω"
+    assert os.listdir(tmp_path) == ["report.html"]
+
+
+def test_a_folder_that_does_not_exist_is_one_line(
+    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(document, "page", lambda result, command: "a page")
+    with pytest.raises(InputError, match="cannot be written") as error:
+        report.write_page(lone_loop, tmp_path / "nowhere" / "report.html")
+    assert "\n" not in str(error.value)
+
+
+# Degenerate results
+
+
+def test_one_loop_without_servo_and_manoeuvres_has_a_page(lone_loop: JobResult, lone_page: str) -> None:
+    assert not lone_loop.coupled.stable
+    assert "The coupled system is unstable" in lone_page
+    assert 'id="runs"' not in lone_page
+    assert not re.search(r"\b(nan|inf)\b", visible_text(lone_page), re.IGNORECASE)
+
+
+def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -> None:
+    [outcome] = lone_loop.loops
+    K = outcome.closed.controller
+    import control
+
+    wrong = control.StateSpace(
+        K.A, K.B, -K.C, -K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
+    )
+    assert outcome.closed.plants is not None
+    design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
+    unstable = checked(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
+    page = report.page(unstable)
+    text = visible_text(page)
+    assert not unstable.coupled.stable
+    assert "Its closed loop is unstable" in text
+    assert "unstable" in {row.value for row in tables.requirement_rows(unstable)}
+    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
+    assert "platform-ctrl check" in page
+
+
+def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> None:
+    run = result.runs[0]
+    lost = []
+    for samples in (0, 1, 40):
+        cut = {
+            name: getattr(run.trajectory, name)[:samples].copy()
+            for name in ("t", "q", "rate", "p", "reading", "command", "torque", "Omega", "attitude")
+        }
+        if samples > 1:
+            cut["q"][-3:] = [[1e3] * 5, [np.inf] * 5, [np.nan] * 5]
+            cut["command"][-1] = np.nan
+        trajectory = dataclasses.replace(run.trajectory, ended=f"diverged at t = {samples} ms", **cut)
+        lost.append(dataclasses.replace(run, trajectory=trajectory))
+    text = report.page(dataclasses.replace(result, loops=(), runs=tuple(lost)))
+    assert [f"diverged at t = {samples} ms" in visible_text(text) for samples in (0, 1, 40)] == [True] * 3
+    assert not re.search(r"\b(nan|inf)\b", visible_text(text), re.IGNORECASE)
+
+
+# Tables
+
+
+def test_the_worst_requirement_of_a_subject_comes_first(result: JobResult) -> None:
+    margins = {(one.subject, one.name): (one.passed, one.margin) for one in result.requirements}
+    rows = tables.requirement_rows(result)
+    for above, below in pairwise(rows):
+        if above.subject == below.subject:
+            assert margins[above.subject, above.requirement] <= margins[below.subject, below.requirement]
+
+
+def test_the_terminal_shows_the_same_rows(result: JobResult) -> None:
+    from rich.console import Console
+
+    console = Console(width=200, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(tables.terminal_table(result))
+    lines = capture.get().splitlines()
+    for row in tables.requirement_rows(result):
+        assert any(row.requirement in line and row.value in line and row.limit in line for line in lines)
+
+
+def test_the_comparison_shows_every_design_and_its_options(result: JobResult) -> None:
+    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
+    assert {len(row.cells) for row in tables.measure_rows(outcome)} == {2}
+    assert dict(tables.option_rows(outcome))["crossover_hz"] == ("30", "40")
+
+
+def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
+    asked = {row.name for row in tables.measure_rows(result.loops[0]) if row.limit}
+    shown = {row.name for row in tables.measure_rows(result.loops[0])}
+    assert "damping" in shown - asked
+    assert "bandwidth" in asked
+
+
+def test_the_gimbal_tree_names_axis_and_inertia(result: JobResult) -> None:
+    rows = {row[0].strip(): row for row in tables.gimbal_rows(result)}
+    assert rows["7"][1:5] == ("4", "−3", "beta7", "2·10⁻⁴ kg m²")
+    assert rows["7"][0] != "7"
+    assert tables.axis_text([0.0, 0.6, 0.8]) == "(0, 0.6, 0.8)"
+
+
+@given(st.floats(1e-12, 1e12), st.sampled_from([-1.0, 1.0]), st.integers(3, 7))
+def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, digits: int) -> None:
+    raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+    text = plain(sign * size, digits)
+    mantissa, _, exponent = text.partition("·10")
+    back = float(mantissa.translate(raised)) * 10.0 ** int(exponent.translate(raised) or 0)
+    assert back == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
+
+
+def test_what_is_no_number_is_called_unstable() -> None:
+    assert plain(float("nan")) == quantity(float("inf"), "N m") == compared(float("nan"), 1.0, "Hz")[0] == "unstable"
+    assert percent(float("-inf")) == "–"
+
+
+def test_value_and_limit_that_differ_are_printed_differently() -> None:
+    assert compared(0.4999999, 0.5, "") == ("0.4999999", "0.5")
+    assert compared(0.0045, 0.005, "N m") == ("4.5 mN m", "5 mN m")
+
+
+# Plant and modes
+
+
+def test_nutation_is_that_of_the_closed_formula(result: JobResult) -> None:
+    at_rest = modes.modes_at(result, (0.0, 0.0, 0.0))
+    nutation = {mode.gimbals: mode.frequency for mode in at_rest if mode.kind == "nutation"}
+    assert nutation["9", "10"] == pytest.approx(0.15 / np.sqrt(5e-4 * 2e-4), rel=1e-9)
+    assert nutation["4", "5", "7"] == pytest.approx(np.sqrt(2.0) * 0.15 / np.sqrt(8e-4 * 2e-4), rel=1e-9)
+
+
+@pytest.mark.parametrize("Omega", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.2, 0.0)])
+def test_every_pole_belongs_to_one_mode(result: JobResult, Omega: tuple[float, float, float]) -> None:
+    assert sum(mode.poles for mode in modes.modes_at(result, Omega)) == 2 * len(result.job.platform.gimbals)
+
+
+def test_at_rest_three_gyros_have_one_inertial_direction(result: JobResult) -> None:
+    kinds = [mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0)) if len(mode.gimbals) == 3]
+    assert kinds == ["nutation", "precession", "inertial"]
+
+
+def test_nutation_is_proportional_to_rotor_speed(result: JobResult) -> None:
+    speed = np.array([0.0, 0.5, 1.0, 1.5])
+    for _, line in modes.nutation_over_speed(result, speed):
+        assert line == pytest.approx(speed * line[2], abs=1e-6 * line[2])
+
+
+# Responses
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(3e-3, 0.6), st.floats(20.0, 2000.0))
+def test_the_grid_shows_the_peak_of_every_resonance(damping: float, frequency: float) -> None:
+    s = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
+    w = following_grid(np.array([s, s.conjugate()]), 1.0, 1e4)
+    gain = np.abs(frequency**2 / ((frequency**2 - w**2) + 2j * damping * frequency * w))
+    assert gain.max() == pytest.approx(1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)), rel=0.02)
+
+
+def test_no_response_is_evaluated_on_an_undamped_pole() -> None:
+    w = following_grid(np.array([100j, -100j, 0.0]), 1.0, 1e4)
+    assert np.abs(w - 100.0).min() > 0.01
+    assert np.all(np.diff(w) > 0.0)
+
+
+def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> None:
+    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
+    responses = loop_responses(result.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        assert one.design.measures is not None
+        assert 1.0 / one.balanced.max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
+        below = responses.frequency < 0.999 * one.design.measures.bandwidth
+        assert np.all(one.sensitivity[below] < np.sqrt(0.5))
+        for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.angle_per_torque):
+            assert np.all(np.isfinite(curve))
+    assert loop_responses(result.model, result.loops[2]) is None
+
+
+def test_the_root_locus_begins_at_the_open_loop_and_passes_the_design(result: JobResult) -> None:
+    design = result.loops[1].closed
+    locus = root_locus(design)
+    plants = design.plants
+    assert plants is not None
+    at = int(np.flatnonzero(locus.gains == 1.0)[0])
+    own = continuous_poles(closed_loop_poles(plants.only([0]), design.controller)[0], plants.period)
+    finite = np.isfinite(own.real)
+    assert np.sort_complex(locus.branches[at])[-finite.sum() :] == pytest.approx(np.sort_complex(own[finite]), abs=1e-3)
+    opened = np.exp(locus.branches[0][np.isfinite(locus.branches[0].real)] * plants.period)
+    for z in np.linalg.eigvals(plants.A[0]):
+        assert np.abs(opened - z).min() < 1e-5
+
+
+def test_the_stable_range_of_gains_ends_where_the_loop_does(result: JobResult) -> None:
+    design = result.loops[1].closed
+    locus = root_locus(design, highest=6.0)
+    found = locus.stable_range
+    assert found is not None
+    assert found[0] < 1.0 < found[1] < 6.0
+    K, plants = design.controller, design.plants
+    import control
+
+    for factor, stable in ((found[1], True), (locus.gains[np.searchsorted(locus.gains, found[1]) + 1], False)):
+        scaled = control.StateSpace(K.A, K.B, factor * K.C, factor * K.D, K.dt, remove_useless_states=False)
+        z = closed_loop_poles(plants.only([0]), scaled)
+        assert (np.abs(z).max() < 1.0) == stable
+
+
+def test_the_platform_yields_to_a_torque_as_far_as_the_simulation_says(result: JobResult) -> None:
+    _, closed = coupled_figures.platform_compliance(result, np.array([1e-2]))
+    n = len(result.job.platform.gimbals)
+    run = result.runs[1]
+    final = run.trajectory.attitude_angles[-200:].mean(axis=0)
+    assert run.manoeuvre.torque * closed[0, n, 0] == pytest.approx(final[0], rel=0.02)
+
+
+def test_without_a_controller_the_platform_is_a_plain_inertia_when_shaken_fast(result: JobResult) -> None:
+    w = np.array([2e4])
+    opened, _ = coupled_figures.platform_compliance(result, w)
+    n = len(result.job.platform.gimbals)
+    model = result.model
+    inertia = model.root_inertia - model.M_Omega.T @ np.linalg.solve(model.M, model.M_Omega)
+    assert opened[0, n:] == pytest.approx(np.abs(np.linalg.inv(inertia)) / w**2, rel=2e-2, abs=1e-11)
+
+
+@given(hnp.arrays(np.float64, st.integers(1, 3000), elements=st.floats(-1e6, 1e6)), st.integers(2, 60))
+@settings(max_examples=40, deadline=None)
+def test_thinning_a_trace_loses_no_extreme(y: np.ndarray, buckets: int) -> None:
+    t = np.arange(len(y), dtype=np.float64)
+    thin_t, thin_y = style.envelope(t, y, buckets)
+    assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+    assert np.all(np.diff(thin_t) > 0.0)
+    assert np.array_equal(y[thin_t.astype(int)], thin_y)
+    assert len(thin_t) <= 3 * buckets
