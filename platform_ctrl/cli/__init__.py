@@ -19,21 +19,35 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (default: those of the process) and return its exit code."""
+    # Our matrices are small: BLAS threads spend their time waiting for each other, most of it on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a name that the terminal cannot show must not stop the work
             stream.reconfigure(errors="backslashreplace")
     try:
         code = _run(list(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        code = INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has gone; what is left in the buffer must not complain when the program ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
+    except BaseException as error:
+        if not _began_with_interrupt(error):
+            raise
+        code = INTERRUPTED
     if code == INTERRUPTED:
-        print("platform-ctrl: interrupted", file=sys.stderr)
+        print("platform-ctrl: interrupted", file=sys.stderr, flush=True)
+        if arguments is None:
+            # A library that was interrupted while it was loaded may crash the interpreter's orderly end.
+            os._exit(code)
     return code
+
+
+def _began_with_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: libraries that are interrupted may raise their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _run(arguments: list[str]) -> int:
@@ -46,10 +60,10 @@ def _run(arguments: list[str]) -> int:
         return int(command.main(arguments or ["--help"], prog_name="platform-ctrl", standalone_mode=False) or 0)
     except typer.Abort:
         return INTERRUPTED
-    except (DesignError, SimulationError) as error:
-        return _failed(str(error), 1)
     except PlatformCtrlError as error:
-        return _failed(str(error), 2)
+        if _began_with_interrupt(error):
+            return INTERRUPTED
+        return _failed(str(error), 1 if isinstance(error, DesignError | SimulationError) else 2)
     except Exception as error:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
