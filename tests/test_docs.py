@@ -1,0 +1,135 @@
+"""The documentation runs, its examples are accepted, and it names every key that the readers know."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from platform_ctrl import read_job, read_platform
+from platform_ctrl.reading import job as job_tables
+from platform_ctrl.reading import plant as plant_tables
+from platform_ctrl.reading.job import OPTIONS
+from platform_ctrl.reading.structure import Table, keys_of
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FORMATS = {"plant-file.md": plant_tables, "job-file.md": job_tables}
+PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def tables(module: Any) -> Iterator[type[BaseModel]]:
+    for item in vars(module).values():
+        if isinstance(item, type) and issubclass(item, Table) and item.__module__ == module.__name__:
+            yield item
+
+
+def first_cells(text: str) -> set[str]:
+    """Names set as code in the first cell of a table's row."""
+    rows = re.findall(r"^\|([^|]*)\|", text, re.MULTILINE)
+    return {name for cell in rows for name in re.findall(r"`([^`]+)`", cell)}
+
+
+def slug(heading: str) -> str:
+    """Anchor of a heading as code hosts make it."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+@PAGE
+def test_python_on_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, Any] = {"__name__": "__page__"}
+    for number, block in enumerate(blocks(page, "python"), 1):
+        exec(compile(block, f"{page.name}, python block {number}", "exec"), namespace)
+
+
+@PAGE
+def test_toml_on_a_page_is_read(page: Path) -> None:
+    for block in blocks(page, "toml"):
+        data = tomllib.loads(block)
+        if "schema" in data:
+            read_job(data) if "plant" in data else read_platform(data)
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_a_page_of_a_file_format_has_a_full_example(name: str) -> None:
+    assert any("schema" in tomllib.loads(block) for block in blocks(ROOT / "docs" / name, "toml"))
+
+
+@pytest.mark.parametrize(
+    ("page", "table"),
+    [(page, table) for page, module in FORMATS.items() for table in tables(module)],
+    ids=lambda item: getattr(item, "__name__", item),
+)
+def test_the_section_of_a_table_names_its_keys_and_no_others(page: str, table: type[BaseModel]) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    header = (table.__doc__ or "").partition(":")[0].rstrip(".").replace("``", "`")
+    sections = re.findall(rf"^#+ {re.escape(header)}\n(.*?)(?=^#|\Z)", text, re.MULTILINE | re.DOTALL)
+    assert len(sections) == 1, header
+    named = {name.strip("[]").split(".")[-1] for name in first_cells(sections[0])}
+    assert named == set(keys_of(table))
+
+
+def test_both_formats_are_looked_at_in_full() -> None:
+    found = {table.__name__ for module in FORMATS.values() for table in tables(module)}
+    assert {"PlantFile", "RotorTable", "JobFile", "LoopLimitsTable", "ManoeuvreLimitsTable"} <= found
+
+
+@pytest.mark.parametrize("method", sorted(OPTIONS))
+def test_every_option_stands_in_the_table_of_its_method_and_no_other(method: str) -> None:
+    text = (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8")
+    section = re.search(rf"^## Method `{method}`\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)
+    assert section is not None
+    assert first_cells(section[1]) == set(OPTIONS[method])
+
+
+def keys(item: Any) -> set[str]:
+    """Names of a record's keys at every depth; not those of tables whose keys are signals, options or libraries."""
+    if isinstance(item, list):
+        return {key for entry in item for key in keys(entry)}
+    if not isinstance(item, dict):
+        return set()
+    own_names = {"versions", "options", "saturated", "stop_contacts"}
+    return set(item) | {key for name, entry in item.items() if name not in own_names for key in keys(entry)}
+
+
+def test_the_result_page_names_every_key_that_is_written() -> None:
+    from platform_ctrl import check, design
+    from platform_ctrl.check.records import result_record
+
+    examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "job-file.md", "toml")]
+    data = next(example for example in examples if "schema" in example)
+    data |= {"spread": {}, "operation": {"Omega": [0.0, 0.0, 0.0]}}
+    data["loop"][0]["design"] = [
+        {"name": "one", "method": "classical", "crossover_hz": 40.0},
+        {"name": "two", "method": "classical", "crossover_hz": 30.0},
+    ]
+    data["loop"][0]["use"] = "one"
+    data["manoeuvre"][0] |= {"rise": 0.001, "hold": 0.0, "duration": 0.01}
+    job = read_job(data)
+    written = keys(result_record(check.checked(job, design.loops(job))))
+    text = (ROOT / "docs" / "result-file.md").read_text(encoding="utf-8")
+    assert {"alternatives", "loop_by_loop", "stop_contacts"} <= written
+    assert not written - set(re.findall(r"`(\w+)`", text))
+
+
+@PAGE
+def test_relative_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        linked = page.parent / path if path else page
+        assert linked.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", linked.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {slug(heading) for heading in headings}, target
