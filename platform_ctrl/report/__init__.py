@@ -1,7 +1,25 @@
-"""What a job came to, for people: the page with its figures, and the tables that the terminal shows too."""
+"""What a job came to, for people: the page with its figures, and the tables that the terminal shows too.
+
+Matplotlib is loaded with the first figure, not with this package.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from platform_ctrl.report import tables
 from platform_ctrl.report.document import page, write_page
 
-__all__ = ["page", "write_page"]
+if TYPE_CHECKING:
+    from platform_ctrl.report import figures
+
+__all__ = ["figures", "page", "tables", "write_page"]
+
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name != "figures":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return import_module(f"{__name__}.figures")

@@ -144,7 +144,7 @@ def line_style(k: int) -> dict[str, Any]:
 
 def signal_style(k: int) -> dict[str, Any]:
     """Return colour and line of the k-th recorded signal: thinner, noise would fill the panel."""
-    return line_style(k) | {"linewidth": 0.9}
+    return line_style(k) | {"linewidth": 1.0}
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
