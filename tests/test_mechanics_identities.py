@@ -1,9 +1,12 @@
 """What holds for every platform, every state."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl.description import Gimbal, Platform
+from platform_ctrl.errors import MechanicsError
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
 from platform_ctrl.mechanics.kinematics import kinematics
@@ -111,3 +114,34 @@ def test_exact_linear_form_is_the_tangent_of_the_non_linear_equations(platform, 
         np.testing.assert_allclose(model.G_Omega[:, a], slope[3:] / (2 * h), atol=1e-8 * size)
     np.testing.assert_allclose(model.G, -model.G.T, atol=1e-12 * size)
     np.testing.assert_allclose(model.K, model.K.T, atol=1e-12 * size)
+
+
+def test_gimbal_lock_is_named_not_solved():
+    """Three gimbals whose first and last axes fall together, without inertia of the middle one about that axis."""
+    thin = np.diag([1e-30, 1e-30, 1e-30])
+    axes = np.eye(3)
+    platform = Platform(
+        name="locked",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(name="outer", parent="base", axis=axes[0], inertia=thin, angle="a"),
+            Gimbal(name="middle", parent="outer", axis=axes[1], inertia=thin, angle="b"),
+            Gimbal(name="inner", parent="middle", axis=axes[2], inertia=np.eye(3), angle="c"),
+        ),
+    )
+    q = np.array([0.0, np.pi / 2, 0.0])
+    with pytest.raises(MechanicsError, match="can move without moving any inertia"):
+        forward_dynamics(platform, q, np.zeros(6), np.zeros(6))
+    assert np.all(np.isfinite(forward_dynamics(platform, 0 * q, np.zeros(6), np.ones(6))))
+
+
+def test_a_body_without_inertia_is_named():
+    platform = Platform(
+        name="nothing",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(Gimbal(name="g", parent="base", axis=np.eye(3)[0], inertia=np.zeros((3, 3)), angle="a"),),
+    )
+    with pytest.raises(MechanicsError, match="a moves no inertia"):
+        forward_dynamics(platform, [0.0], np.zeros(4), np.zeros(4))

@@ -1,0 +1,89 @@
+"""The main job as shipped: every design meets what is asked, and the whole does."""
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import analysis, check, design
+from platform_ctrl.reading import read_job
+
+
+@pytest.fixture(scope="module")
+def said():
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(said):
+    job = read_job("examples/three_gyro_platform.toml")
+    return check.checked(job, design.loops(job, said.append), said.append)
+
+
+def test_the_job_asks_for_no_less_than_it_should(result):
+    """The figures of the main job: nobody loosens them unseen."""
+    by_loop = {spec.name: spec.limits for spec in result.job.loops}
+    assert (by_loop["caging 9-10"].bandwidth_hz, by_loop["caging 4-5-7"].bandwidth_hz) == (45, 30)
+    for name in ("caging 9-10", "caging 4-5-7"):
+        limits = by_loop[name]
+        assert (limits.disk_margin, limits.damping, limits.torque_noise) == (0.5, 0.1, 0.005)
+        assert (limits.disk_margin_spread, limits.damping_spread) == (0.3, 0.05)
+    assert (result.job.spread.inertia, result.job.spread.spin) == (0.1, 0.1)
+    assert (result.job.coupled.disk_margin, result.job.coupled.coupling_cost) == (0.5, 0.02)
+    assert (result.job.sampling.period, result.job.sampling.delay) == (5e-4, 5e-4)
+    assert [t.lag for t in result.job.platform.torquers] == [2e-4] * 8
+    asked = {(m.mode, tuple(sorted(m.limits.items()))) for m in result.job.manoeuvres}
+    assert asked == {
+        ("caged", (("angle", 0.003), ("torque_share", 1.0))),
+        ("stabilised", (("angle", 0.0005), ("attitude", 0.01), ("torque_share", 1.0))),
+    }
+    assert sorted((m.mode, m.axis) for m in result.job.manoeuvres) == [
+        (mode, axis) for mode in ("caged", "stabilised") for axis in (1, 2, 3)
+    ]
+
+
+def test_every_requirement_is_met(result):
+    assert [(r.subject, r.name, r.value) for r in result.requirements if not r.passed] == []
+    assert result.passed
+
+
+@pytest.mark.parametrize("name", ["caging 4-5-7", "caging 9-10"])
+def test_both_routes_meet_the_limits_of_their_loop(result, name):
+    outcome = next(o for o in result.loops if o.spec.name == name)
+    assert [d.method for d in outcome.designs] == ["classical", "hinf"]
+    for found in outcome.designs:
+        assert [(r.name, r.value) for r in found.results if not r.passed] == []
+
+
+def test_no_torquer_comes_to_its_limit_and_no_gimbal_to_a_stop(result):
+    for run in result.runs:
+        assert run.trajectory.completed
+        assert not np.any(run.trajectory.saturated)
+        assert not np.any(run.trajectory.stop_contacts)
+
+
+def test_the_simultaneous_margin_is_python_controls(result):
+    """The same eight channels through control.interconnect and control.disk_margins (slycot's mu)."""
+    pytest.importorskip("slycot")
+    plant = result.coupled.plant
+    controllers = [outcome.closed.controller for outcome in result.loops]
+    parts = [
+        control.StateSpace(K.A, K.B, K.C, K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, name=f"K{k}")
+        for k, K in enumerate(controllers)
+    ]
+    K = control.interconnect(parts, inputs=list(plant.output_labels), outputs=list(plant.input_labels), name="K")
+    loop = -control.ss(K) * control.ss(plant.A, plant.B, plant.C, plant.D, plant.dt)
+    near = result.coupled.simultaneous.frequency
+    theirs = control.disk_margins(loop, np.linspace(0.9 * near, 1.1 * near, 41), skew=0.0)[0]
+    assert result.coupled.simultaneous.lower <= theirs * (1 + 1e-6)
+    assert result.coupled.simultaneous.lower == pytest.approx(theirs, rel=1e-4)
+
+
+def test_loops_broken_at_the_pick_offs_have_margins_too(result):
+    """Not asked for, but the five pick-offs could fail as well as the torquers."""
+    L = analysis.loop_transfer(result.coupled.plant, result.coupled.controller, at="output")
+    assert analysis.disk_margin(L).lower > 0.45
+
+
+def test_progress_is_told_while_it_works(result, said):
+    assert any("caging 4-5-7: H-infinity" in line for line in said)
+    assert sum("simulated run" in line for line in said) == len(result.runs)
