@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from platform_ctrl.requirements import CheckResult
@@ -26,8 +29,20 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
 
     On a terminal the line, at the start `first`, stands beside a spinner and the time since the start, and vanishes at
     the end. Elsewhere every line but `first` is printed on standard error: where the input turns out to be wrong, the
-    error stands there alone. `quiet` shows none.
+    error stands there alone. `quiet` shows none. A Ctrl-C that a library swallowed takes effect at the next step.
     """
+    with _interruptible() as heed, _shown(quiet, first) as show:
+
+        def say(line: str) -> None:
+            heed()
+            show(line)
+
+        yield say
+        heed()
+
+
+@contextmanager
+def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     if quiet:
         yield lambda line: None
         return
@@ -43,6 +58,30 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task(first, total=None)
         yield lambda line: shown.update(task, description=line)
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Yield what raises `KeyboardInterrupt` if there was one: raised in a callback of a library it may get lost."""
+    seen = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        raise KeyboardInterrupt
+
+    def heed() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not default or threading.current_thread() is not threading.main_thread():
+        yield heed  # the signal is ignored or somebody else's, or belongs to another thread
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield heed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def screen() -> Console:
@@ -101,8 +140,8 @@ def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
 def _show_verdict(console: Console, results: Sequence[CheckResult]) -> None:
     missed = sum(not one.passed for one in results)
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
-    # A pole radius is near 1 in every sampled loop: met, it says nothing about how tight the design is.
-    telling = [one for one in results if not (one.passed and one.name.startswith("largest pole radius"))]
+    # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is.
+    telling = [one for one in results if not (one.passed and one.name.startswith("slowest decay"))]
     if telling:
         worst = min(telling, key=lambda one: (one.passed, one.margin))
         words += f"; {'worst' if missed else 'tightest'}: {_subject(worst)}, {worst.name}"

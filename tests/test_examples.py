@@ -1,0 +1,72 @@
+"""The examples run as they stand, and the regression test among them fails when the loop gets worse."""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import platform_ctrl as pc
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    path = str(Path(pc.__file__).parents[1])
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env=os.environ | {"PYTHONPATH": path, "MPLBACKEND": "Agg", "PYTHONIOENCODING": "utf-8"},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+
+
+def drawn(file: Path) -> tuple[int, int]:
+    """Width and height of a PNG."""
+    head = file.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    return struct.unpack(">II", head[16:24])
+
+
+def test_bode_draws_and_prints_the_margins(tmp_path: Path) -> None:
+    done = run(EXAMPLES / "bode.py", "-o", "bode.png", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert min(drawn(tmp_path / "bode.png")) > 500
+    alone = [float(x) for x in re.findall(r"^Q\d+: disk margin ([\d.]+)", done.stdout, re.MULTILINE)]
+    [both] = [float(x) for x in re.findall(r"^Q9 and Q10 at once: disk margin ([\d.]+)", done.stdout, re.MULTILINE)]
+    assert len(alone) == 2
+    # All channels may move at once: the margin cannot exceed that of any one of them.
+    assert 0.0 < both <= min(alone)
+
+
+def test_root_locus_draws_and_finds_where_stability_ends(tmp_path: Path) -> None:
+    done = run(EXAMPLES / "root_locus.py", "--gain", "0.5", "3", "--spin", "0.9", "1.1", "-o", "loci.png", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert min(drawn(tmp_path / "loci.png")) > 500
+    [limit] = re.findall(r"^loop gain / nominal from 0.5 to 3: stable at first, changes at ([\d.]+)", done.stdout, re.M)
+    # Both torques scaled together are one of the perturbations that the disk margin 0.478 of bode.py covers.
+    assert float(limit) > (1.0 + 0.478 / 2.0) / (1.0 - 0.478 / 2.0)
+    assert "rotor speed / nominal from 0.9 to 1.1: stable everywhere" in done.stdout
+
+
+def test_the_regression_test_fails_when_the_loop_gets_worse(tmp_path: Path) -> None:
+    text = (EXAMPLES / "test_closed_loop.py").read_text(encoding="utf-8")
+    variants = {
+        "as_it_stands": ("", "", []),
+        "slower_loop": ('"crossover_hz": 70', '"crossover_hz": 60', ["bandwidth, Hz"]),
+        "slower_sampling": ('"rate_hz": 2000', '"rate_hz": 1900', ["disk margin"]),
+        "stronger_lead": ('"damping_hz": 78', '"damping_hz": 90', ["torque noise, N m rms"]),
+    }
+    for name, (old, new, _) in variants.items():
+        assert old in text
+        (tmp_path / f"test_{name}.py").write_text(text.replace(old, new), encoding="utf-8")
+    done = run("-m", "pytest", "-q", "-rf", "-p", "no:cacheprovider", cwd=tmp_path)
+    failed = set(re.findall(r"^FAILED test_(\w+)\.py::\w+\[(.+?)\]", done.stdout, re.MULTILINE))
+    for name, (_, _, figures) in variants.items():
+        assert {figure for file, figure in failed if file == name} >= set(figures), done.stdout
+    assert not any(file == "as_it_stands" for file, _ in failed), done.stdout
