@@ -300,8 +300,8 @@ def _merged(platform: Platform, controllers: Sequence[control.StateSpace], perio
         acting = [name for name in system.output_labels if name in roots]
         if acting and not free:
             raise ArgumentError(
-                f"controller {k + 1} ({system.name!r}): output {acting[0]!r} acts on the root, whose rate is prescribed in "
-                "mode 'caged'; leave the controller out or use mode 'stabilised'"
+                f"controller {k + 1} ({system.name!r}): output {acting[0]!r} acts on the root, whose rate is "
+                "prescribed in mode 'caged'; leave the controller out or use mode 'stabilised'"
             )
     A, B, C, D = (np.ascontiguousarray(part, dtype=np.float64) for part in (K.A, K.B, K.C, K.D))
     return A, B, C, D
