@@ -116,7 +116,7 @@ class LoopRequirement(Requirement):
     kind
         Which figure of `LoopMeasures`.
     over_spread
-        Whether it is asked of every plant of the set or of the nominal one alone.
+        Whether it is asked of every plant of the set, the nominal one among them, or of the nominal one alone.
     """
 
     kind: Kind
@@ -124,7 +124,7 @@ class LoopRequirement(Requirement):
 
     def figures(self, measures: LoopMeasures) -> FloatArray:
         """Return the figures that this bound is held against, one or several."""
-        chosen = slice(1, None) if self.over_spread else slice(0, 1)
+        chosen = slice(None) if self.over_spread else slice(0, 1)
         if self.kind == "bandwidth":
             return np.array([measures.bandwidth / (2.0 * np.pi)])
         if self.kind == "torque noise":

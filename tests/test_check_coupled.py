@@ -91,7 +91,7 @@ def test_the_whole_meets_its_requirements(result):
 
 
 def test_coupled_poles_are_python_controls(job, controllers, result):
-    plant = coupled_plant(job, linearise(job.platform))
+    plant = coupled_plant(job, linearise(job.platform), controllers)
     loop = control.feedback(plant, result.coupled.controller, sign=1)
     ours, theirs = np.sort(np.abs(result.coupled.poles)), np.sort(np.abs(control.poles(loop)))
     np.testing.assert_allclose(ours[-6:], theirs[-6:], atol=1e-7)
@@ -133,7 +133,7 @@ def test_the_platform_turns_the_gyros_reactions_into_little(result):
 
 def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
     """From a small tilt of gimbal 9 all loops bring the angles back as the sampled linear model says."""
-    plant = coupled_plant(job, linearise(job.platform))
+    plant = coupled_plant(job, linearise(job.platform), controllers)
     K = analysis.joined(
         controllers, [s.name for s in job.platform.pickoffs], list(plant.input_labels), job.sampling.period
     )
@@ -187,3 +187,16 @@ def test_signals_that_do_not_fit_are_named(job, controllers):
 
     with pytest.raises(ArgumentError, match="neither a pick-off nor an output of an earlier controller"):
         check.coupled_check(job, linearise(job.platform), controllers[::-1])
+
+
+def test_without_a_platform_loop_the_platform_is_carried(job, controllers):
+    """Caging loops alone: Omega given, no coupling to pay for; one loop alone leaves the other gyros out."""
+    model = linearise(job.platform)
+    both = check.coupled_check(job, model, controllers[:2])
+    assert both.stable
+    assert both.plant.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10"]
+    np.testing.assert_array_equal(both.cost, 0.0)
+    lone = check.coupled_check(job, model, [controllers[1]])
+    assert lone.stable
+    assert lone.plant.output_labels == ["alpha9", "beta10"]
+    np.testing.assert_allclose(lone.coupled, both.coupled[3:], rtol=1e-7)

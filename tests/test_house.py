@@ -106,7 +106,7 @@ def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None
     commands = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
     assert len(commands) == 2
     assert "platform-ctrl design examples/three_gyro_platform.toml" in commands[0]
-    assert commands[1].endswith("pytest")
+    assert commands[1].endswith("pytest --cov")
     assert commands[1] in (HOUSE / ".ci" / "run").read_text(encoding="utf-8").splitlines()
 
 

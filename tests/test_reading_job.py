@@ -39,7 +39,7 @@ def job() -> dict[str, Any]:
                 "use": "hand",
                 "limits": {"bandwidth_hz": 40, "damping": 0.1},
                 "design": [
-                    {"name": "hand", "method": "classical", "tune": True, "crossover_hz": 40, "notch_depth": -2},
+                    {"name": "hand", "method": "classical", "tune": True, "crossover_hz": 40, "notch_depth": 0.5},
                     {"name": "machine", "method": "hinf", "bandwidth_hz": 40},
                 ],
             },
@@ -141,7 +141,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "option as text": (put("40", "loop", 0, "design", 0, "crossover_hz"), [HAND, 'crossover_hz = "40"', "a number"]),
     "option true": (put(True, "loop", 0, "design", 0, "crossover_hz"), [HAND, "crossover_hz = true", "a number"]),
     "option not finite": (put(math.inf, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = inf"]),
-    "option negative": (put(-4, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = -4", ">= 0"]),
+    "option negative": (put(-4, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = -4", "> 0"]),
     "tune a number": (put(1, "loop", 0, "design", 0, "tune"), [HAND, "tune = 1", "true or false"]),
     "no gimbals": (drop("loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
     "empty gimbals": (put([], "loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
@@ -153,8 +153,20 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "gimbal twice": (put(["9", "9"], "loop", 0, "gimbals"), [CAGING, '"9" is caged by [[loop]] 1 already']),
     "gimbal in two loops": (
-        lambda data: data["loop"].append(dict(data["loop"][0], name="more", gimbals=["4", "10"])),
-        ['[[loop]] 3 "more"', '"10" is caged by [[loop]] 1 already'],
+        lambda data: data["loop"].insert(1, dict(data["loop"][0], name="more", gimbals=["4", "10"])),
+        ['[[loop]] 2 "more"', '"10" is caged by [[loop]] 1 already'],
+    ),
+    "caging after stabilisation": (
+        lambda data: data["loop"].reverse(),
+        ['[[loop]] 2 "caging"', "[[loop]] 1 stabilises the root", "the caging loops before it"],
+    ),
+    "limit of another kind of loop": (
+        put({"damping": 0.1}, "loop", 1, "limits"),
+        [f"{SERVO}: [loop.limits]", "damping: a stabilisation loop is judged in the coupled system", "torque_noise"],
+    ),
+    "tune where nothing tunes": (
+        put(True, "loop", 0, "design", 1, "tune"),
+        ["[[loop.design]]", 'method "hinf" has no tuner', '"classical"'],
     ),
     "gimbals of a stabilisation loop": (
         put(["9"], "loop", 1, "gimbals"),
@@ -286,7 +298,7 @@ def test_what_is_read_is_the_job() -> None:
     assert (caging.kind, caging.gimbals, caging.use) == ("caging", ("9", "10"), "hand")
     assert (servo.kind, servo.gimbals, servo.use) == ("stabilisation", (), "servo")
     hand, machine = caging.designs
-    assert (hand.method, hand.tune, hand.options) == ("classical", True, {"crossover_hz": 40.0, "notch_depth": -2.0})
+    assert (hand.method, hand.tune, hand.options) == ("classical", True, {"crossover_hz": 40.0, "notch_depth": 0.5})
     assert (machine.method, machine.tune, machine.options) == ("hinf", False, {"bandwidth_hz": 40.0})
     assert (caging.limits.bandwidth_hz, caging.limits.damping, caging.limits.disk_margin) == (40.0, 0.1, None)
     assert servo.limits.torque_noise is None

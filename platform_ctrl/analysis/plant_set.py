@@ -28,7 +28,7 @@ class PlantSet:
     torques, angles
         Signal names.
     nutation
-        Nutation frequency of the nominal plant, rad/s.
+        Nutation frequency of the nominal plant: its fastest open-loop motion without torquers, rad/s.
     noise : (p,)
         Rms of one sample of each pick-off, rad.
     frequency : (F,)

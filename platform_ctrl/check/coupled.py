@@ -2,6 +2,7 @@
 
 The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
 the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
+A job without a loop on the root has no coupled model of its own: its platform stays carried.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.requirements import STABLE, CheckResult, Requirement
-from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES, subsystems
 from platform_ctrl.state_space import state_space as linear_state_space
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ class CoupledCheck:
     Attributes
     ----------
     plant, controller
-        The sampled model of all gimbals and the free platform; all controllers as one, from pick-offs to torquers.
+        The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs to
+        torquers.
     poles
         Of the closed loop, in z.
     channels
@@ -78,19 +80,20 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     ArgumentError
         The controllers do not fit the plant.
     """
-    free, K = coupled_plant(job, model), _one_controller(job, controllers)
-    loop = closed_loop(free, K)
+    plant = coupled_plant(job, model, controllers)
+    K = _one_controller(job, controllers, plant)
+    loop = closed_loop(plant, K)
     poles = pole_arrays(loop.A)
     channels = tuple(K.output_labels)
-    coupled = loop_margins(free, K, at="input").alpha
+    coupled = loop_margins(plant, K, at="input").alpha
     decoupled = _decoupled_margins(job, model, controllers, channels)
     # A loop without a margin of its own has nothing to lose: that is no pass.
     cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
-    simultaneous = disk_margin(loop_transfer(free, K, at="input"))
+    simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
     noise = _torque_noise(job, loop, len(channels))
     decay = -float(spectral_abscissa(continuous_poles(poles, job.sampling.period)))
     return CoupledCheck(
-        plant=free,
+        plant=plant,
         controller=K,
         poles=poles,
         channels=channels,
@@ -103,21 +106,37 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     )
 
 
-def coupled_plant(job: Job, model: LinearModel) -> control.StateSpace:
-    """Return the sampled model with a free platform: from the torquers, in the plant file's order, to the angles."""
-    system = linear_state_space(model, root="free")
-    torquers = job.platform.torquers
+def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
+    """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to angles.
+
+    With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
+    counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
+    """
+    used = {name for K in controllers for name in K.output_labels}
+    acting = [t for t in job.platform.torquers if t.name in used]
+    if any(t.root_axis is not None for t in acting):
+        system = linear_state_space(model, root="free")
+        torquers, angles = list(job.platform.torquers), list(model.angle_names)
+    else:
+        held = {t.gimbal for t in acting}
+        gimbals = [name for group in subsystems(model) if held & set(group) for name in group]
+        system = linear_state_space(model, gimbals=gimbals)
+        torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
+        angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
     signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in torquers]
-    part = system[list(model.angle_names), signals]
+    part = system[angles, signals]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = state_space(arrays, [t.name for t in torquers], list(model.angle_names))
+    named = state_space(arrays, [t.name for t in torquers], angles)
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
-def _one_controller(job: Job, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
+def _one_controller(
+    job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
+) -> control.StateSpace:
     used = {name for K in controllers for name in K.output_labels}
-    torquers = [t.name for t in job.platform.torquers if t.name in used]
-    return joined(controllers, [s.name for s in job.platform.pickoffs], torquers, job.sampling.period)
+    torquers = [name for name in plant.input_labels if name in used]
+    seen = [s.name for s in job.platform.pickoffs if s.name in plant.output_labels]
+    return joined(controllers, seen, torquers, job.sampling.period)
 
 
 def _decoupled_margins(
@@ -127,15 +146,13 @@ def _decoupled_margins(
     caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
     margins: dict[str, float] = {}
     if caging:
-        K = joined(
-            caging, [s.name for s in job.platform.pickoffs], [t.name for t in gimbal_torquers], job.sampling.period
-        )
-        system = linear_state_space(model)[list(model.angle_names), [t.name for t in gimbal_torquers]]
-        plant = sampled(system, job.sampling.period, job.sampling.delay, [t.lag for t in gimbal_torquers])
+        plant = coupled_plant(job, model, caging)
+        K = _one_controller(job, caging, plant)
         margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
     if len(margins) < len(channels):
-        K = _one_controller(job, controllers)
-        one_way = loop_margins(_one_way_plant(job, model), K, at="input").alpha
+        plant = _one_way_plant(job, model)
+        K = _one_controller(job, controllers, plant)
+        one_way = loop_margins(plant, K, at="input").alpha
         margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
     return np.array([margins[name] for name in channels])
 

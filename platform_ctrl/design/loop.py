@@ -109,14 +109,12 @@ def judged(spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures
     out = []
     for requirement in loop_requirements(spec.limits):
         figures = requirement.figures(measures)
-        if not figures.size:
-            continue
         worst = int(figures.argmax() if requirement.sense == "at most" else figures.argmin())
         where = "nominal plant"
         if requirement.kind == "torque noise":
             where = f"torquer {plants.torques[worst]}"
         elif requirement.over_spread:
-            where = plants.labels[1 + worst]
+            where = plants.labels[worst]
         out.append(
             requirement.judge(
                 requirement.worst(measures),

@@ -16,6 +16,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
+from platform_ctrl.state_space import state_space
 
 
 def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
@@ -70,43 +71,29 @@ def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
     return [known_name("gimbals", name, model.gimbal_names) for name in gimbals]
 
 
-def nutation_frequency(model: LinearModel, gimbals: tuple[str, ...]) -> float:
-    """Return the highest natural frequency of the uncontrolled gimbals, rad/s."""
-    rows = rows_of(model, gimbals)
-    part = np.ix_(rows, rows)
-    n = len(rows)
-    mobility = np.linalg.inv(model.M[part])
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility @ model.K[part], -mobility @ model.G[part]]])
-    return float(np.abs(np.linalg.eigvals(A)).max())
-
-
 def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
-    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order."""
+    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order.
+
+    Raises
+    ------
+    ArgumentError
+        `gimbals` cuts through a subsystem.
+    """
     cases = corners(job, gimbals)
-    stacked = [_gimbal_arrays(linearise(platform, Omega=Omega), gimbals) for _, platform, Omega in cases]
-    A, B, C, D = (np.array(arrays) for arrays in zip(*stacked, strict=True))
     torquers = [next(t for t in job.platform.torquers if t.gimbal == name) for name in gimbals]
     pickoffs = [next(s for s in job.platform.pickoffs if s.gimbal == name) for name in gimbals]
+    torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
+    systems = [
+        state_space(linearise(platform, Omega=Omega), gimbals=gimbals)[angles, torques] for _, platform, Omega in cases
+    ]
+    A, B, C, D = (np.array([getattr(system, name) for system in systems]) for name in "ABCD")
     sampling = job.sampling
     arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, [t.lag for t in torquers])
     return plant_set(
         StateArrays(*arrays, dt=sampling.period),
         labels=tuple(label for label, _, _ in cases),
-        torques=tuple(t.name for t in torquers),
-        angles=tuple(s.name for s in pickoffs),
-        nutation=nutation_frequency(linearise(job.platform), gimbals),
+        torques=tuple(torques),
+        angles=tuple(angles),
+        nutation=float(np.abs(np.linalg.eigvals(A[0])).max()),
         noise=np.array([s.sampled_noise(sampling.period) for s in pickoffs]),
     )
-
-
-def _gimbal_arrays(
-    model: LinearModel, gimbals: tuple[str, ...]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    rows = rows_of(model, gimbals)
-    part = np.ix_(rows, rows)
-    n = len(rows)
-    mobility = np.linalg.inv(model.M[part])
-    A = np.block([[np.zeros((n, n)), mobility], [-model.K[part], -model.G[part] @ mobility]])
-    B = np.vstack([np.zeros((n, n)), np.eye(n)])
-    C = np.hstack([np.eye(n), np.zeros((n, n))])
-    return A, B, C, np.zeros((n, n))

@@ -24,7 +24,7 @@ def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[Loop
     growth = -float(measures.decay.min())
     if not growth < 0.0:
         return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
-    ratios = (r.ratios(measures).max(initial=0.0) for r in requirements)
+    ratios = (r.ratios(measures).max() for r in requirements)
     return float(min(max(ratios, default=0.0), 10.0))
 
 
@@ -120,5 +120,5 @@ def _worst_plants(controller: Block, plants: PlantSet, requirements: Sequence[Lo
     ratios = np.zeros(len(plants.labels))
     for requirement in requirements:
         if requirement.over_spread:
-            ratios[1:] = np.maximum(ratios[1:], requirement.ratios(measures))
+            ratios = np.maximum(ratios, requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]

@@ -5,10 +5,12 @@ Like the checks of the plant, these read the plain data and pass over what the s
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from platform_ctrl.description import Platform
+from platform_ctrl.job import LoopLimits
 from platform_ctrl.reading.fields import ROUNDING
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
 from platform_ctrl.reading.plant_checks import ROOT_TORQUES, number_of
@@ -18,6 +20,13 @@ Data = dict[str, Any]
 
 # Every other method designs a caging loop.
 STABILISING = frozenset({"platform-servo"})
+
+# Methods whose numbers can be moved to meet the loop's limits.
+TUNED = frozenset({"classical"})
+
+LOOP_LIMITS = frozenset(field.name for field in dataclasses.fields(LoopLimits))
+# What a stabilisation loop is judged by; it has no plants of its own, so the other limits mean nothing there.
+STABILISATION_LIMITS = frozenset({"torque_noise"})
 
 # What a manoeuvre of each mode needs; the keys of the other mode would be silently ignored.
 MODE_KEYS = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
@@ -70,8 +79,11 @@ def _design(design: Data, path: Path, kind: str | None, options: Mapping[str, fr
     yield from (unknown_key((*path, key), item, known) for key, item in design.items() if key not in known)
     for key in options[method]:
         value = number_of(design, key)
-        if key.endswith("_hz") and value is not None and value < 0:
-            yield Mistake((*path, key), f"{key} = {given(value)}: expected a number >= 0")
+        if value is not None and not value > 0:
+            yield Mistake((*path, key), f"{key} = {given(value)}: expected a number > 0")
+    if design.get("tune") is True and method not in TUNED:
+        tuned = ", ".join(given(name) for name in sorted(TUNED))
+        yield Mistake((*path, "tune"), f"tune = true: method {given(method)} has no tuner; expected one of {tuned}")
     if kind in ("caging", "stabilisation") and (method in STABILISING) != (kind == "stabilisation"):
         fitting = [name for name in options if (name in STABILISING) == (kind == "stabilisation")]
         expected = " or ".join(given(name) for name in fitting)
@@ -87,11 +99,20 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
             case "caging" if "gimbals" not in loop or loop["gimbals"] == []:
                 yield Mistake((*path, "gimbals"), "gimbals: expected the names of the gimbals that the loop cages")
             case "caging":
+                if stabilisation is not None:
+                    wrong = f"[[loop]] {stabilisation + 1} stabilises the root with the torques of the caged gyros"
+                    yield Mistake((*path, "kind"), f"kind: {wrong}; expected the caging loops before it")
                 yield from _caged_gimbals(loop["gimbals"], (*path, "gimbals"), i, caged_by, platform)
             case "stabilisation":
                 if "gimbals" in loop:
                     wrong = f"gimbals = {given(loop['gimbals'])}: a stabilisation loop turns the root"
                     yield Mistake((*path, "gimbals"), f"{wrong}; leave the key out")
+                limits = loop.get("limits")
+                for key in limits if isinstance(limits, dict) else ():
+                    if key in LOOP_LIMITS - STABILISATION_LIMITS:
+                        fitting = ", ".join(sorted(STABILISATION_LIMITS))
+                        wrong = f"{key}: a stabilisation loop is judged in the coupled system"
+                        yield Mistake((*path, "limits", key), f"{wrong}; expected {fitting}, or a limit of [coupled]")
                 if stabilisation is not None:
                     yield Mistake((*path, "kind"), f"kind: [[loop]] {stabilisation + 1} stabilises the root already")
                 else:
