@@ -77,7 +77,7 @@ def run_record(job: Job, run: Run) -> Record:
 def versions() -> dict[str, str]:
     """Return the versions of everything that the figures depend on."""
     own = {"platform_ctrl": __version__, "python": interpreter.python_version()}
-    return own | {name: metadata.version(name) for name in ("numpy", "scipy", "control", "numba")}
+    return own | {name: metadata.version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba")}
 
 
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
