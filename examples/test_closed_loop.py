@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from platform_ctrl.check.given import read_controllers
 
 CONTROLLERS = None  # or "out/result.json", as `platform-ctrl design` writes it
 CONTROLLER = {
@@ -69,7 +68,7 @@ def figures() -> dict[str, float]:
     if CONTROLLERS is None:
         controller = pc.design.loops(job)[0].closed.controller
     else:
-        every = read_controllers(CONTROLLERS, job)
+        every = pc.check.read_controllers(CONTROLLERS, job)
         controller = next(K for K in every if set(K.output_labels) == set(TORQUES))
 
     closed = pc.analysis.closed_loop(plant, controller)

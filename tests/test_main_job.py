@@ -1,10 +1,14 @@
 """The main job as shipped: every design meets what is asked, and the whole does."""
 
+import tomllib
+from pathlib import Path
+
 import control
 import numpy as np
 import pytest
 
 from platform_ctrl import analysis, check, design
+from platform_ctrl.errors import InputError
 from platform_ctrl.reading import read_job
 
 
@@ -87,3 +91,12 @@ def test_loops_broken_at_the_pick_offs_have_margins_too(result):
 def test_progress_is_told_while_it_works(result, said):
     assert any("caging 4-5-7: H-infinity" in line for line in said)
     assert sum("simulated run" in line for line in said) == len(result.runs)
+
+
+def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
+    said = []
+    text = Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8")
+    cut = tomllib.loads(text.replace('gimbals = ["9", "10"]', 'gimbals = ["9"]'))
+    with pytest.raises(InputError, match=r"loop 'caging 9-10': gimbals: 9 and 10 are coupled"):
+        design.loops(cut, said.append)
+    assert said == []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.channels import channels
@@ -11,9 +12,11 @@ from platform_ctrl.design.loop import LoopDesign, certified
 from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.design.tuning import tune
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.reading import read_job
 from platform_ctrl.requirements import loop_requirements
 
 Progress = Callable[[str], None]
@@ -48,26 +51,32 @@ class LoopOutcome:
         return tuple(design for design in self.designs if design.name != self.use)
 
 
-def loops(job: Job, progress: Progress | None = None) -> tuple[LoopOutcome, ...]:
+def loops(
+    job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | None = None
+) -> tuple[LoopOutcome, ...]:
     """Design every loop of `job` by every method that it asks for.
 
     Parameters
     ----------
     job
-        The job.
+        The job, or what `read_job` reads: a path or a dict.
     progress
         Called with a line before and during each design.
 
     Raises
     ------
+    InputError
+        The job makes no sense, or a loop's gimbals cut through a subsystem.
     DesignError
         A method found no controller that its certificate accepts.
     """
+    job = job if isinstance(job, Job) else read_job(job)
     say = progress or (lambda line: None)
     model = linearise(job.platform)
+    # All plants before the first design: what is wrong with the third loop is said before the work on the first.
+    plant_sets = [_plants(job, spec) for spec in job.loops]
     out = []
-    for spec in job.loops:
-        plants = loop_plants(job, spec.gimbals) if spec.kind == "caging" else None
+    for spec, plants in zip(job.loops, plant_sets, strict=True):
         designs = []
         for design in spec.designs:
             say(f"{spec.name}: {design.name}")
@@ -77,6 +86,15 @@ def loops(job: Job, progress: Progress | None = None) -> tuple[LoopOutcome, ...]
                 designs.append(_caging(model, spec, design, plants, say))
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)
+
+
+def _plants(job: Job, spec: LoopSpec) -> PlantSet | None:
+    if spec.kind != "caging":
+        return None
+    try:
+        return loop_plants(job, spec.gimbals)
+    except ArgumentError as error:
+        raise InputError(f"loop {spec.name!r}: {error}") from None
 
 
 def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: PlantSet, say: Progress) -> LoopDesign:
