@@ -13,7 +13,9 @@ from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.hinf_lmi import _minimised, inequalities
-from platform_ctrl.design.synthesis import Realisation, autoscale, balance, certify, closed_loop, hinf, partition
+from platform_ctrl.design.partition import Realisation, closed_loop, partition
+from platform_ctrl.design.scaling import autoscale, balance
+from platform_ctrl.design.synthesis import certify, hinf
 from platform_ctrl.errors import ArgumentError, DesignError
 
 METHODS = ("lmi", "riccati")

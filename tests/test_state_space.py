@@ -10,7 +10,7 @@ from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import inverse_dynamics
 from platform_ctrl.reading import read_platform
 from platform_ctrl.state_space import state_space, subsystems
-from tree_cases import platforms
+from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
 
@@ -113,19 +113,6 @@ def test_free_root_model_is_the_tangent_of_the_non_linear_equations(platform, se
         expected[3 + column if column < n else column - n] = 1.0
         scale = 1 + np.abs(response[:, column]).max() * 100
         np.testing.assert_allclose(slope, expected, atol=1e-7 * scale)
-
-
-def with_torquers(platform):
-    from platform_ctrl.description import Platform, Torquer
-
-    return Platform(
-        name=platform.name,
-        root_name=platform.root_name,
-        root_inertia=platform.root_inertia,
-        gimbals=platform.gimbals,
-        rotors=platform.rotors,
-        torquers=tuple(Torquer(name=f"Q{g.name}", gimbal=g.name) for g in platform.gimbals),
-    )
 
 
 def test_wrong_questions_get_one_line(platform):

@@ -1,9 +1,11 @@
 """Trees of the reference file, and random trees, as Platform values."""
 
+import dataclasses
+
 import numpy as np
 from hypothesis import strategies as st
 
-from platform_ctrl.description import Gimbal, Platform, Rotor
+from platform_ctrl.description import Gimbal, Platform, Rotor, Torquer
 
 
 def platform_of_case(tree):
@@ -80,3 +82,9 @@ def platforms(draw, max_gimbals=6, max_rotors=3, controls=("regulated", "free"))
     return Platform(
         name="random tree", root_name="base", root_inertia=inertia(3.0), gimbals=tuple(shuffled), rotors=tuple(rotors)
     )
+
+
+def with_torquers(platform):
+    """Return the platform with a torquer on every gimbal."""
+    torquers = tuple(Torquer(name=f"Q{g.name}", gimbal=g.name) for g in platform.gimbals)
+    return dataclasses.replace(platform, torquers=torquers)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.design.synthesis import Partition, Realisation, ScaledPlant, autoscale, unscale, weakest_mode
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 

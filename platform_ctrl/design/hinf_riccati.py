@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import schur
 
-from platform_ctrl.design.synthesis import Partition, Realisation, autoscale, clustered, unscale
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.scaling import autoscale, clustered, unscale
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 

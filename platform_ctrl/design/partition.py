@@ -1,0 +1,96 @@
+"""The plant of a synthesis: inputs [w, u], outputs [z, y], and the loop that u = K y closes around it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+
+@value
+class Partition:
+    """The matrices of a plant with inputs [w, u] and outputs [z, y]; see `partition`."""
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    D12: FloatArray
+    D21: FloatArray
+    D22: FloatArray
+
+
+@value
+class Realisation:
+    """A state-space realisation as bare matrices."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+
+
+def partition(P: StateSpace, nmeas: int, ncon: int) -> Partition:
+    """Split a continuous plant at its last `nmeas` outputs and last `ncon` inputs.
+
+    Raises
+    ------
+    ArgumentError
+        P is not a continuous state-space system with finite matrices, or the numbers do not fit.
+    """
+    from control import StateSpace
+
+    if not isinstance(P, StateSpace):
+        raise ArgumentError(f"plant: given a {type(P).__name__}; expected a control.StateSpace")
+    if P.isdtime(strict=True):
+        raise ArgumentError(
+            f"plant: sampled (dt = {P.dt}); expected a continuous plant, for example in the bilinear w-plane"
+        )
+    for name, number, total, what in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
+        if not (isinstance(number, int | np.integer) and 1 <= number < total):
+            raise ArgumentError(
+                f"plant: {name} = {number!r} of {total} {what}; expected a whole number from 1 to {total - 1}"
+            )
+    if P.nstates == 0:
+        raise ArgumentError("plant: no states; expected a dynamic plant")
+    A, B, C, D = (np.asarray(m, dtype=np.float64) for m in (P.A, P.B, P.C, P.D))
+    for name, m in zip("ABCD", (A, B, C, D), strict=True):
+        if not np.all(np.isfinite(m)):
+            raise ArgumentError(f"plant: matrix {name} is not finite; expected finite entries")
+    nz, nw = P.noutputs - nmeas, P.ninputs - ncon
+    return Partition(
+        A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
+        D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
+    )  # fmt: skip
+
+
+def closed_loop(plant: Partition, K: Realisation) -> Realisation:
+    """Lower linear fractional transformation of a plant and u = K y, states [x, xK].
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The loop is not well posed.
+    """
+    E = np.linalg.inv(np.eye(len(K.D)) - K.D @ plant.D22)
+    # u = E (D_K y0 + C_K xK), y0 = C2 x + D21 w;  y = y0 + D22 u
+    Ux, Uk, Uw = E @ K.D @ plant.C2, E @ K.C, E @ K.D @ plant.D21
+    return Realisation(
+        A=np.block(
+            [
+                [plant.A + plant.B2 @ Ux, plant.B2 @ Uk],
+                [K.B @ (plant.C2 + plant.D22 @ Ux), K.A + K.B @ plant.D22 @ Uk],
+            ]
+        ),
+        B=np.vstack([plant.B1 + plant.B2 @ Uw, K.B @ (plant.D21 + plant.D22 @ Uw)]),
+        C=np.hstack([plant.C1 + plant.D12 @ Ux, plant.D12 @ Uk]),
+        D=plant.D11 + plant.D12 @ Uw,
+    )

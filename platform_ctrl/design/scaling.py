@@ -1,0 +1,192 @@
+"""Units in which the matrices of a synthesis are near one, the way back, and what scaling brings to light.
+
+In SI units a solver sees 1e-4 kg m² beside 1e4 rad/s and gives up, or worse, does not. Rank and controllability too are
+judged in these units only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Singular values below this share of the largest (of unit columns or rows) count as zero.
+RANK_TOLERANCE = 1e-8
+
+
+@value
+class ScaledPlant:
+    """A plant in units where its matrices are near one, and what leads back.
+
+    Attributes
+    ----------
+    plant
+        The scaled plant; its D22 is zero, its D12 (D21) has orthonormal columns (rows) where it has full rank.
+    state : (n,)
+        x = diag(state) x_scaled.
+    rate
+        Unit of frequency, rad/s.
+    control : (nu, nu)
+        u = control @ u_scaled.
+    measurement : (ny, ny)
+        y_scaled = measurement @ (y − D22 u).
+    gain
+        gamma = gain * gamma_scaled.
+    D22 : (ny, nu)
+        The part of the plant that is undone by a loop shift.
+    control_rank, measurement_rank
+        Ranks of D12 and D21.
+    """
+
+    plant: Partition
+    state: FloatArray
+    rate: float
+    control: FloatArray
+    measurement: FloatArray
+    gain: float
+    D22: FloatArray
+    control_rank: int
+    measurement_rank: int
+
+
+def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
+    """S in u = S u' that makes the columns of D12 S orthonormal, or zero where D12 loses rank; and the rank."""
+    ncon = D12.shape[1]
+    size = np.linalg.norm(D12, axis=0)
+    size[size == 0] = 1.0
+    S = np.diag(1 / size)
+    _, sigma, Vt = np.linalg.svd(D12 @ S, full_matrices=True)
+    rank = int(np.sum(sigma > RANK_TOLERANCE))
+    S = S @ Vt.T
+    # A control that z does not see directly gets its unit from what it does to the states.
+    sigma = np.concatenate([sigma[:rank], np.linalg.norm(B2 @ S[:, rank:], axis=0)])
+    sigma[sigma == 0] = 1.0
+    return S / sigma[:ncon], rank
+
+
+def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
+    """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
+
+    Time is measured by the geometric mean of the poles' moduli, states by Osborne's balancing of [A B; C 0].
+    """
+    root = np.sqrt(gain)
+    moduli = np.abs(np.linalg.eigvals(plant.A))
+    # Poles at 0 come out at the level of rounding, defective ones well above it: they say nothing about time.
+    moduli = moduli[moduli > 1e-6 * np.max(moduli, initial=0.0)]
+    rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size else 1.0
+
+    A, B1, C1 = plant.A / rate, plant.B1 / rate / root, plant.C1 / root
+    S, control_rank = _unit_controls(plant.B2 / rate, plant.D12 / root)
+    St, measurement_rank = _unit_controls(plant.C2.T, plant.D21.T / root)
+    B2, D12 = plant.B2 / rate @ S, plant.D12 / root @ S
+    C2, D21 = St.T @ plant.C2, St.T @ plant.D21 / root
+    # Exactly: what is below the rank tolerance is rounding.
+    D12[:, control_rank:] = 0.0
+    D21[measurement_rank:] = 0.0
+
+    d = balance(A, np.hstack([B1, B2]), np.vstack([C1, C2]))
+    return ScaledPlant(
+        plant=Partition(
+            A=A / d[:, None] * d, B1=B1 / d[:, None], B2=B2 / d[:, None], C1=C1 * d, C2=C2 * d,
+            D11=plant.D11 / gain, D12=D12, D21=D21, D22=np.zeros_like(plant.D22),
+        ),
+        state=d, rate=rate, control=S, measurement=St.T, gain=gain, D22=plant.D22,
+        control_rank=control_rank, measurement_rank=measurement_rank,
+    )  # fmt: skip
+
+
+def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> FloatArray:
+    """Powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] is about as long as column i of [D⁻¹AD; CD], D = diag(d).
+
+    Osborne's iteration with inputs and outputs held fixed. A state that nothing drives or nobody sees keeps its unit.
+    """
+    n = len(A)
+    d = np.ones(n)
+    square = (A - np.diag(np.diag(A))) ** 2
+    rows, columns = np.sum(B**2, axis=1), np.sum(C**2, axis=0)
+    for _ in range(sweeps):
+        moved = False
+        for i in range(n):
+            row = (square[i] @ d**2 + rows[i]) / d[i] ** 2
+            column = ((1 / d**2) @ square[:, i] + columns[i]) * d[i] ** 2
+            if row == 0 or column == 0:
+                continue
+            factor = 2.0 ** np.round(0.25 * np.log2(row / column))
+            if factor != 1.0:
+                d[i] *= factor
+                moved = True
+        if not moved:
+            break
+    return d
+
+
+def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
+    """Bring a controller of the scaled plant back to the units of the plant that was given.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The loop shift that restores D22 is not well posed.
+    """
+    A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
+    C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
+    # u = K0 (y − D22 u), K0 the controller for D22 = 0.
+    shift = np.linalg.inv(np.eye(len(D)) + D @ scaled.D22)
+    return Realisation(
+        A=A - B @ scaled.D22 @ shift @ C,
+        B=B @ (np.eye(B.shape[1]) - scaled.D22 @ shift @ D),
+        C=shift @ C,
+        D=shift @ D,
+    )
+
+
+def require_stabilisable(plant: Partition, P: StateSpace) -> None:
+    """Raise a DesignError that names the mode if (A, B2) is not stabilisable or (A, C2) not detectable."""
+    sigma, word, pole = weakest_mode(autoscale(plant))
+    if word and sigma < 1e-10:
+        verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
+        raise DesignError(
+            f"hinf: the plant is not {word}: {verb} the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s; expected every "
+            "mode that is not stable within reach; put such weights inside the loop or shift their poles to the left",
+            P,
+        )
+
+
+def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
+    """Distance of the unstable modes to being lost: (smallest singular value relative to A, the property, the pole).
+
+    The pole is in rad/s. The test of Popov, Belevitch and Hautus on the scaled plant; ``(inf, "", 0)`` where every
+    pole is stable.
+    """
+    plant = scaled.plant
+    size = max(1.0, float(np.linalg.norm(plant.A, 2)))
+    weakest = (float("inf"), "", 0j)
+    for pole in clustered(np.linalg.eigvals(plant.A), size):
+        if pole.real < -1e-9 * size:
+            continue
+        shifted = plant.A - pole * np.eye(len(plant.A))
+        for word, pencil in (
+            ("stabilisable", np.hstack([shifted, plant.B2])),
+            ("detectable", np.vstack([shifted, plant.C2])),
+        ):
+            sigma = float(np.linalg.svd(pencil, compute_uv=False)[-1]) / size
+            if sigma < weakest[0]:
+                weakest = (sigma, word, pole * scaled.rate)
+    return weakest
+
+
+def clustered(poles: np.ndarray[Any, Any], size: float) -> list[complex]:
+    """Poles, and the means of their clusters: a defective pole scatters, the mean of its copies is accurate."""
+    out = [complex(p) for p in poles]
+    for p in poles:
+        near = poles[np.abs(poles - p) < 1e-3 * size]
+        if near.size > 1:
+            out.append(complex(np.mean(near)))
+    return out
