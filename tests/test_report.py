@@ -103,7 +103,7 @@ def page(result: JobResult) -> str:
 
 @pytest.fixture(scope="module")
 def lone_loop() -> JobResult:
-    """One loop, no servo, no manoeuvre, no spread: the free platform drifts, so the coupled system is not stable."""
+    """One loop, no servo, no manoeuvre, no spread: the platform is carried, and the other gyros are left out."""
     job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "spread": {}, "coupled": {}})
     return checked(job, loops(job))
 

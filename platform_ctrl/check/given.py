@@ -22,6 +22,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job, LoopSpec
 from platform_ctrl.reading.mistakes import given, one_line, suggestion
+from platform_ctrl.reading.source import read_text
 
 if TYPE_CHECKING:
     import control
@@ -80,22 +81,14 @@ def read_controllers(
 
 def _opened(source: str | os.PathLike[str]) -> tuple[str, Any]:
     path = Path(source)
-    label = one_line(str(path))
+    label, text = one_line(str(path)), read_text(path, "a JSON file with controllers")
     try:
-        return label, json.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{label}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{label}: is a directory; expected a JSON file with controllers") from None
-    except OSError as error:
-        raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected a JSON file") from None
+        return label, json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{label}: is not JSON: {error.msg} (line {error.lineno}, column {error.colno})") from None
     except RecursionError:
         raise InputError(f"{label}: is not JSON that can be read: nested too deeply") from None
-    except ValueError as error:  # a path that no file can have, or more digits than Python reads
+    except ValueError as error:  # more digits than Python reads
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
 
 

@@ -75,21 +75,31 @@ def open_file(path: Path) -> Document:
     InputError
         It cannot be read, or is not TOML in UTF-8.
     """
+    return _document(one_line(str(path)), read_text(path, "a TOML file"), path.parent)
+
+
+def read_text(path: Path, expected: str) -> str:
+    """Return the text of the file at `path`, which should be `expected`.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not UTF-8.
+    """
     label = one_line(str(path))
     try:
-        # utf-8-sig: some editors put a byte order mark at the head, which TOML does not know.
-        text = path.read_bytes().decode("utf-8-sig")
+        # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
+        return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{label}: there is no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{label}: is a directory; expected a TOML file") from None
+        raise InputError(f"{label}: is a directory; expected {expected}") from None
     except UnicodeDecodeError as error:
-        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected a TOML file") from None
+        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected {expected}") from None
     except OSError as error:
         raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
     except ValueError as error:  # a path that no file can have
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
-    return _document(label, text, path.parent)
 
 
 def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
