@@ -284,6 +284,7 @@ def test_a_folder_that_does_not_exist_is_one_line(
 def test_one_loop_without_servo_and_manoeuvres_has_a_page(lone_loop: JobResult, lone_page: str) -> None:
     assert lone_loop.coupled.stable
     assert "The coupled system is unstable" not in lone_page
+    assert "Torque on the platform" not in lone_page
     assert 'id="runs"' not in lone_page
     assert not re.search(r"\b(nan|inf)\b", visible_text(lone_page), re.IGNORECASE)
 

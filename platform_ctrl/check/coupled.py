@@ -41,6 +41,8 @@ class CoupledCheck:
         torquers.
     poles
         Of the closed loop, in z.
+    free
+        Whether the platform is free: a controller acts on the root. Otherwise it is carried.
     channels
         Torquer names: one channel each.
     decoupled, coupled : (channels,)
@@ -58,6 +60,7 @@ class CoupledCheck:
     plant: control.StateSpace
     controller: control.StateSpace
     poles: ComplexArray
+    free: bool
     channels: tuple[str, ...]
     decoupled: FloatArray
     coupled: FloatArray
@@ -96,6 +99,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         plant=plant,
         controller=K,
         poles=poles,
+        free=_acts_on_root(job, controllers),
         channels=channels,
         decoupled=decoupled,
         coupled=coupled,
@@ -112,13 +116,12 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
     counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
     """
-    used = {name for K in controllers for name in K.output_labels}
-    acting = [t for t in job.platform.torquers if t.name in used]
-    if any(t.root_axis is not None for t in acting):
+    if _acts_on_root(job, controllers):
         system = linear_state_space(model, root="free")
         torquers, angles = list(job.platform.torquers), list(model.angle_names)
     else:
-        held = {t.gimbal for t in acting}
+        used = {name for K in controllers for name in K.output_labels}
+        held = {t.gimbal for t in job.platform.torquers if t.name in used}
         gimbals = [name for group in subsystems(model) if held & set(group) for name in group]
         system = linear_state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
@@ -128,6 +131,11 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
     named = state_space(arrays, [t.name for t in torquers], angles)
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def _acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
+    roots = {t.name for t in job.platform.torquers if t.root_axis is not None}
+    return any(roots & set(K.output_labels) for K in controllers)
 
 
 def _one_controller(

@@ -161,8 +161,7 @@ def coupled_poles(result: JobResult) -> str:
         if result.coupled.stable
         else "Red poles lie in the right half plane or on its edge"
     )
-    roots = {torquer.name for torquer in result.job.platform.torquers if torquer.root_axis is not None}
-    platform = ", the free platform" if roots & set(result.coupled.channels) else " on the carried platform"
+    platform = ", the free platform" if result.coupled.free else " on the carried platform"
     return f"Poles as s = ln(z)/T of the gimbals{platform} and all controllers together. {where}."
 
 

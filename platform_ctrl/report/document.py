@@ -210,7 +210,8 @@ def _coupled_plates(result: JobResult) -> list[Plate]:
     if check.stable and check.simultaneous.frequencies.size:
         figure = figures.simultaneous_margin_figure(check, result.job.coupled.disk_margin)
         plates.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
-    if check.stable:
+    # Who carries the platform takes every torque on it.
+    if check.stable and check.free:
         figure = figures.platform_disturbance_figure(result)
         plates.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
     return plates
