@@ -8,7 +8,6 @@ import os
 import platform as interpreter
 from collections.abc import Mapping
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,9 @@ from platform_ctrl.check.coupled import CoupledCheck
 from platform_ctrl.check.simulated import Run, largest
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.errors import InputError
 from platform_ctrl.job import Job
 from platform_ctrl.requirements import CheckResult
+from platform_ctrl.writing import write_whole
 
 SCHEMA = 1
 
@@ -88,18 +87,7 @@ def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Non
     InputError
         The file cannot be written there.
     """
-    target = Path(path)
-    # In the same folder, so that putting it in place is one step of the file system.
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    text = laid_out(record) + "\n"
-    try:
-        try:
-            unfinished.write_text(text, encoding="utf-8")
-            os.replace(unfinished, target)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
+    write_whole(path, laid_out(record) + "\n")
 
 
 def _controller(job: Job, design: LoopDesign) -> Record:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import value
 from platform_ctrl.report import captions, tables
 from platform_ctrl.report.record import job_data, toml, versions
+from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,36 +43,7 @@ def write_page(result: JobResult, path: str | os.PathLike[str], *, command: str 
     InputError
         The file cannot be written.
     """
-    target = Path(path)
-    text = page(result, command=command)
-    temporary = None
-    try:
-        # Beside the target: a rename within one file system replaces it in one step.
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
-    except OSError as error:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-        raise InputError(
-            f"{target}: cannot be written ({error.strerror or error}); expected a path in a folder that exists and "
-            "may be written to"
-        ) from None
-    except BaseException:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-        raise
-    return target
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    return write_whole(path, page(result, command=command))
 
 
 def page(result: JobResult, *, command: str | None = None) -> str:
@@ -120,7 +89,7 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             "coupled_plates": _coupled_plates(result),
             "runs": [_run_section(result, k) for k in range(len(result.runs))],
             "record": toml(job_data(result.job)),
-            "versions": versions(),
+            "versions": versions().items(),
             "command": command or again,
             "own_record": command is None,
         }

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
@@ -258,11 +258,6 @@ def _branches(z: ComplexArray) -> ComplexArray:
         distance = np.abs(out[k - 1][:, None] - z[k][None, :])
         out[k] = z[k][linear_sum_assignment(distance)[1]]
     return out
-
-
-def controller_entries(arrays: StateArrays, frequency: FloatArray) -> ComplexArray:
-    """Return the controller's response, (outputs, inputs, N)."""
-    return np.moveaxis(frequency_response_arrays(*arrays, frequency), 0, -1)
 
 
 def _frequency_first(response: ComplexArray) -> ComplexArray:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from platform import python_version
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
+from platform_ctrl.check import records
 from platform_ctrl.description import Platform
 from platform_ctrl.job import Job
 
@@ -61,7 +61,6 @@ def job_data(job: Job) -> dict[str, Any]:
 
 def plant_data(platform: Platform) -> dict[str, Any]:
     """Return the plant as a dict of the plant file's structure."""
-    angle = {gimbal.name: gimbal.angle for gimbal in platform.gimbals}
     return {
         "schema": 1,
         "name": platform.name,
@@ -73,7 +72,7 @@ def plant_data(platform: Platform) -> dict[str, Any]:
                 "parent": g.parent,
                 "axis": g.axis.tolist(),
                 "inertia": g.inertia.tolist(),
-                "angle": angle[g.name],
+                "angle": g.angle,
                 **({} if g.stops is None else {"stops": list(g.stops)}),
             }
             for g in platform.gimbals
@@ -135,14 +134,6 @@ def _given(data: dict[str, Any]) -> dict[str, Any]:
     return {key: item for key, item in data.items() if item is not None}
 
 
-def versions() -> list[tuple[str, str]]:
-    """Return name and version of Python and of every package that the figures depend on."""
-    out = [("python", python_version())]
-    for name in ("platform_ctrl", "numpy", "scipy", "control", "cvxpy", "numba", "matplotlib"):
-        try:
-            out.append((name, version(name)))
-        except PackageNotFoundError:
-            from platform_ctrl import __version__
-
-            out.append((name, __version__ if name == "platform_ctrl" else "not installed"))
-    return out
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of every package that the page depends on."""
+    return records.versions() | {"matplotlib": version("matplotlib")}

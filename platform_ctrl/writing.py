@@ -1,0 +1,33 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from platform_ctrl.errors import InputError
+
+
+def write_whole(path: str | os.PathLike[str], text: str) -> Path:
+    """Write `text` to `path` and return it: what stood there stays until the new file is complete.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written there.
+    """
+    target = Path(path)
+    # In the same folder, so that putting it in place is one step of the file system.
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        try:
+            unfinished.write_text(text, encoding="utf-8", newline="\n")
+            os.replace(unfinished, target)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be written: {error.strerror or error}; expected a path in a folder that exists and may "
+            "be written to"
+        ) from None
+    return target
