@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+
+# Characters of a given value that a message shows, and that a name is compared by.
+_LONGEST = 60
 
 
 def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
@@ -47,6 +50,23 @@ def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], defau
     return array
 
 
+def positive(name: str, given: float, zero: bool = False) -> float:
+    """Return a finite float above zero (or, with `zero`, not below it).
+
+    Raises
+    ------
+    ArgumentError
+        Not a number, not finite, or too small.
+    """
+    try:
+        number = float(given)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name}: given {given!r}; expected a number") from None
+    if not np.isfinite(number) or number < 0.0 or (number == 0.0 and not zero):
+        raise ArgumentError(f"{name}: given {given!r}; expected a finite number {'>=' if zero else '>'} 0")
+    return number
+
+
 def known_name(kind: str, given: str, known: Sequence[str]) -> int:
     """Return the index of `given` in `known`.
 
@@ -57,13 +77,20 @@ def known_name(kind: str, given: str, known: Sequence[str]) -> int:
     """
     if given in known:
         return list(known).index(given)
-    near = difflib.get_close_matches(str(given), known, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    near = nearest(str(given), known)
+    hint = "" if near is None else f"; did you mean {near!r}?"
     raise ArgumentError(
         f"{kind}: given {given!r}; expected one of {', '.join(map(repr, known)) or 'none at all'}{hint}"
     )
 
 
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that `word` was probably meant to be, or None."""
+    by_lower = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(word.lower()[:_LONGEST], by_lower, n=1)
+    return by_lower[close[0]] if close else None
+
+
 def _short(given: object) -> str:
     text = " ".join(repr(given).split())
-    return text if len(text) <= 60 else text[:57] + "..."
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

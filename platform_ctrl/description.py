@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
 RotorControl = Literal["regulated", "free"]
+
+# Signals that every plant has: the root's rates, and the torques on it.
+OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
+ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
 
 @value
@@ -92,6 +97,11 @@ class Torquer:
     limit: float | None = None
     lag: float = 0.0
 
+    @property
+    def signal(self) -> str:
+        """Name of the linear model's input that it drives: its own, or M1, M2 or M3 on the root."""
+        return self.name if self.root_axis is None else ROOT_TORQUE_NAMES[self.root_axis - 1]
+
 
 @value
 class PickOff:
@@ -157,18 +167,45 @@ class Platform:
         return tuple(g.angle for g in self.gimbals)
 
     @property
-    def rotor_names(self) -> tuple[str, ...]:
-        """Names of the rotors, in the order of the rows of B."""
-        return tuple(r.name for r in self.rotors)
-
-    @property
     def parents(self) -> NDArray[np.intp]:
         """Index of each gimbal's parent, (n,); −1 is the root."""
-        index = {self.root_name: -1} | {g.name: k for k, g in enumerate(self.gimbals)}
-        return np.array([index[g.parent] for g in self.gimbals], dtype=np.intp)
+        return self._indices([g.parent for g in self.gimbals])
 
     @property
     def carriers(self) -> NDArray[np.intp]:
         """Index of each rotor's carrier, (m,); −1 is the root."""
+        return self._indices([r.carrier for r in self.rotors])
+
+    def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
         index = {self.root_name: -1} | {g.name: k for k, g in enumerate(self.gimbals)}
-        return np.array([index[r.carrier] for r in self.rotors], dtype=np.intp)
+        return np.array([index[name] for name in bodies], dtype=np.intp)
+
+    def torquer_on(self, gimbal: str) -> Torquer:
+        """Return the torquer that loops on the named gimbal use: its first one.
+
+        Raises
+        ------
+        ArgumentError
+            It has none.
+        """
+        return _on(gimbal, self.torquers, "torquer")
+
+    def pickoff_on(self, gimbal: str) -> PickOff:
+        """Return the pick-off of the named gimbal.
+
+        Raises
+        ------
+        ArgumentError
+            It has none.
+        """
+        return _on(gimbal, self.pickoffs, "pick-off")
+
+
+Part = TypeVar("Part", Torquer, PickOff)
+
+
+def _on(gimbal: str, parts: tuple[Part, ...], kind: str) -> Part:
+    for part in parts:
+        if part.gimbal == gimbal:
+            return part
+    raise ArgumentError(f"gimbal {gimbal!r} has no {kind}; expected one in the plant")

@@ -132,11 +132,6 @@ class LoopRequirement(Requirement):
         by_plant = {"stability": measures.decay, "disk margin": measures.disk_margin, "damping": measures.damping}
         return by_plant[self.kind][chosen]
 
-    def worst(self, measures: LoopMeasures) -> float:
-        """Return the figure that is nearest to the bound or beyond it."""
-        figures = self.figures(measures)
-        return float(figures.max() if self.sense == "at most" else figures.min())
-
     def ratios(self, measures: LoopMeasures) -> FloatArray:
         """Return a ratio for every figure."""
         return np.array([self.ratio(float(figure)) for figure in self.figures(measures)])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from platform_ctrl.arguments import known_name
+from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.linearisation import LinearModel
@@ -22,9 +23,6 @@ from platform_ctrl.mechanics.kinematics import cross_matrix
 
 if TYPE_CHECKING:
     import control
-
-OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
-ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 
 # An entry counts as zero where it is this small against the diagonal of its rows and columns.
 _STRUCTURAL_ZERO = 1e-12

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.plant_set import measure
 from platform_ctrl.design.blocks import first_order, gain, notch, series, side_by_side, stacked
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller, starting_values
-from platform_ctrl.design.loop import certified, closed_loop_poles, exact_measures, nominal_plant
+from platform_ctrl.design.loop import certified, closed_loop_poles, exact_measures, sampled_plant
 from platform_ctrl.design.plants import changed, corners, loop_plants
 from platform_ctrl.design.stabilisation import low_pass, platform_servo, rate_estimate
 from platform_ctrl.design.tuning import tune, worst_ratio
@@ -184,7 +184,7 @@ def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
     channel = channels(model, [3, 4])
     options = starting_values(spec.designs[0].options, channel, two_axis.nutation, PERIOD)
     design = certified(spec, spec.designs[0], classical_controller(options, channel, PERIOD), two_axis, options, {})
-    P, K = nominal_plant(two_axis), design.controller
+    P, K = sampled_plant(two_axis), design.controller
     loop = control.feedback(P, K, sign=1)
     radius = np.abs(control.poles(loop)).max()
     assert design.measures.decay[0] == pytest.approx(-np.log(radius) / PERIOD, rel=1e-6)
@@ -215,7 +215,7 @@ def test_torque_noise_is_what_a_long_random_run_shows(job, model, two_axis):
     K = StateArrays(*classical_controller(options, channel, PERIOD), dt=PERIOD)
     measures = measure(two_axis, K)
     named = state_space(K, two_axis.angles, two_axis.torques)
-    loop = control.feedback(named, nominal_plant(two_axis), sign=1)
+    loop = control.feedback(named, sampled_plant(two_axis), sign=1)
     rng = np.random.default_rng(1)
     noise = 5e-6 * rng.standard_normal((2, 40000))
     torque = control.forced_response(loop, inputs=noise, timepts=PERIOD * np.arange(40000)).outputs

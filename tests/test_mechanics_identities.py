@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.description import Gimbal, Platform
-from platform_ctrl.errors import MechanicsError
+from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
 from platform_ctrl.mechanics.kinematics import kinematics
@@ -145,3 +145,13 @@ def test_a_body_without_inertia_is_named():
     )
     with pytest.raises(MechanicsError, match="a moves no inertia"):
         forward_dynamics(platform, [0.0], np.zeros(4), np.zeros(4))
+
+
+def test_gimbals_in_a_ring_are_refused_not_followed_for_ever():
+    ring = tuple(
+        Gimbal(name=name, parent=parent, axis=np.eye(3)[0], inertia=np.eye(3), angle=name)
+        for name, parent in (("a", "b"), ("b", "a"))
+    )
+    platform = Platform(name="ring", root_name="base", root_inertia=np.eye(3), gimbals=ring)
+    with pytest.raises(ArgumentError, match="form a ring; expected a tree"):
+        matrices(platform)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -100,14 +99,6 @@ def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
         raise ArgumentError(
             f"{where}: frequency has shape {np.shape(frequency)}, expected a vector of finite numbers >= 0 in rad/s"
         )
-    return out
-
-
-def positive(number: float, name: str, where: str) -> float:
-    """Return a finite number > 0, or raise `ArgumentError`."""
-    out = float(number)
-    if not (math.isfinite(out) and out > 0.0):
-        raise ArgumentError(f"{where}: {name} = {number!r}, expected a finite number > 0")
     return out
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
@@ -50,7 +52,7 @@ class PlantSet:
     frequency: FloatArray
     response: ComplexArray
 
-    def only(self, chosen: FloatArray | list[int]) -> PlantSet:
+    def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices)."""
         index = np.asarray(chosen, dtype=np.intp)
         return PlantSet(
@@ -95,11 +97,11 @@ class LoopMeasures:
     torque_noise: FloatArray
 
 
-def tuning_grid(nutation: float, period: float, points: int = 90) -> FloatArray:
-    """Return frequencies, rad/s, dense where margins are lost: between a fifth and twice the nutation."""
+def tuning_grid(nutation: float, period: float) -> FloatArray:
+    """Return frequencies, rad/s, dense where margins are lost: between a sixth and about twice the nutation."""
     nyquist = np.pi / period
     edges = np.clip([nutation / 150.0, nutation / 6.0, 2.2 * nutation, 0.999 * nyquist], None, 0.999 * nyquist)
-    counts = (points // 6, points - 2 * (points // 6), points // 6)
+    counts = (15, 60, 15)
     parts = [
         np.geomspace(low, high, k, endpoint=False)
         for low, high, k in zip(edges, edges[1:], counts, strict=False)
@@ -115,10 +117,9 @@ def plant_set(
     angles: tuple[str, ...],
     nutation: float,
     noise: FloatArray,
-    frequency: FloatArray | None = None,
 ) -> PlantSet:
-    """Return the set, its responses worked out once on `frequency` (default `tuning_grid`)."""
-    grid = tuning_grid(nutation, plants.dt) if frequency is None else frequency
+    """Return the set, its responses worked out once on `tuning_grid`."""
+    grid = tuning_grid(nutation, plants.dt)
     return PlantSet(
         A=plants.A,
         B=plants.B,

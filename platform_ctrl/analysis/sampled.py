@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, positive, scaled, state_arrays, state_scaling, state_space
+from platform_ctrl.analysis.arrays import StateArrays, scaled, state_arrays, state_scaling, state_space
+from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -94,9 +95,8 @@ def sampled_arrays(
 def _sampled(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float, delay: float, lag: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    period = positive(period, "period", "sampled")
-    if not (math.isfinite(delay) and delay >= 0.0):
-        raise ArgumentError(f"sampled: delay = {delay!r} s, expected a finite number >= 0")
+    period = positive("sampled: period", period)
+    delay = positive("sampled: delay", delay, zero=True)
     m = B.shape[-1]
     lags = np.zeros(m) if lag is None else np.asarray(lag, dtype=np.float64)
     if lags.shape not in ((), (m,)) or not np.all(np.isfinite(lags)) or np.any(lags < 0.0):
@@ -217,7 +217,7 @@ def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.S
     arrays = state_arrays(system, "bilinear_to_discrete")
     if arrays.dt != 0.0:
         raise ArgumentError(f"bilinear_to_discrete: the system has dt = {arrays.dt} s, expected a continuous system")
-    period = positive(period, "period", "bilinear_to_discrete")
+    period = positive("bilinear_to_discrete: period", period)
     A, B, C, D = from_w_plane(arrays.A, arrays.B, arrays.C, arrays.D, period)
     return state_space(StateArrays(A, B, C, D, period), list(system.input_labels), list(system.output_labels))
 

@@ -19,12 +19,13 @@ from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.requirements import STABLE, CheckResult, Requirement
-from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES, subsystems
 from platform_ctrl.state_space import state_space as linear_state_space
+from platform_ctrl.state_space import subsystems
 
 if TYPE_CHECKING:
     import control
@@ -126,16 +127,18 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = linear_state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
-    signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in torquers]
-    part = system[angles, signals]
+    part = system[angles, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
     named = state_space(arrays, [t.name for t in torquers], angles)
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
+def _root_torquers(job: Job) -> set[str]:
+    return {t.name for t in job.platform.torquers if t.root_axis is not None}
+
+
 def _acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
-    roots = {t.name for t in job.platform.torquers if t.root_axis is not None}
-    return any(roots & set(K.output_labels) for K in controllers)
+    return any(_root_torquers(job) & set(K.output_labels) for K in controllers)
 
 
 def _one_controller(
@@ -199,39 +202,26 @@ def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArr
 def _judged(
     job: Job, decay: float, channels: Sequence[str], cost: FloatArray, simultaneous: DiskMargin, noise: FloatArray
 ) -> tuple[CheckResult, ...]:
-    subject = "all loops closed"
-    evidence = "poles of the coupled sampled closed loop"
-    out = [STABLE.judge(decay, subject=subject, stage="coupled", evidence=evidence)]
-    if job.coupled.disk_margin is not None:
-        asked = Requirement(name="simultaneous disk margin", limit=job.coupled.disk_margin, unit="", sense="at least")
-        evidence = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
-        out.append(asked.judge(simultaneous.lower, subject=subject, stage="coupled", evidence=evidence))
-    if job.coupled.coupling_cost is not None:
-        asked = Requirement(
-            name="disk margin lost by coupling", limit=job.coupled.coupling_cost, unit="", sense="at most"
-        )
+    out: list[CheckResult] = []
+
+    def hold(asked: Requirement, measured: float, evidence: str, subject: str = "all loops closed") -> None:
+        out.append(asked.judge(measured, subject=subject, stage="coupled", evidence=evidence))
+
+    hold(STABLE, decay, "poles of the coupled sampled closed loop")
+    limits = job.coupled
+    if limits.disk_margin is not None:
+        asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
+        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
+        hold(asked, simultaneous.lower, guaranteed)
+    if limits.coupling_cost is not None:
+        asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")
         worst = int(np.argmax(cost))
-        out.append(
-            asked.judge(
-                float(cost[worst]),
-                subject=subject,
-                stage="coupled",
-                evidence=f"channel {channels[worst]}, loop by loop",
-            )
-        )
+        hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop")
+    roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
     for spec in job.loops:
-        if spec.kind == "stabilisation" and spec.limits.torque_noise is not None:
-            roots = [
-                k for k, name in enumerate(channels) if name in {t.name for t in job.platform.torquers if t.root_axis}
-            ]
-            if roots:
-                asked = Requirement(
-                    name="torque noise, rms", limit=spec.limits.torque_noise, unit="N m", sense="at most"
-                )
-                worst = max(roots, key=lambda k: noise[k])
-                out.append(
-                    asked.judge(
-                        float(noise[worst]), subject=spec.name, stage="coupled", evidence=f"torquer {channels[worst]}"
-                    )
-                )
+        limit = spec.limits.torque_noise
+        if spec.kind == "stabilisation" and limit is not None and roots:
+            asked = Requirement(name="torque noise, rms", limit=limit, unit="N m", sense="at most")
+            worst = max(roots, key=lambda k: noise[k])
+            hold(asked, float(noise[worst]), f"torquer {channels[worst]}", spec.name)
     return tuple(out)

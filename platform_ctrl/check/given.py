@@ -17,7 +17,7 @@ import numpy as np
 from platform_ctrl.check.records import SCHEMA
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, remeasured
-from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job, LoopSpec
@@ -254,26 +254,14 @@ def outcomes_from(
 
 
 def _outcome(job: Job, spec: LoopSpec, closed: control.StateSpace, others: Sequence[control.StateSpace]) -> LoopOutcome:
-    plants = loop_plants(job, spec.gimbals) if spec.kind == "caging" else None
+    plants = plants_of(job, spec)
     designs: list[LoopDesign] = []
     for K in (closed, *others):
         name = _free_name(str(K.name).removeprefix(f"{spec.name}, "), [design.name for design in designs])
-        if plants is not None:
+        if plants is None:
+            designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
+        else:
             designs.append(remeasured(spec, name, K, plants))
-            continue
-        designs.append(
-            LoopDesign(
-                loop=spec.name,
-                name=name,
-                method="given",
-                controller=K,
-                options={},
-                plants=None,
-                measures=None,
-                results=(),
-                claims={},
-            )
-        )
     return LoopOutcome(spec=spec, designs=tuple(designs), use=designs[0].name)
 
 
@@ -288,10 +276,9 @@ def _free_name(name: str, taken: Sequence[str]) -> str:
 
 def _torques(job: Job, spec: LoopSpec) -> set[str]:
     """Return the torquers of a loop: of a caging loop the first on every gimbal, as it is designed."""
-    torquers = job.platform.torquers
     if spec.kind == "stabilisation":
-        return {t.name for t in torquers if t.root_axis is not None}
-    return {next(t.name for t in torquers if t.gimbal == gimbal) for gimbal in spec.gimbals}
+        return {t.name for t in job.platform.torquers if t.root_axis is not None}
+    return {job.platform.torquer_on(gimbal).name for gimbal in spec.gimbals}
 
 
 def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
@@ -299,10 +286,7 @@ def _loop_of(job: Job, K: control.StateSpace) -> LoopSpec:
     for spec in job.loops:
         if outputs != _torques(job, spec):
             continue
-        pickoffs = {
-            next(s.name for s in job.platform.pickoffs if s.gimbal == gimbal)
-            for gimbal in (spec.gimbals if spec.kind == "caging" else ())
-        }
+        pickoffs = {job.platform.pickoff_on(gimbal).name for gimbal in spec.gimbals}
         if pickoffs and set(K.input_labels) != pickoffs:
             raise InputError(
                 f"controller {given(K.name)}: inputs {', '.join(K.input_labels)}; the loop {given(spec.name)} is "

@@ -9,10 +9,9 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.loop import LoopDesign, certified
-from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.design.tuning import tune
-from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
@@ -74,7 +73,7 @@ def loops(
     say = progress or (lambda line: None)
     model = linearise(job.platform)
     # All plants before the first design: what is wrong with the third loop is said before the work on the first.
-    plant_sets = [_plants(job, spec) for spec in job.loops]
+    plant_sets = [plants_of(job, spec) for spec in job.loops]
     out = []
     for spec, plants in zip(job.loops, plant_sets, strict=True):
         designs = []
@@ -86,15 +85,6 @@ def loops(
                 designs.append(_caging(model, spec, design, plants, say))
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)
-
-
-def _plants(job: Job, spec: LoopSpec) -> PlantSet | None:
-    if spec.kind != "caging":
-        return None
-    try:
-        return loop_plants(job, spec.gimbals)
-    except ArgumentError as error:
-        raise InputError(f"loop {spec.name!r}: {error}") from None
 
 
 def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: PlantSet, say: Progress) -> LoopDesign:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.bandwidth import bandwidth
-from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
 from platform_ctrl.design.blocks import Block
@@ -19,6 +20,12 @@ from platform_ctrl.requirements import CheckResult, loop_requirements
 
 if TYPE_CHECKING:
     import control
+
+# What to try where a method's loop is not stable.
+CURES = {
+    "classical": "a lower crossover_hz, or tune = true",
+    "hinf": "a lower bandwidth_hz, or a larger backoff",
+}
 
 # Plants whose margin on the grid lies this near to the worst get the exact norm; the others keep the grid's figure.
 _NEAR_WORST = 1.25
@@ -50,11 +57,11 @@ class LoopDesign:
     name: str
     method: str
     controller: control.StateSpace
-    options: dict[str, float]
-    plants: PlantSet | None
-    measures: LoopMeasures | None
-    results: tuple[CheckResult, ...]
-    claims: dict[str, float]
+    options: dict[str, float] = field(default_factory=dict)
+    plants: PlantSet | None = None
+    measures: LoopMeasures | None = None
+    results: tuple[CheckResult, ...] = ()
+    claims: dict[str, float] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -62,9 +69,9 @@ class LoopDesign:
         return all(result.passed for result in self.results)
 
 
-def nominal_plant(plants: PlantSet) -> control.StateSpace:
-    """Return the nominal sampled plant with its signal names."""
-    arrays = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
+    """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
+    arrays = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
     return state_space(arrays, plants.torques, plants.angles)
 
 
@@ -88,7 +95,7 @@ def certified(
     if not measures.decay[0] > 0.0:
         raise DesignError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
-            "loop; try a lower crossover_hz, or tune = true",
+            f"loop; try {CURES[design.method]}",
             plants,
         )
     return LoopDesign(
@@ -100,7 +107,7 @@ def certified(
         plants=plants,
         measures=measures,
         results=judged(spec, design.name, plants, measures),
-        claims=claims | {"disk_margin": float(measures.disk_margin[0]), "damping": float(measures.damping[0])},
+        claims=claims,
     )
 
 
@@ -117,7 +124,7 @@ def judged(spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures
             where = plants.labels[worst]
         out.append(
             requirement.judge(
-                requirement.worst(measures),
+                float(figures[worst]),
                 subject=spec.name,
                 design=design,
                 stage="decoupled",
@@ -130,13 +137,13 @@ def judged(spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures
 def exact_measures(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
     """Return the measures with margins as norms (not on a grid) wherever they decide anything."""
     rough = measure(plants, controller)
+    named = state_space(controller, plants.angles, plants.torques)
     margin = rough.disk_margin.copy()
     alive = margin > 0.0
     floor = margin[1:][alive[1:]].min(initial=np.inf)
     for k in np.flatnonzero(alive & ((margin <= _NEAR_WORST * floor) | (np.arange(len(margin)) == 0))):
-        margin[k] = disk_margin_norm(plants.only([int(k)]), controller)
-    named = state_space(controller, plants.angles, plants.torques)
-    nominal = nominal_plant(plants)
+        margin[k] = disk_margin_norm(sampled_plant(plants, int(k)), named)
+    nominal = sampled_plant(plants)
     return LoopMeasures(
         bandwidth=min(bandwidth(nominal, named, at="input"), bandwidth(nominal, named, at="output")),
         disk_margin=margin,
@@ -146,14 +153,14 @@ def exact_measures(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
     )
 
 
-def disk_margin_norm(plant: PlantSet, controller: StateArrays) -> float:
-    """Return 1/‖(S − T)/2‖ in the H-infinity norm, the smaller of input and output, for the first plant of the set."""
-    A, B, C, D = closed_loop_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], *controller[:4])
-    m, p = plant.B.shape[-1], plant.C.shape[-2]
-    # Closed loop from [d, n] to [u, y]: at the input u = −T d, at the output y = −T n, and (S − T)/2 = I/2 − T.
-    at_input = hinf_norm_arrays(A, B[:, :m], C[:m], D[:m, :m] + 0.5 * np.eye(m), plant.period)[0]
-    at_output = hinf_norm_arrays(A, B[:, m:], C[m:], D[m:, m:] + 0.5 * np.eye(p), plant.period)[0]
-    return 1.0 / max(at_input, at_output)
+def disk_margin_norm(plant: control.StateSpace, controller: control.StateSpace) -> float:
+    """Return 1/‖(S − T)/2‖ in the H-infinity norm, the smaller of input and output."""
+    norms = []
+    for at in ("input", "output"):
+        A, B, C, D, dt = closed_loop_with_sensitivity(plant, controller, at)
+        # (S − T)/2 = S − I/2.
+        norms.append(hinf_norm_arrays(A, B, C, D - 0.5 * np.eye(len(D)), dt)[0])
+    return 1.0 / max(norms)
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
@@ -168,11 +175,9 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
         name=name,
         method="given",
         controller=state_space(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
-        options={},
         plants=plants,
         measures=measures,
         results=judged(spec, name, plants, measures),
-        claims={},
     )
 
 

@@ -12,8 +12,9 @@ from platform_ctrl.analysis.plant_set import PlantSet, plant_set
 from platform_ctrl.analysis.sampled import sampled_arrays
 from platform_ctrl.arguments import known_name
 from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import Job
+from platform_ctrl.job import Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
 from platform_ctrl.state_space import state_space
@@ -71,17 +72,33 @@ def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
     return [known_name("gimbals", name, model.gimbal_names) for name in gimbals]
 
 
+def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
+    """Return the plants of a loop of the job; None for a loop that is judged in the coupled system alone.
+
+    Raises
+    ------
+    InputError
+        The loop's gimbals cut through a subsystem.
+    """
+    if spec.kind != "caging":
+        return None
+    try:
+        return loop_plants(job, spec.gimbals)
+    except ArgumentError as error:
+        raise InputError(f"loop {spec.name!r}: {error}") from None
+
+
 def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order.
 
     Raises
     ------
     ArgumentError
-        `gimbals` cuts through a subsystem.
+        `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
     """
     cases = corners(job, gimbals)
-    torquers = [next(t for t in job.platform.torquers if t.gimbal == name) for name in gimbals]
-    pickoffs = [next(s for s in job.platform.pickoffs if s.gimbal == name) for name in gimbals]
+    torquers = [job.platform.torquer_on(name) for name in gimbals]
+    pickoffs = [job.platform.pickoff_on(name) for name in gimbals]
     torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
     systems = [
         state_space(linearise(platform, Omega=Omega), gimbals=gimbals)[angles, torques] for _, platform, Omega in cases

@@ -96,10 +96,6 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
         method=design.method,
         controller=controller,
         options=options,
-        plants=None,
-        measures=None,
-        results=(),
-        claims={},
     )
 
 

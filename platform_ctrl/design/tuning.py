@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.plant_set import PlantSet, measure
+from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.requirements import LoopRequirement
@@ -20,7 +20,10 @@ _IN_VIEW = 8
 
 def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
-    measures = measure(plants, StateArrays(*controller, dt=plants.period))
+    return _worst(measure(plants, StateArrays(*controller, dt=plants.period)), plants, requirements)
+
+
+def _worst(measures: LoopMeasures, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     growth = -float(measures.decay.min())
     if not growth < 0.0:
         return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
@@ -72,9 +75,11 @@ def tune(
     def options(x: FloatArray) -> dict[str, float]:
         return start | {name: float(v) for name, v in zip(movable, np.exp(np.minimum(x, bounds)), strict=True)}
 
+    def beyond(x: FloatArray) -> float:
+        return float(np.maximum(x - bounds, 0.0).max(initial=0.0))
+
     def ratio(x: FloatArray, on: PlantSet) -> float:
-        beyond = float(np.maximum(x - bounds, 0.0).max(initial=0.0))
-        return worst_ratio(build(options(x)), on, requirements) + beyond
+        return worst_ratio(build(options(x)), on, requirements) + beyond(x)
 
     target = 1.0 - reserve
     view = [0]
@@ -82,14 +87,15 @@ def tune(
     best_ratio = np.inf
     current = best
     while left > 0:
-        overall = ratio(current, plants)
+        measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period))
+        overall = _worst(measures, plants, requirements) + beyond(current)
         if overall < best_ratio:
             best, best_ratio = current, overall
         if progress is not None:
             progress(best_ratio)
         if best_ratio <= target:
             break
-        added = [k for k in _worst_plants(build(options(current)), plants, requirements) if k not in view]
+        added = [k for k in _worst_plants(measures, requirements) if k not in view]
         if current is not best and not added:
             break
         view = sorted({*view, *added[:_IN_VIEW]})
@@ -112,12 +118,11 @@ def tune(
     return options(best)
 
 
-def _worst_plants(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> list[int]:
+def _worst_plants(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> list[int]:
     """Return plant numbers, the worst first."""
-    measures = measure(plants, StateArrays(*controller, dt=plants.period))
     if not np.all(measures.decay > 0.0):
         return [int(k) for k in np.argsort(measures.decay)]
-    ratios = np.zeros(len(plants.labels))
+    ratios = np.zeros(len(measures.decay))
     for requirement in requirements:
         if requirement.over_spread:
             ratios = np.maximum(ratios, requirement.ratios(measures))

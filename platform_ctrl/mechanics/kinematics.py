@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
 
@@ -56,7 +57,13 @@ class Topology:
 
 @lru_cache(maxsize=256)
 def topology(platform: Platform) -> Topology:
-    """Return the tree of `platform` as arrays (kept for the platforms used last)."""
+    """Return the tree of `platform` as arrays (kept for the platforms used last).
+
+    Raises
+    ------
+    ArgumentError
+        The gimbals carry each other in a ring.
+    """
     parents = platform.parents
     n = len(parents)
     order: list[int] = []
@@ -64,6 +71,8 @@ def topology(platform: Platform) -> Topology:
     waiting = list(range(n))
     while waiting:
         ready = [k for k in waiting if parents[k] < 0 or parents[k] in order]
+        if not ready:
+            raise ArgumentError(f"platform {platform.name!r}: the gimbals' parents form a ring; expected a tree")
         for k in ready:
             on_path[1 + k] = on_path[1 + parents[k]]
             on_path[1 + k, k] = True

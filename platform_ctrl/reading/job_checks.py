@@ -9,11 +9,11 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from platform_ctrl.description import Platform
+from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.job import LoopLimits
 from platform_ctrl.reading.fields import ROUNDING
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
-from platform_ctrl.reading.plant_checks import ROOT_TORQUES, number_of
+from platform_ctrl.reading.plant_checks import number_of
 from platform_ctrl.reading.structure import unknown_key
 
 Data = dict[str, Any]
@@ -148,7 +148,7 @@ def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
     if platform is None:
         return
     there = {torquer.root_axis for torquer in platform.torquers}
-    lacking = [name for axis, name in enumerate(ROOT_TORQUES, 1) if axis not in there]
+    lacking = [name for axis, name in enumerate(ROOT_TORQUE_NAMES, 1) if axis not in there]
     if lacking:
         wrong = f'kind = "stabilisation": the plant has no root torquer {", ".join(lacking)}'
         yield Mistake(path, f"{wrong}; expected [[torquer]] with root_axis 1, 2 and 3")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from platform_ctrl.arguments import nearest
 from platform_ctrl.errors import InputError
 
 Path = tuple[str | int, ...]
@@ -54,13 +54,6 @@ def one_line(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
-
-
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that `word` was probably meant to be, or None."""
-    by_lower = {name.lower(): name for name in known}
-    close = difflib.get_close_matches(word.lower()[:LONGEST], by_lower, n=1)
-    return by_lower[close[0]] if close else None
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

@@ -10,13 +10,11 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.reading.fields import ROUNDING, Unfit, number, text
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
 
 Data = dict[str, Any]
-
-PLATFORM_RATES = ("Omega1", "Omega2", "Omega3")
-ROOT_TORQUES = ("M1", "M2", "M3")
 
 
 def default_angle(gimbal: str) -> str:
@@ -162,7 +160,7 @@ def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
 def _signals(data: Data) -> Iterator[Mistake]:
     """Angles, torques and rates are inputs and outputs of one system: no name twice."""
     of_root = "a torque about a root axis"
-    taken = dict.fromkeys(PLATFORM_RATES, "a platform rate") | dict.fromkeys(ROOT_TORQUES, of_root)
+    taken = dict.fromkeys(OMEGA_NAMES, "a platform rate") | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
     for path, name, own in _signal_names(data):
         if name in taken and not (name == own and taken[name] == of_root):
             what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"

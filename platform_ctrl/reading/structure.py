@@ -8,8 +8,9 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
+from platform_ctrl.arguments import nearest
 from platform_ctrl.reading.fields import Expected
-from platform_ctrl.reading.mistakes import Mistake, Path, given, nearest, suggestion
+from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion
 
 
 class Table(BaseModel):

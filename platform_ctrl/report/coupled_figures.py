@@ -14,6 +14,7 @@ from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.check.coupled import CoupledCheck
 from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
 from platform_ctrl.report.loop_responses import following_grid
@@ -30,7 +31,6 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.state_space import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.state_space import state_space as linear_state_space
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     free = linear_state_space(model, root="free")
     names = list(model.angle_names)
     outputs = [*names, *OMEGA_NAMES]
-    signals = [t.name if t.root_axis is None else ROOT_TORQUE_NAMES[t.root_axis - 1] for t in job.platform.torquers]
+    signals = [t.signal for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
     # The platform's rates become angles.
     to_angle = np.ones((len(frequency), len(outputs), 1), dtype=np.complex128)

@@ -10,11 +10,13 @@ from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, nominal_plant
+from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.state_space import state_space
 
 # Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
 _OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
@@ -142,14 +144,14 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     if not designs or designs[0].plants is None:
         return None
     plants = designs[0].plants
-    plant = nominal_plant(plants)
+    plant = sampled_plant(plants)
     nyquist = np.pi / plants.period
     poles = {id(d): continuous_poles(closed_loop_poles(plants, d.controller), plants.period) for d in designs}
     plant_poles = continuous_poles(np.linalg.eigvals(plants.A[0]), plants.period)
     every = np.concatenate([plant_poles, *(poles[id(d)][0] for d in designs)])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     frequency = following_grid(every, low, 0.999 * nyquist)
-    from_rate = _angle_per_rate(model, rows_of(model, outcome.spec.gimbals), frequency)
+    from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
     open_torque = frequency_response_arrays(
         plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period, frequency
     )
@@ -191,16 +193,11 @@ def _design_responses(
     )
 
 
-def _angle_per_rate(model: LinearModel, rows: list[int], frequency: FloatArray) -> ComplexArray:
-    """Return the response of the uncontrolled gimbals in `rows` to Omega, continuous, (N, rows, 3)."""
-    part = np.ix_(rows, rows)
-    n = len(rows)
-    mobility = np.linalg.inv(model.M[part])
-    M_Omega, G_Omega, G = model.M_Omega[rows], model.G_Omega[rows], model.G[part]
-    A = np.block([[np.zeros((n, n)), mobility], [-model.K[part], -G @ mobility]])
-    B = np.vstack([-mobility @ M_Omega, G @ mobility @ M_Omega - G_Omega])
-    C = np.hstack([np.eye(n), np.zeros((n, n))])
-    return frequency_response_arrays(A, B, C, np.zeros((n, 3)), 0.0, frequency)
+def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: FloatArray) -> ComplexArray:
+    """Return the response of the uncontrolled gimbals to Omega, continuous, (N, gimbals, 3)."""
+    angles = [model.angle_names[k] for k in rows_of(model, gimbals)]
+    system = state_space(model, gimbals=gimbals)[angles, list(OMEGA_NAMES)]
+    return frequency_response_arrays(*state_arrays(system, "gimbals"), frequency)
 
 
 def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:

@@ -19,9 +19,6 @@ from platform_ctrl.requirements import CheckResult
 if TYPE_CHECKING:
     from rich.table import Table
 
-# Claims that the measures hold already.
-_MEASURED = ("disk_margin", "damping")
-
 MET, NOT_MET = "\u2713", "\u2717"
 _BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
@@ -241,16 +238,14 @@ def _measured(measures: LoopMeasures) -> dict[str, str]:
         "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
     }
     if len(measures.disk_margin) > 1:
-        out["disk margin over the spread"] = plain(float(measures.disk_margin[1:].min()))
-        out["damping over the spread"] = plain(float(measures.damping[1:].min()))
+        out["disk margin over the spread"] = plain(float(measures.disk_margin.min()))
+        out["damping over the spread"] = plain(float(measures.damping.min()))
     return out
 
 
 def claim_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
     """Return what the methods claim beyond the measures, name by name, a text for every design."""
-    return _by_name(
-        [{name: x for name, x in design.claims.items() if name not in _MEASURED} for design in outcome.designs]
-    )
+    return _by_name([design.claims for design in outcome.designs])
 
 
 def option_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.joining import joined
-from platform_ctrl.arguments import real_array
+from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Mode
-from platform_ctrl.simulation.plant import pack, positive, unit_quaternions
+from platform_ctrl.simulation.plant import pack, unit_quaternions
 
 if TYPE_CHECKING:
     import control

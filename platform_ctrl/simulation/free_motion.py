@@ -10,11 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
+from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.simulation.plant import pack, positive, unit_quaternions
+from platform_ctrl.simulation.plant import pack, unit_quaternions
 
 
 @value
