@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.frozen import FloatArray, read_only, value
 
-RotorControl = Literal["regulated", "free"]
+RotorControl = Literal["regulated", "free", "servo"]
 
 # Signals that every plant has: the root's rates, and the torques on it.
 OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
@@ -56,9 +58,16 @@ class Rotor:
     axial_inertia, transverse_inertia
         C and A of the paper, kg m².
     angular_momentum
-        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p.
+        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p; for a
+        servo rotor the L that its speed loop aims at.
     control
-        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7).
+        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7); ``"servo"``: a degree of freedom
+        of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
+        limit of a fast loop; simulations run the loop.
+    speed_gain, speed_integral
+        Speed loop of a servo rotor, N m s and N m: motor torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
+    torque_limit
+        Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
     """
 
     name: str
@@ -68,6 +77,9 @@ class Rotor:
     transverse_inertia: float
     angular_momentum: float
     control: RotorControl = "regulated"
+    speed_gain: float = 0.0
+    speed_integral: float = 0.0
+    torque_limit: float | None = None
 
     @property
     def spin(self) -> float:
@@ -135,7 +147,7 @@ class Platform:
     """A root body that carries a tree of gimbals with rotors.
 
     Coordinates q stand in the order of `gimbals`; generalised velocities are [Omega, q̇].
-    All centres of mass lie at one fixed point.
+    All bodies turn about one fixed point, in which all centres of mass lie that no unbalance moves elsewhere.
 
     Attributes
     ----------
@@ -145,6 +157,11 @@ class Platform:
         The body whose rate is Omega, with everything rigidly attached, kg m².
     gimbals, rotors, torquers, pickoffs
         In the file's order.
+    springs, frictions, cages, unbalances, erections
+        What acts besides the torquers, in the file's order.
+    specific_force : (3,)
+        f of the fixed point in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
+        (at rest it points upward). It turns with the root.
     """
 
     name: str
@@ -154,6 +171,12 @@ class Platform:
     rotors: tuple[Rotor, ...] = ()
     torquers: tuple[Torquer, ...] = ()
     pickoffs: tuple[PickOff, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    frictions: tuple[Friction, ...] = ()
+    cages: tuple[Cage, ...] = ()
+    unbalances: tuple[Unbalance, ...] = ()
+    erections: tuple[Erection, ...] = ()
+    specific_force: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
     source: str = ""
 
     @property

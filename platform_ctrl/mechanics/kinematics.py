@@ -39,7 +39,7 @@ class Topology:
     C, L : (m,)
         Axial inertias; relative (regulated) or total axial (free) angular momenta.
     regulated : (m,) bool
-        Whether the rotor's relative spin is held.
+        Whether the rotor's relative spin is held (a servo rotor counts as held).
     """
 
     order: tuple[int, ...]
@@ -96,7 +96,7 @@ def topology(platform: Platform) -> Topology:
         spin_axes=np.array([r.axis for r in rotors]).reshape(len(rotors), 3),
         C=np.array([r.axial_inertia for r in rotors], dtype=np.float64),
         L=np.array([r.angular_momentum for r in rotors], dtype=np.float64),
-        regulated=np.array([r.control == "regulated" for r in rotors], dtype=bool),
+        regulated=np.array([r.control != "free" for r in rotors], dtype=bool),
     )
 
 

@@ -1,0 +1,122 @@
+"""What acts in a platform besides torquers: springs, friction, cages, unbalance, erection. Values only; SI units.
+
+Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evaluates them.
+"""
+
+from __future__ import annotations
+
+from platform_ctrl.frozen import FloatArray, value
+
+
+@value
+class Spring:
+    """A spring between a gimbal and its parent: Q = −stiffness (q − rest).
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    stiffness
+        N m/rad; negative where a field or a flexure drives the gimbal away.
+    rest
+        Angle at which it is relaxed, rad.
+    """
+
+    gimbal: str
+    stiffness: float
+    rest: float = 0.0
+
+
+@value
+class Friction:
+    """Friction in a gimbal's bearing: Q = −viscous q̇ − coulomb tanh(q̇ / coulomb_rate).
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    viscous
+        N m s.
+    coulomb
+        Dry friction against negative and against positive rates, N m, both >= 0.
+    coulomb_rate
+        Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
+        so that equations and integrators stay well-defined.
+    """
+
+    gimbal: str
+    viscous: float = 0.0
+    coulomb: tuple[float, float] = (0.0, 0.0)
+    coulomb_rate: float = 0.01
+
+
+@value
+class Cage:
+    """A mechanical cage that is closed: it holds a gimbal by a stiff, damped contact on both sides of an angle.
+
+    With no clearance Q = −stiffness (q − angle) − damping q̇. With clearance nothing acts while |q − angle| is less;
+    beyond it the contact pushes back with stiffness times the penetration and damping q̇, and never pulls.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    stiffness, damping
+        N m/rad, N m s.
+    clearance
+        Free play to either side, rad.
+    angle
+        Middle of the cage, rad.
+    """
+
+    gimbal: str
+    stiffness: float
+    damping: float = 0.0
+    clearance: float = 0.0
+    angle: float = 0.0
+
+
+@value
+class Unbalance:
+    """A body whose centre of mass does not lie at the fixed point: the specific force f turns it by −(m r) × f.
+
+    The body's inertia is that about the fixed point, so that nothing else changes.
+
+    Attributes
+    ----------
+    body
+        Name of the gimbal or of the root, rotors included.
+    moment : (3,)
+        Mass times offset of the centre of mass from the fixed point, body axes, kg m.
+    """
+
+    body: str
+    moment: FloatArray
+
+
+@value
+class Erection:
+    """An erecting device: it senses the direction of specific force and torques a gimbal.
+
+    Q = gain s·f/|f|, not beyond ± limit: s·f/|f| is the sine of the tilt of the sensing axis s out of the plane
+    that is normal to the specific force f. Zero where f is zero.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal that is torqued.
+    senses
+        Name of the body that carries the sensor.
+    axis : (3,)
+        Sensing axis s, a unit vector in that body's axes.
+    gain
+        N m per unit of the sine of the tilt.
+    limit
+        Largest torque, N m, or None.
+    """
+
+    gimbal: str
+    senses: str
+    axis: FloatArray
+    gain: float
+    limit: float | None = None

@@ -1,0 +1,121 @@
+"""The momenta of rotors at a state, (2), (4), (8), and rotors of one kind turned into another."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.description import Gimbal, Platform, RotorControl
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.kinematics import kinematics, topology
+from platform_ctrl.mechanics.matrices import directions
+
+
+@value
+class RotorMomenta:
+    """What all rotors do at one state, whichever of L and p their control holds.
+
+    Attributes
+    ----------
+    L : (m,)
+        Angular momenta relative to the carriers, C φ̇ (8), N m s.
+    p : (m,)
+        Axial momenta, C ω (4), N m s.
+    spin : (m,)
+        φ̇, relative to the carriers, rad/s.
+    rate : (m,)
+        ω = φ̇ + B u (2), absolute, about the rotors' axes, rad/s.
+    """
+
+    L: FloatArray
+    p: FloatArray
+    spin: FloatArray
+    rate: FloatArray
+
+
+def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> RotorMomenta:
+    """Return L, p and the spins of all rotors at a state, by (2), (4) and (8).
+
+    Parameters
+    ----------
+    platform
+        The platform. A regulated (or servo) rotor's `angular_momentum` is its L, a free rotor's its p.
+    q : (n,)
+        Gimbal angles, rad; default zero.
+    velocity : (3 + n,)
+        u = [Omega, q̇], rad/s; default zero.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape or not finite.
+    """
+    tree = topology(platform)
+    n = len(tree.parents)
+    at = kinematics(platform, real_array("q", q, (n,), 0.0))
+    carried = directions(platform, at) @ real_array("velocity", velocity, (3 + n,), 0.0)
+    spin = tree.L / tree.C - np.where(tree.regulated, 0.0, carried)
+    return RotorMomenta(L=tree.C * spin, p=tree.C * (spin + carried), spin=spin, rate=spin + carried)
+
+
+def with_free_rotors(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> Platform:
+    """Return the platform with every rotor's drive taken off at a state: each keeps the p that it has there.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape or not finite.
+    """
+    momenta = rotor_momenta(platform, q, velocity)
+    return _with_rotors(platform, "free", momenta.p)
+
+
+def with_regulated_rotors(
+    platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None
+) -> Platform:
+    """Return the platform with every rotor regulated from a state on: each keeps the L that it has there.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape or not finite.
+    """
+    momenta = rotor_momenta(platform, q, velocity)
+    return _with_rotors(platform, "regulated", momenta.L)
+
+
+def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray) -> Platform:
+    rotors = tuple(
+        dataclasses.replace(r, control=control, angular_momentum=float(h))
+        for r, h in zip(platform.rotors, momenta, strict=True)
+    )
+    return dataclasses.replace(platform, rotors=rotors)
+
+
+def with_rotors_as_gimbals(platform: Platform) -> Platform:
+    """Return the platform with every rotor a body of its own: one more gimbal that turns about the spin axis.
+
+    The new gimbals are named ``rotor`` + name, stand behind the others in the order of the rotors, and their angles
+    are φ; a rotor is symmetric, so φ itself does not matter. Nothing drives them: a drive is a torque on the gimbal.
+    This is the form that general multi-body programs know; it shares nothing with (8)-(15) and serves to check them.
+
+    Raises
+    ------
+    ArgumentError
+        A gimbal bears such a name already.
+    """
+    added = []
+    for rotor in platform.rotors:
+        name = f"rotor {rotor.name}"
+        if name in (platform.root_name, *platform.gimbal_names):
+            raise ArgumentError(f"gimbal {name!r}: expected another name, it is needed for the body of that rotor")
+        along = np.outer(rotor.axis, rotor.axis)
+        inertia = rotor.transverse_inertia * (np.eye(3) - along) + rotor.axial_inertia * along
+        added.append(
+            Gimbal(name=name, parent=rotor.carrier, axis=rotor.axis, inertia=inertia, angle=f"phi {rotor.name}")
+        )
+    return dataclasses.replace(platform, gimbals=(*platform.gimbals, *added), rotors=())
