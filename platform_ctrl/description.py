@@ -65,7 +65,7 @@ class Rotor:
         of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
         limit of a fast loop; simulations run the loop.
     speed_gain, speed_integral
-        Speed loop of a servo rotor, N m s and N m: motor torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
+        Speed loop of a servo rotor, N m s and N m: its torque is −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
     torque_limit
         Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
     """
