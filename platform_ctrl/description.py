@@ -14,9 +14,10 @@ from platform_ctrl.frozen import FloatArray, read_only, value
 
 RotorControl = Literal["regulated", "free", "servo"]
 
-# Signals that every plant has: the root's rates, and the torques on it.
+# Signals that every plant has: the root's rates, the torques on it, and its specific force.
 OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
 ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
+FORCE_NAMES = ("f1", "f2", "f3")
 
 
 @value
@@ -65,7 +66,7 @@ class Rotor:
         of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
         limit of a fast loop; simulations run the loop.
     speed_gain, speed_integral
-        Speed loop of a servo rotor, N m s and N m: its torque is −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
+        Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
     torque_limit
         Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
     """

@@ -2,10 +2,11 @@
 
 About angles q0 at rest in the platform and a constant rate Omega0 the gimbal rows are
 
-    M q̈ + G q̇ + K q + M_Omega ω' + G_Omega ω = Q − Q0
+    M q̈ + (G − ∂Q/∂q̇) q̇ + (K − ∂Q/∂q) q + M_Omega ω' + G_Omega ω = Q − Q0
 
-with ω the deviation of Omega. They follow from T = T2 + T1 alone: with p(q, Omega) = ∂T/∂q̇ at q̇ = 0,
-G = ∂p/∂q − (∂p/∂q)ᵀ and K = −∂²T/∂q², so that G is skew and K symmetric.
+with ω the deviation of Omega. The left side without ∂Q follows from T = T2 + T1 alone: with p(q, Omega) = ∂T/∂q̇ at
+q̇ = 0, G = ∂p/∂q − (∂p/∂q)ᵀ and K = −∂²T/∂q², so that G is skew and K symmetric. ∂Q belongs to springs, friction,
+cages, unbalance and erection; Q on the right is what the torquers do.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.forces import element_forces, force_slopes
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
 
@@ -38,7 +40,7 @@ class LinearModel:
     Omega0 : (3,)
         Constant platform rate of the trim, rad/s.
     Q0 : (n,)
-        Torques that hold the trim, N m.
+        Torques that the torquers need to hold the trim, N m.
     M, G, K : (n, n)
         Inertia (symmetric), gyroscopic (skew) and stiffness (symmetric) matrix.
     M_Omega, G_Omega : (n, 3)
@@ -49,6 +51,12 @@ class LinearModel:
         A* of the root rows.
     root_momentum : (3,)
         ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
+    Q_angle, Q_rate : (n, n)
+        ∂Q/∂q and ∂Q/∂q̇ of the force elements.
+    Q_force, M_force : (n, 3), (3, 3)
+        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres.
+    M_angle : (3, n)
+        ∂M/∂q, the root's rows, N m/rad.
     """
 
     platform: Platform
@@ -64,6 +72,21 @@ class LinearModel:
     M_Omega_q: FloatArray
     root_inertia: FloatArray
     root_momentum: FloatArray
+    Q_angle: FloatArray
+    Q_rate: FloatArray
+    Q_force: FloatArray
+    M_force: FloatArray
+    M_angle: FloatArray
+
+    @property
+    def damping(self) -> FloatArray:
+        """G − ∂Q/∂q̇, (n, n): all that stands before q̇ in (19)."""
+        return np.asarray(self.G - self.Q_rate)
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """K − ∂Q/∂q, (n, n): all that stands before q in (19)."""
+        return np.asarray(self.K - self.Q_angle)
 
     @property
     def gimbal_names(self) -> tuple[str, ...]:
@@ -77,7 +100,12 @@ class LinearModel:
 
 
 def linearise(
-    platform: Platform, Omega: ArrayLike = (0.0, 0.0, 0.0), terms: Terms = "exact", q: ArrayLike | None = None
+    platform: Platform,
+    Omega: ArrayLike = (0.0, 0.0, 0.0),
+    terms: Terms = "exact",
+    q: ArrayLike | None = None,
+    specific_force: ArrayLike | None = None,
+    rate_amplitude: ArrayLike | None = None,
 ) -> LinearModel:
     """Linearise in the gimbal angles about a constant platform rate.
 
@@ -92,6 +120,11 @@ def linearise(
         first order, G_A dropped; what is left out is of the order J Omega against L.
     q : (n,)
         Angles of the trim, rad; default zero.
+    specific_force : (3,)
+        f of the trim in root axes, m/s²; default the platform's own.
+    rate_amplitude : (n,)
+        Amplitudes of the gimbal rates, rad/s, > 0, at which dry friction is replaced by its describing function.
+        Default: dry friction has no slope at rest and is left out.
 
     Raises
     ------
@@ -104,6 +137,11 @@ def linearise(
     angles = real_array("q", q, (n,), 0.0)
     if terms not in ("exact", "paper"):
         raise ArgumentError(f"terms: given {terms!r}; expected 'exact' or 'paper'")
+    f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
+    amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
+    if amplitude is not None and not np.all(amplitude > 0.0):
+        raise ArgumentError(f"rate_amplitude: given {amplitude.tolist()}; expected {n} numbers > 0, rad/s")
+    slopes = force_slopes(platform, angles, f, amplitude)
     at = kinematics(platform, angles)
     inertias = world_inertias(platform, at)
     A_star, B = mass_matrix(at.jacobians, inertias), directions(platform, at)
@@ -131,7 +169,7 @@ def linearise(
         terms=terms,
         q0=angles,
         Omega0=rate,
-        Q0=-(0.5 * slope + spin_slope),
+        Q0=-(0.5 * slope + spin_slope) - element_forces(platform, angles, specific_force=f)[3:],
         M=A_star[3:, 3:],
         G=gyro,
         K=-stiffness,
@@ -140,6 +178,11 @@ def linearise(
         M_Omega_q=rate_change,
         root_inertia=A_star[:3, :3],
         root_momentum=root_momentum,
+        Q_angle=slopes.angle[3:],
+        Q_rate=slopes.rate,
+        Q_force=slopes.force[3:],
+        M_force=slopes.force[:3],
+        M_angle=slopes.angle[:3],
     )
 
 

@@ -2,7 +2,7 @@
 
 With p = M q̇ + M_Omega ω the gimbal rows become
 
-    q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − G q̇ − K q − G_Omega ω.
+    q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − (G − ∂Q/∂q̇) q̇ − (K − ∂Q/∂q) q − G_Omega ω.
 
 With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well.
 """
@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from platform_ctrl.arguments import known_name
-from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.mechanics.kinematics import cross_matrix
+from platform_ctrl.mechanics.regularity import inverse_inertia
 
 if TYPE_CHECKING:
     import control
@@ -31,13 +32,15 @@ _STRUCTURAL_ZERO = 1e-12
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled when Omega is given, in the file's order.
 
-    Found from the non-zero entries of M, G and K at the model's trim, relative to what the rows' inertias make of
+    Found from the non-zero entries of M, G, K and ∂Q at the model's trim, relative to what the rows' inertias make of
     them; not from the tree.
     """
     n = len(model.gimbal_names)
-    scale = 1.0 / np.sqrt(np.diag(model.M))
+    # A gimbal that moves no inertia is scaled by nothing: any entry couples it.
+    scale = 1.0 / np.sqrt(np.where(np.diag(model.M) > 0.0, np.diag(model.M), 1.0))
     coupled = np.zeros((n, n), dtype=bool)
-    for matrix in (model.M, model.G, model.K, *np.moveaxis(model.M_Omega_q, 1, 0)):
+    of_elements = (model.Q_angle, model.Q_rate)
+    for matrix in (model.M, model.G, model.K, *np.moveaxis(model.M_Omega_q, 1, 0), *of_elements):
         size = np.abs(scale[:, None] * matrix * scale)
         coupled |= size > _STRUCTURAL_ZERO * max(size.max(initial=0.0), np.finfo(float).tiny)
     coupled |= coupled.T
@@ -59,6 +62,7 @@ def state_space(
     model: LinearModel,
     root: Literal["prescribed", "free"] = "prescribed",
     gimbals: Sequence[str] | None = None,
+    specific_force: bool = False,
 ) -> control.StateSpace:
     """Return the linear model as a state-space system.
 
@@ -70,6 +74,8 @@ def state_space(
         ``"prescribed"``: Omega is an input, the platform feels no reaction. ``"free"``: the platform reacts.
     gimbals
         Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
+    specific_force
+        Whether the specific force is an input as well, for platforms with unbalance: f1 to f3 behind the others, m/s².
 
     Returns
     -------
@@ -82,39 +88,42 @@ def state_space(
     ------
     ArgumentError
         Unknown gimbal or `root`; `gimbals` cuts through a subsystem; `gimbals` with a free root.
+    MechanicsError
+        A* is singular at the trim (gimbal lock).
     """
     if root not in ("prescribed", "free"):
         raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
     if root == "free":
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
-        return _free(model)
+        return _free(model, specific_force)
     rows = _rows(model, gimbals)
     names = [model.angle_names[k] for k in rows]
     chosen = [model.gimbal_names[k] for k in rows]
     torquers, torque_map = _gimbal_torquers(model, chosen)
     part = np.ix_(rows, rows)
-    M, G, K = model.M[part], model.G[part], model.K[part]
+    M, G, K = model.M[part], model.damping[part], model.stiffness[part]
     M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
     n = len(rows)
-    mobility = np.linalg.inv(M)
+    mobility = inverse_inertia(M, names)
     A = np.block([[np.zeros((n, n)), mobility], [-K, -G @ mobility]])
     B = np.block(
         [
-            [np.zeros((n, len(torquers))), -mobility @ M_Omega],
-            [torque_map, G @ mobility @ M_Omega - G_Omega],
+            [np.zeros((n, len(torquers))), -mobility @ M_Omega, np.zeros((n, 3))],
+            [torque_map, G @ mobility @ M_Omega - G_Omega, model.Q_force[rows]],
         ]
     )
     C = np.hstack([np.eye(n), np.zeros((n, n))])
-    return _named(A, B, C, [*torquers, *OMEGA_NAMES], names, [*names, *(f"p_{name}" for name in names)])
+    inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
+    return _named(A, B, C, inputs, names, [*names, *(f"p_{name}" for name in names)], specific_force)
 
 
-def _free(model: LinearModel) -> control.StateSpace:
+def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     n = len(model.gimbal_names)
     names = list(model.angle_names)
     torquers, torque_map = _gimbal_torquers(model, list(model.gimbal_names))
     inertia = np.block([[model.M, model.M_Omega], [model.M_Omega.T, model.root_inertia]])
-    to_rates = np.linalg.inv(inertia)
+    to_rates = inverse_inertia(inertia, (*names, *OMEGA_NAMES))
     q_dot, omega = to_rates[:n], to_rates[n:]
     turn = cross_matrix(model.Omega0)
     # Root rows: δp = P − G_Omegaᵀ q, and d(δp)/dt + Omega0 × δp + ω × p0 = δM.
@@ -122,21 +131,23 @@ def _free(model: LinearModel) -> control.StateSpace:
     root_rates += cross_matrix(model.root_momentum) @ omega
     A = np.zeros((2 * n + 3, 2 * n + 3))
     A[:n, n:] = q_dot
-    A[n : 2 * n, :n] = -model.K
-    A[n : 2 * n, n:] = -model.G @ q_dot - model.G_Omega @ omega
-    A[2 * n :, :n] = turn @ model.G_Omega.T
+    A[n : 2 * n, :n] = -model.stiffness
+    A[n : 2 * n, n:] = -model.damping @ q_dot - model.G_Omega @ omega
+    A[2 * n :, :n] = turn @ model.G_Omega.T + model.M_angle
     A[2 * n :, n:] = root_rates
     if model.terms == "paper":
         # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
         A[2 * n :, n:] += turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
-    B = np.zeros((2 * n + 3, len(torquers) + 3))
+    B = np.zeros((2 * n + 3, len(torquers) + 6))
     B[n : 2 * n, : len(torquers)] = torque_map
-    B[2 * n :, len(torquers) :] = np.eye(3)
+    B[2 * n :, len(torquers) : -3] = np.eye(3)
+    B[n:, -3:] = np.vstack([model.Q_force, model.M_force])
     C = np.zeros((n + 3, 2 * n + 3))
     C[:n, :n] = np.eye(n)
     C[n:, n:] = omega
     states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
-    return _named(A, B, C, [*torquers, *ROOT_TORQUE_NAMES], [*names, *OMEGA_NAMES], states)
+    inputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES]
+    return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
 
 
 def _rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
@@ -165,9 +176,18 @@ def _gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[s
 
 
 def _named(
-    A: FloatArray, B: FloatArray, C: FloatArray, inputs: list[str], outputs: list[str], states: list[str]
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    inputs: list[str],
+    outputs: list[str],
+    states: list[str],
+    specific_force: bool,
 ) -> control.StateSpace:
+    """Put names to a system whose last three inputs are the specific force, wanted or not."""
     import control
 
+    if not specific_force:
+        B, inputs = B[:, :-3], inputs[:-3]
     D = np.zeros((len(C), B.shape[1]))
     return control.StateSpace(A, B, C, D, inputs=inputs, outputs=outputs, states=states, remove_useless_states=False)

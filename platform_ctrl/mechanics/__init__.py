@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.kinematics import Kinematics, Topology, kinematics, topology
 from platform_ctrl.mechanics.matrices import MagnusMatrices, matrices
 from platform_ctrl.mechanics.rotors import (
@@ -18,6 +19,7 @@ __all__ = [
     "MagnusMatrices",
     "RotorMomenta",
     "Topology",
+    "element_forces",
     "forward_dynamics",
     "inverse_dynamics",
     "kinematics",

@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Platform
-from platform_ctrl.errors import MechanicsError
+from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
-
-# A mass matrix whose unit-diagonal form is worse conditioned than this leaves no correct digits in u̇.
-_SINGULAR = 1e-13
+from platform_ctrl.mechanics.regularity import inverse_inertia
 
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -76,18 +73,7 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     inertias = world_inertias(platform, at)
     bias = _moments(platform, at, inertias, u, np.zeros(3 + n))
     A_star = mass_matrix(at.jacobians, inertias)
-    diagonal = np.diag(A_star)
-    names = ("Omega1", "Omega2", "Omega3", *platform.angle_names)
-    if np.any(diagonal <= 0.0):
-        raise MechanicsError(
-            f"A* is singular: {names[int(np.argmin(diagonal))]} moves no inertia; expected some in its body"
-        )
-    scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(scale[:, None] * A_star * scale)
-    if values[0] < _SINGULAR * values[-1]:
-        joint = [name for name, part in zip(names, np.abs(vectors[:, 0]), strict=True) if part > 0.3]
-        raise MechanicsError(f"A* is singular at these angles: {', '.join(joint)} can move without moving any inertia")
-    out: FloatArray = scale * (vectors @ ((vectors.T @ (scale * (torque - bias))) / values))
+    out: FloatArray = inverse_inertia(A_star, (*OMEGA_NAMES, *platform.angle_names)) @ (torque - bias)
     return out
 
 

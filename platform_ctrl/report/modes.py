@@ -49,7 +49,7 @@ def gimbal_poles(model: LinearModel, gimbals: tuple[str, ...]) -> ComplexArray:
     part = np.ix_(rows, rows)
     n = len(rows)
     mobility = np.linalg.inv(model.M[part])
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility @ model.K[part], -mobility @ model.G[part]]])
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility @ model.stiffness[part], -mobility @ model.damping[part]]])
     s = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     return s[np.argsort(-np.abs(s), kind="stable")]
 

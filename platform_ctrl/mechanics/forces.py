@@ -1,0 +1,192 @@
+"""Q of springs, friction, cages, unbalance and erection: the torques themselves and their slopes for eq. (19)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.description import Platform
+from platform_ctrl.force_elements import Cage, Friction
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
+
+
+@value
+class ForceSlopes:
+    """Derivatives of [M, Q] at angles q, gimbals at rest.
+
+    Attributes
+    ----------
+    angle : (3 + n, n)
+        ∂[M, Q]/∂q, N m/rad.
+    rate : (n, n)
+        ∂Q/∂q̇, N m s; of dry friction only what `rate_amplitude` makes of it.
+    force : (3 + n, 3)
+        ∂[M, Q]/∂f, N m per m/s².
+    """
+
+    angle: FloatArray
+    rate: FloatArray
+    force: FloatArray
+
+
+def element_forces(
+    platform: Platform,
+    q: ArrayLike | None = None,
+    velocity: ArrayLike | None = None,
+    specific_force: ArrayLike | None = None,
+) -> FloatArray:
+    """Return [M, Q] of all force elements together, (3 + n,), N m: they add to the torquers' in eq. (11).
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    q : (n,)
+        Gimbal angles, rad; default zero.
+    velocity : (3 + n,)
+        [Omega, q̇], rad/s; default zero.
+    specific_force : (3,)
+        In root axes, m/s²; default the platform's own.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape or not finite.
+    """
+    n = len(platform.gimbals)
+    angles = real_array("q", q, (n,), 0.0)
+    rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
+    f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
+    at = kinematics(platform, angles)
+    index = {name: k for k, name in enumerate(platform.gimbal_names)}
+    out = _unbalance_torque(platform, at) @ f
+    for spring in platform.springs:
+        k = index[spring.gimbal]
+        out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
+    for friction in platform.frictions:
+        k = index[friction.gimbal]
+        out[3 + k] -= friction.viscous * rates[k] + _dry(friction, float(rates[k]))
+    for cage in platform.cages:
+        k = index[cage.gimbal]
+        out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
+    for erecting in _erections(platform, at, f):
+        out[3 + erecting.gimbal] += min(max(erecting.gain * erecting.tilt, -erecting.limit), erecting.limit)
+    return out
+
+
+def force_slopes(
+    platform: Platform, q: FloatArray, specific_force: FloatArray, rate_amplitude: FloatArray | None = None
+) -> ForceSlopes:
+    """Return the slopes of `element_forces` with the gimbals at rest.
+
+    Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function stands in: the viscous
+    friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude).
+    """
+    tree = topology(platform)
+    n = len(tree.parents)
+    at = kinematics(platform, q)
+    index = {name: k for k, name in enumerate(platform.gimbal_names)}
+    rate = np.zeros((n, n))
+    angle, force = _unbalance_slope(platform, at, specific_force), _unbalance_torque(platform, at)
+    for spring in platform.springs:
+        k = index[spring.gimbal]
+        angle[3 + k, k] -= spring.stiffness
+    for friction in platform.frictions:
+        k = index[friction.gimbal]
+        rate[k, k] -= friction.viscous
+        if rate_amplitude is not None:
+            rate[k, k] -= 4.0 * 0.5 * sum(friction.coulomb) / (math.pi * rate_amplitude[k])
+    for cage in platform.cages:
+        k = index[cage.gimbal]
+        if cage.clearance == 0.0 or abs(q[k] - cage.angle) > cage.clearance:
+            angle[3 + k, k] -= cage.stiffness
+            rate[k, k] -= cage.damping
+    size = float(np.linalg.norm(specific_force))
+    for erecting in _erections(platform, at, specific_force):
+        if abs(erecting.gain * erecting.tilt) < erecting.limit:
+            turning = np.cross(at.axes, erecting.axis) * tree.on_path[erecting.body][:, None]
+            row = 3 + erecting.gimbal
+            angle[row] += erecting.gain * (turning @ specific_force) / size
+            force[row] += erecting.gain * (erecting.axis - specific_force / size * erecting.tilt) / size
+    return ForceSlopes(angle=angle, rate=rate, force=force)
+
+
+def _dry(friction: Friction, rate: float) -> float:
+    level = friction.coulomb[0] if rate < 0.0 else friction.coulomb[1]
+    return level * math.tanh(rate / friction.coulomb_rate)
+
+
+def _contact(cage: Cage, angle: float, rate: float) -> float:
+    deflection = angle - cage.angle
+    if cage.clearance == 0.0:
+        return -cage.stiffness * deflection - cage.damping * rate
+    beyond = abs(deflection) - cage.clearance
+    if beyond <= 0.0:
+        return 0.0
+    side = math.copysign(1.0, deflection)
+    return -side * max(0.0, cage.stiffness * beyond + cage.damping * rate * side)
+
+
+@value
+class _Erecting:
+    """An erection at work: gimbal, body and axis (root axes) of its sensor, sine of the tilt, gain and limit."""
+
+    gimbal: int
+    body: int
+    axis: FloatArray
+    tilt: float
+    gain: float
+    limit: float
+
+
+def _erections(platform: Platform, at: Kinematics, f: FloatArray) -> list[_Erecting]:
+    """Without specific force there is nothing to erect to."""
+    size = float(np.linalg.norm(f))
+    if size == 0.0:
+        return []
+    bodies = _bodies(platform)
+    out = []
+    for device in platform.erections:
+        body = bodies[device.senses]
+        axis = at.rotations[body] @ device.axis
+        limit = math.inf if device.limit is None else device.limit
+        tilt = float(axis @ f) / size
+        gimbal = bodies[device.gimbal] - 1
+        out.append(_Erecting(gimbal=gimbal, body=body, axis=axis, tilt=tilt, gain=device.gain, limit=limit))
+    return out
+
+
+def _bodies(platform: Platform) -> dict[str, int]:
+    return {name: k for k, name in enumerate((platform.root_name, *platform.gimbal_names))}
+
+
+def _moments(platform: Platform, at: Kinematics) -> FloatArray:
+    """Mass moments in root axes, (1 + n, 3), kg m."""
+    bodies = _bodies(platform)
+    out = np.zeros((1 + len(platform.gimbals), 3))
+    for unbalance in platform.unbalances:
+        body = bodies[unbalance.body]
+        out[body] += at.rotations[body] @ unbalance.moment
+    return out
+
+
+def _unbalance_torque(platform: Platform, at: Kinematics) -> FloatArray:
+    """∂[M, Q]/∂f, (3 + n, 3): of the moments −(m r) × f."""
+    out: FloatArray = -np.einsum("bji,bjk->ik", at.jacobians, cross_matrix(_moments(platform, at)))
+    return out
+
+
+def _unbalance_slope(platform: Platform, at: Kinematics, f: FloatArray) -> FloatArray:
+    """∂[M, Q]/∂q of the moments −(m r) × f, (3 + n, n)."""
+    tree = topology(platform)
+    moments = _moments(platform, at)
+    # With gimbal j turns the mass moment of all that it carries, and the axes of the gimbals that it carries.
+    turned = tree.on_path.T[:, :, None] * np.cross(at.axes[:, None, :], moments[None, :, :])
+    out: FloatArray = np.einsum("bxi,jbx->ij", at.jacobians, np.cross(f, turned))
+    turning = tree.above[:, :, None] * np.cross(at.axes[:, None, :], at.axes[None, :, :])
+    out[3:] += np.einsum("jix,bx,bi->ij", turning, np.cross(f, moments), tree.on_path)
+    return out
