@@ -123,13 +123,26 @@ def one_of(names: Sequence[str]) -> Expected:
     return Expected(" or ".join(f'"{name}"' for name in names), judge)
 
 
+def vector(item: object) -> FloatArray:
+    """Return a vector, which may be zero."""
+    return read_only(numbers(item, 3))
+
+
+def coulomb(item: object) -> tuple[float, float]:
+    """Return the dry friction against negative and against positive rates."""
+    low, high = numbers(item, 2) if isinstance(item, list) else (number(item), number(item))
+    if min(low, high) < 0:
+        raise Unfit("negative")
+    return low, high
+
+
 def axis(item: object) -> FloatArray:
     """Return a unit vector."""
-    vector = numbers(item, 3)
-    largest = max(map(abs, vector))
+    given_axis = numbers(item, 3)
+    largest = max(map(abs, given_axis))
     if largest == 0:
         raise Unfit("of length zero")
-    scaled = [entry / largest for entry in vector]  # its length neither overflows nor vanishes
+    scaled = [entry / largest for entry in given_axis]  # its length neither overflows nor vanishes
     return read_only([entry / math.hypot(*scaled) for entry in scaled])
 
 
@@ -209,6 +222,10 @@ Truth = Annotated[bool, Expected("true or false", _truth)]
 SchemaOne = Annotated[int, Expected("1, the format that this version reads", integer(1, 1))]
 RootAxis = Annotated[int, Expected("1, 2 or 3", integer(1, 3))]
 Axis = Annotated[FloatArray, Expected("a vector of three numbers that is not zero", axis)]
+Vector = Annotated[FloatArray, Expected("three numbers", vector)]
+Coulomb = Annotated[
+    tuple[float, float], Expected("a torque >= 0, N m, or two: against negative and positive rates", coulomb)
+]
 Inertia = Annotated[FloatArray, Expected("three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2", inertia)]
 Stops = Annotated[tuple[float, float], Expected("[lower, upper] with 0 between them", stops)]
 NotZero = Annotated[float, Expected("a number other than 0", _number(lambda x: x != 0))]

@@ -127,7 +127,12 @@ def _entry(data: Any, step: str | int) -> Any:
 
 def _title(entry: Any) -> str:
     if isinstance(entry, dict):
-        for key, form in (("name", " {}"), ("gimbal", " (gimbal {})"), ("root_axis", " (root_axis {})")):
+        for key, form in (
+            ("name", " {}"),
+            ("gimbal", " (gimbal {})"),
+            ("body", " (body {})"),
+            ("root_axis", " (root_axis {})"),
+        ):
             if isinstance(entry.get(key), str | int):
                 return form.format(given(entry[key]))
     return ""

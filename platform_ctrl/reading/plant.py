@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args
 from pydantic import Field
 
 from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, RotorControl, Torquer
+from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import read_only
 from platform_ctrl.reading import fields
 from platform_ctrl.reading.mistakes import Mistake, report
@@ -24,6 +25,7 @@ class RootTable(Table):
 
     name: fields.Text
     inertia: fields.Inertia
+    specific_force: fields.Vector | None = None
 
 
 class GimbalTable(Table):
@@ -49,6 +51,9 @@ class RotorTable(Table):
     spin: fields.Number | None = None
     angular_momentum: fields.Number | None = None
     control: Annotated[RotorControl, fields.one_of(get_args(RotorControl))] = "regulated"
+    speed_gain: fields.Positive | None = None
+    speed_integral: fields.NotNegative | None = None
+    torque_limit: fields.Positive | None = None
 
 
 class TorquerTable(Table):
@@ -70,6 +75,50 @@ class PickOffTable(Table):
     quantisation: fields.NotNegative = 0.0
 
 
+class SpringTable(Table):
+    """``[[spring]]``."""
+
+    gimbal: fields.Text
+    stiffness: fields.NotZero
+    rest: fields.Number = 0.0
+
+
+class FrictionTable(Table):
+    """``[[friction]]``."""
+
+    gimbal: fields.Text
+    viscous: fields.NotNegative = 0.0
+    coulomb: fields.Coulomb = (0.0, 0.0)
+    coulomb_rate: fields.Positive = 0.01
+
+
+class CageTable(Table):
+    """``[[cage]]``."""
+
+    gimbal: fields.Text
+    stiffness: fields.Positive
+    damping: fields.NotNegative = 0.0
+    clearance: fields.NotNegative = 0.0
+    angle: fields.Number = 0.0
+
+
+class UnbalanceTable(Table):
+    """``[[unbalance]]``."""
+
+    body: fields.Text
+    moment: fields.Vector
+
+
+class ErectionTable(Table):
+    """``[[erection]]``."""
+
+    gimbal: fields.Text
+    senses: fields.Text
+    axis: fields.Axis
+    gain: fields.NotZero
+    limit: fields.Positive | None = None
+
+
 class PlantFile(Table):
     """The whole file."""
 
@@ -81,6 +130,11 @@ class PlantFile(Table):
     rotor: list[RotorTable] = Field(default_factory=list)
     torquer: list[TorquerTable] = Field(default_factory=list)
     pickoff: list[PickOffTable] = Field(default_factory=list)
+    spring: list[SpringTable] = Field(default_factory=list)
+    friction: list[FrictionTable] = Field(default_factory=list)
+    cage: list[CageTable] = Field(default_factory=list)
+    unbalance: list[UnbalanceTable] = Field(default_factory=list)
+    erection: list[ErectionTable] = Field(default_factory=list)
 
 
 def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platform:
@@ -153,6 +207,12 @@ def _platform(file: PlantFile) -> Platform:
             )
             for table in file.pickoff
         ),
+        springs=tuple(Spring(**table.model_dump()) for table in file.spring),
+        frictions=tuple(Friction(**table.model_dump()) for table in file.friction),
+        cages=tuple(Cage(**table.model_dump()) for table in file.cage),
+        unbalances=tuple(Unbalance(**table.model_dump()) for table in file.unbalance),
+        erections=tuple(Erection(**table.model_dump()) for table in file.erection),
+        specific_force=read_only((0.0, 0.0, 0.0) if file.root.specific_force is None else file.root.specific_force),
     )
 
 
@@ -184,6 +244,9 @@ def _rotor(table: RotorTable) -> Rotor:
         transverse_inertia=table.transverse_inertia,
         angular_momentum=momentum,
         control=table.control,
+        speed_gain=table.speed_gain or 0.0,
+        speed_integral=table.speed_integral or 0.0,
+        torque_limit=table.torque_limit,
     )
 
 

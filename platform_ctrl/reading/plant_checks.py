@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.reading.element_checks import element_mistakes, no_such
 from platform_ctrl.reading.fields import ROUNDING, Unfit, number, text
-from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
+from platform_ctrl.reading.mistakes import Mistake, Path, given, tables, text_of
 
 Data = dict[str, Any]
 
@@ -36,6 +37,7 @@ def plant_mistakes(data: Data) -> list[Mistake]:
         *_rotor_inertias(data),
         *_actuators_and_sensors(data),
         *_signals(data),
+        *element_mistakes(data, _root_name(data), _gimbal_names(data)),
     ]
 
 
@@ -80,7 +82,7 @@ def _tree(data: Data) -> Iterator[Mistake]:
         for k, table in tables(data, kind):
             body = text_of(table, key)
             if body is not None and body not in bodies:
-                yield _no_such((kind, k, key), body, "the root or a gimbal", bodies)
+                yield no_such((kind, k, key), body, "the root or a gimbal", bodies)
     parent = {text_of(table, "name"): text_of(table, "parent") for _, table in reversed([*tables(data, "gimbal")])}
     parent.pop(root, None)
     reported: set[str | None] = set()
@@ -94,11 +96,6 @@ def _tree(data: Data) -> Iterator[Mistake]:
             cycle = " -> ".join(given(name) for name in [*chain, above])
             wrong = f"parent = {given(table['parent'])}: the parents run in a circle, {cycle}"
             yield Mistake(("gimbal", k, "parent"), f"{wrong}; expected a chain that ends at the root")
-
-
-def _no_such(path: Path, name: str, what: str, known: list[str]) -> Mistake:
-    wrong = f"{path[-1]} = {given(name)}: does not exist"
-    return Mistake(path, f"{wrong}; expected the name of {what}, {suggestion(name, known)}")
 
 
 def _alternatives(data: Data) -> Iterator[Mistake]:
@@ -150,7 +147,7 @@ def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
             if gimbal not in gimbals:
                 on_root = kind == "torquer" and gimbal == _root_name(data)
                 what = "a gimbal (root_axis turns the root)" if on_root else "a gimbal"
-                yield _no_such(path, gimbal, what, gimbals)
+                yield no_such(path, gimbal, what, gimbals)
             elif kind == "pickoff" and gimbal in seen:
                 wrong = f"gimbal = {given(gimbal)}: has a pick-off already, [[pickoff]] {seen[gimbal] + 1}"
                 yield Mistake(path, f"{wrong}; expected one on a gimbal")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.check import records
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, Rotor
+from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.job import Job
 
 
@@ -65,7 +67,11 @@ def plant_data(platform: Platform) -> dict[str, Any]:
         "schema": 1,
         "name": platform.name,
         "source": platform.source,
-        "root": {"name": platform.root_name, "inertia": platform.root_inertia.tolist()},
+        "root": {
+            "name": platform.root_name,
+            "inertia": platform.root_inertia.tolist(),
+            **({"specific_force": platform.specific_force.tolist()} if platform.specific_force.any() else {}),
+        },
         "gimbal": [
             {
                 "name": g.name,
@@ -86,6 +92,7 @@ def plant_data(platform: Platform) -> dict[str, Any]:
                 "transverse_inertia": r.transverse_inertia,
                 "angular_momentum": r.angular_momentum,
                 "control": r.control,
+                **(_speed_loop(r) if r.control == "servo" else {}),
             }
             for r in platform.rotors
         ],
@@ -102,7 +109,22 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             }
             for s in platform.pickoffs
         ],
+        "spring": [_element(one) for one in platform.springs],
+        "friction": [_element(one) for one in platform.frictions],
+        "cage": [_element(one) for one in platform.cages],
+        "unbalance": [_element(one) for one in platform.unbalances],
+        "erection": [_element(one) for one in platform.erections],
     }
+
+
+def _speed_loop(rotor: Rotor) -> dict[str, Any]:
+    own = {"speed_gain": rotor.speed_gain, "speed_integral": rotor.speed_integral, "torque_limit": rotor.torque_limit}
+    return _given(own)
+
+
+def _element(element: Spring | Friction | Cage | Unbalance | Erection) -> dict[str, Any]:
+    own = {field.name: getattr(element, field.name) for field in dataclasses.fields(element)}
+    return _given({key: item.tolist() if isinstance(item, np.ndarray) else item for key, item in own.items()})
 
 
 def toml(data: Mapping[str, Any], header: str = "") -> str:
