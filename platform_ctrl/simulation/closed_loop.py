@@ -16,6 +16,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Mode
 from platform_ctrl.simulation.plant import pack, unit_quaternions
+from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
 
 if TYPE_CHECKING:
     import control
@@ -60,8 +61,10 @@ class Trajectory:
         after this instant: delayed, limited, then lagged. N m.
     Omega : (N, 3), attitude : (N, 4)
         Platform rate in its own axes, rad/s; unit quaternion w, x, y, z from platform axes to inertial axes.
-    angle_names, pickoff_names, torquer_names
-        What the columns are; torquers in the plant's order.
+    rotor_spin, rotor_torque : (N, servo rotors)
+        Spins against the carriers, rad/s, and the torques of their motors, N m.
+    angle_names, pickoff_names, torquer_names, rotor_names
+        What the columns are; torquers and servo rotors in the plant's order.
     saturated : (torquers,)
         Number of samples whose command reached the torquer's limit.
     stop_contacts : (n,)
@@ -81,9 +84,12 @@ class Trajectory:
     torque: FloatArray
     Omega: FloatArray
     attitude: FloatArray
+    rotor_spin: FloatArray
+    rotor_torque: FloatArray
     angle_names: tuple[str, ...]
     pickoff_names: tuple[str, ...]
     torquer_names: tuple[str, ...]
+    rotor_names: tuple[str, ...]
     saturated: NDArray[np.int64]
     stop_contacts: NDArray[np.int64]
     ended: str
@@ -124,8 +130,9 @@ def simulate(
     rate: ArrayLike | None = None,
     Omega: ArrayLike | None = None,
     attitude: ArrayLike | None = None,
+    spin: ArrayLike | None = None,
 ) -> Trajectory:
-    """Run sampled controllers on the exact non-linear plant.
+    """Run sampled controllers on the exact non-linear plant: force elements act, servo rotors run their speed loops.
 
     At t = k `period` the pick-offs are read (angle + white noise, then quantisation) and the controllers are evaluated
     in their order, u = K y with no hidden sign. `delay` seconds later their torque command takes effect and is held
@@ -158,22 +165,27 @@ def simulate(
     seed, noise
         Seed of the pick-off noise; whether there is any.
     step
-        Longest substep, s; default 1e-4.
+        Longest substep, s; default 1e-4. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor,
+        2.7 times the shortest time constant of friction and cages.
     q, rate : (n,), optional
         Initial gimbal angles and rates; default zero.
     Omega : (3,), attitude : (4,), optional
         Initial platform rate (stabilised only) and attitude.
+    spin : (servo rotors,), optional
+        Initial spins of the servo rotors against their carriers, rad/s; default the nominal ones. Their loops start in
+        the steady state of the nominal spin: with no torque.
 
     Returns
     -------
     Trajectory
-        A run that diverges (a number that is not finite, or a rate above one radian per substep) ends early and says
-        so in `ended`.
+        A run that diverges (a number that is not finite, as a singular mass matrix gives, or a rate above one radian
+        per substep) ends early and says so in `ended`.
 
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape, is out of range, or names something that the plant does not have.
+        If an argument has the wrong shape, is out of range, or names something that the plant does not have; if the
+        step is too long for the speed loop of a servo rotor.
     """
     n = len(platform.gimbals)
     period = positive("period", period)
@@ -199,6 +211,8 @@ def simulate(
             raise ArgumentError(
                 f"q: {gimbal.angle} starts at {angles[k]:.6g} rad; expected it between its stops {gimbal.stops}"
             )
+    servos = servo_rotors(platform)
+    spins = initial_spins(platform, spin, (len(servos),))
     merged = _merged(platform, controllers, period, free)
     samples = 1 + math.floor(duration / period + 1e-9)
 
@@ -209,6 +223,7 @@ def simulate(
     lengths = (first, period - first)
     count = np.array([math.ceil(length / longest - 1e-9) for length in lengths], dtype=np.int64)
     steps = np.array([length / c if c else 0.0 for length, c in zip(lengths, count, strict=True)])
+    check_step(platform, float(steps.max()), free)
 
     index = {g.name: k for k, g in enumerate(platform.gimbals)}
     sensed = np.array([index[s.gimbal] for s in platform.pickoffs], dtype=np.int64)
@@ -229,10 +244,12 @@ def simulate(
     plant = pack(platform)
     if not free:
         kernel.half_cosine(0.0, profile, state[n : n + 3])
+    state = with_rotor_states(plant, state[None], spins[None])[0]
+    if not free:
         momenta = np.empty(n)
         kernel.joint_momenta(*plant, free, state, *kernel.workspace(n), momenta)
         state[n + 3 : 2 * n + 3] = momenta
-    widths = (n, n + 3, n, 4 + len(rms), len(limit), len(limit))
+    widths = (n, n + 3, n, 4 + len(rms), len(limit), len(limit), 2 * len(servos))
     records = tuple(np.zeros((samples, width)) for width in widths)
     saturated = np.zeros(len(limit), dtype=np.int64)
     contacts = np.zeros(n, dtype=np.int64)
@@ -253,7 +270,7 @@ def simulate(
         saturated,
         contacts,
     )
-    angle, velocity, momentum, seen, command, applied = (record[:done] for record in records)
+    angle, velocity, momentum, seen, command, applied, rotors = (record[:done] for record in records)
     return Trajectory(
         t=period * np.arange(done, dtype=np.float64),
         q=angle,
@@ -264,9 +281,12 @@ def simulate(
         torque=applied,
         Omega=velocity[:, :3],
         attitude=seen[:, :4],
+        rotor_spin=rotors[:, : len(servos)],
+        rotor_torque=rotors[:, len(servos) :],
         angle_names=platform.angle_names,
         pickoff_names=tuple(s.name for s in platform.pickoffs),
         torquer_names=tuple(t.name for t in platform.torquers),
+        rotor_names=tuple(r.name for r in servos),
         saturated=saturated,
         stop_contacts=contacts,
         ended="completed" if done == samples else f"diverged at t = {done * period:.6g} s",

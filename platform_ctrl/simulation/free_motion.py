@@ -15,6 +15,7 @@ from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.simulation.plant import pack, unit_quaternions
+from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 
 
 @value
@@ -26,19 +27,23 @@ class Rollout:
     q : (N, n), velocity : (N, 3 + n), attitude : (N, 4)
         Gimbal angles, [Omega, q̇] and the root's unit quaternion w, x, y, z at the end. A run that overflowed or met a
         singular mass matrix holds NaN.
+    spin : (N, m)
+        Spins of the m servo rotors against their carriers at the end, in the file's order, rad/s.
     t : (S,)
         Times that were recorded, s: the start, every `every` steps, and the end. Only the end without `every`.
-    q_history : (N, S, n), velocity_history : (N, S, 3 + n), attitude_history : (N, S, 4)
+    q_history : (N, S, n), velocity_history : (N, S, 3 + n), attitude_history : (N, S, 4), spin_history : (N, S, m)
         The runs at those times.
     """
 
     q: FloatArray
     velocity: FloatArray
     attitude: FloatArray
+    spin: FloatArray
     t: FloatArray
     q_history: FloatArray
     velocity_history: FloatArray
     attitude_history: FloatArray
+    spin_history: FloatArray
 
 
 def rollout(
@@ -51,10 +56,12 @@ def rollout(
     force: ArrayLike | None = None,
     every: int | None = None,
     threads: int | None = None,
+    spin: ArrayLike | None = None,
 ) -> Rollout:
     """Integrate N runs of the exact non-linear coupled plant with a free root by the classical Runge-Kutta method.
 
-    Gimbal stops do not act here; the forces are what is given.
+    The force elements of the platform act besides the forces that are given, servo rotors run their speed loops.
+    Gimbal stops do not act here.
 
     Parameters
     ----------
@@ -63,7 +70,8 @@ def rollout(
     q : (N, n), velocity : (N, 3 + n)
         Initial gimbal angles, rad, and [Omega, q̇], rad/s.
     step, steps
-        Step, s, and number of steps.
+        Step, s, and number of steps. Stiff elements need short steps: less than 2.7 C/speed_gain for a servo rotor,
+        2.7 times the shortest time constant of friction and cages.
     attitude : (N, 4), optional
         Initial unit quaternions w, x, y, z that take root axes to inertial axes; default identity.
     force : (N, 3 + n), optional
@@ -72,11 +80,15 @@ def rollout(
         Record the runs every so many steps; the result does not depend on it.
     threads
         Number of threads that share the runs; default: the processors available, for more than a few runs.
+    spin : (N, m), optional
+        Initial spins of the m servo rotors against their carriers, rad/s; default the nominal ones. Their loops start
+        in the steady state of the nominal spin: with no torque.
 
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape, is not finite or is out of range.
+        If an argument has the wrong shape, is not finite or is out of range; if the step is too long for the speed loop
+        of a servo rotor.
     """
     n = len(platform.gimbals)
     try:
@@ -92,11 +104,13 @@ def rollout(
     every = None if every is None else _count("every", every, 1)
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     threads = min(processors, 1 + runs // 4) if threads is None else _count("threads", threads, 1)
+    spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
+    check_step(platform, step, free=True)
 
     from platform_ctrl.simulation import kernel
 
     plant = pack(platform)
-    states = np.concatenate([angles, rates, turned], axis=1)
+    states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
     bounds = [0, steps] if every is None else [*range(0, steps, every), steps]
     marks = bounds[-1:] if every is None else bounds
     history = np.empty((len(marks), *states.shape))
@@ -113,14 +127,17 @@ def rollout(
     if every is None:
         history[0] = states
     along = history.transpose(1, 0, 2)
+    spins_along = spins_of(plant, along)
     return Rollout(
         q=states[:, :n],
         velocity=states[:, n : 2 * n + 3],
-        attitude=states[:, 2 * n + 3 :],
+        attitude=states[:, 2 * n + 3 : 2 * n + 7],
+        spin=spins_along[:, -1],
         t=step * np.array(marks, dtype=np.float64),
         q_history=along[..., :n],
         velocity_history=along[..., n : 2 * n + 3],
-        attitude_history=along[..., 2 * n + 3 :],
+        attitude_history=along[..., 2 * n + 3 : 2 * n + 7],
+        spin_history=spins_along,
     )
 
 

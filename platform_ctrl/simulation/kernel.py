@@ -11,8 +11,16 @@ inertias I (rotors included: A(1 - ss') + C ss' where regulated, A(1 - ss') wher
 
 The root rows are Boltzmann-Hamel's by construction: they are the moment of momentum in turning axes.
 
-The state vector is [q (n), v (3 + n), attitude (4)] with v = [Omega, qdot] for a free root and v = [Omega(t), p] for a
-prescribed Omega; attitude is the unit quaternion w, x, y, z that takes root axes to inertial axes.
+The state vector is [q (n), v (3 + n), attitude (4), P (m), x (m)] with v = [Omega, qdot] for a free root and
+v = [Omega(t), p] for a prescribed Omega; attitude is the unit quaternion w, x, y, z that takes root axes to inertial
+axes. P and x belong to the m servo rotors: axial momentum C (phidot + s . w) and integral of the speed error.
+
+A servo rotor is a free rotor, P s in place of L s, whose momentum the motor changes: Pdot = tau. N of its carrier then
+has hdot = tau s besides, in other words the motor's reaction -tau s acts on the carrier. With dT/dqdot as momenta there
+is no reaction: the motor's torque does virtual work along phi alone, and dT/dq at constant phidot is that above.
+
+The force elements add to [M, Q]: springs, friction, cages and erections at their gimbals; an unbalance as the moment
+-(m r) x f on its carrier, which acts at the root and at every gimbal between the root and the carrier.
 
 A plant is the pair (tree, body), see `platform_ctrl.simulation.plant`. Nothing is allocated inside the time loops.
 Non-positive pivots give NaN, which the callers take as divergence.
@@ -44,17 +52,25 @@ F = TypeVar("F", bound=Callable[..., Any])
 # xy, xz, yz) and rotors' momentum h, first its own, then its subtree's; rate; moment; I a of the subtree.
 AXIS, INERTIA, MOMENTUM, RATE, MOMENT, PER_RATE, COLUMNS = 9, 12, 18, 21, 24, 27, 30
 
+# Columns of a body's row in the plant that are there only where force elements are.
+UNBALANCE, STIFFNESS, PRELOAD, VISCOUS, COULOMB, PER_COULOMB_RATE, CAGE, WIDTH = 12, 15, 16, 17, 18, 20, 21, 25
 
-def _compiled(function: F, inlined: bool = False) -> F:
+
+def _compiled(function: F, **options: Any) -> F:
     # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
     try:
-        return cast(F, njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)(function))
+        return cast(F, njit(cache=True, nogil=True, error_model="numpy", **options)(function))
     except RuntimeError:  # nowhere to keep a cache: compile in every process
-        return cast(F, njit(nogil=True, error_model="numpy", forceinline=inlined)(function))
+        return cast(F, njit(nogil=True, error_model="numpy", **options)(function))
+
+
+def _internal(function: F) -> F:
+    """Compile for callers in this file alone: the wrappers for Python and C take as long as a small function."""
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _inlined(function: F) -> F:
-    return _compiled(function, inlined=True)
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 
 
 def workspace(n: int) -> tuple[FloatArray, FloatArray]:
@@ -79,6 +95,16 @@ def _times_inertia(work: FloatArray, b: int, x: float, y: float, z: float) -> Ve
     xx, yy, zz = work[b, INERTIA], work[b, INERTIA + 1], work[b, INERTIA + 2]
     xy, xz, yz = work[b, INERTIA + 3], work[b, INERTIA + 4], work[b, INERTIA + 5]
     return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@_inlined
+def _in_root_axes(work: FloatArray, b: int, x: float, y: float, z: float) -> Vector:
+    """A vector given in the axes of body b."""
+    return (
+        work[b, 0] * x + work[b, 1] * y + work[b, 2] * z,
+        work[b, 3] * x + work[b, 4] * y + work[b, 5] * z,
+        work[b, 6] * x + work[b, 7] * y + work[b, 8] * z,
+    )
 
 
 @_inlined
@@ -155,6 +181,14 @@ def assemble(tree: Tree, body: FloatArray, moments: bool, y: FloatArray, work: F
             work[b, MOMENT] = work[f, MOMENT] + w1 * a2 - w2 * a1
             work[b, MOMENT + 1] = work[f, MOMENT + 1] + w2 * a0 - w0 * a2
             work[b, MOMENT + 2] = work[f, MOMENT + 2] + w0 * a1 - w1 * a0
+    servos = (y.shape[0] - 2 * n - 7) // 2
+    for r in range(servos):
+        row, p = n + 1 + r, y[2 * n + 7 + r]
+        b = int(body[row, 3])
+        s0, s1, s2 = _in_root_axes(work, b, body[row, 0], body[row, 1], body[row, 2])
+        work[b, MOMENTUM] += p * s0
+        work[b, MOMENTUM + 1] += p * s1
+        work[b, MOMENTUM + 2] += p * s2
     if moments:
         for b in range(n + 1):
             _moment_of_carrier(work, b)
@@ -213,6 +247,88 @@ def _solve(mass: FloatArray, low: int) -> None:
         mass[size, i] = s * mass[i, i]
 
 
+@_internal
+def _push(tree: Tree, work: FloatArray, carrier: int, x: float, y: float, z: float, dy: FloatArray) -> None:
+    """Add what a moment on a carrier does to [M, Q] in `dy`."""
+    n = tree.shape[1]
+    dy[n] += x
+    dy[n + 1] += y
+    dy[n + 2] += z
+    b = carrier
+    while b > 0:
+        dy[n + 2 + b] += work[b, AXIS] * x + work[b, AXIS + 1] * y + work[b, AXIS + 2] * z
+        b = tree[1, b - 1]
+
+
+@_internal
+def _act(tree: Tree, body: FloatArray, servos: int, y: FloatArray, work: FloatArray, dy: FloatArray) -> None:
+    """Add [M, Q] of the force elements to `dy` in the place of v; the first n of `dy` hold the gimbals' rates."""
+    n = tree.shape[1]
+    f0, f1, f2 = body[0, 0], body[0, 1], body[0, 2]
+    size = math.sqrt(f0 * f0 + f1 * f1 + f2 * f2)
+    for b in range(n + 1):
+        u0, u1, u2 = body[b, UNBALANCE], body[b, UNBALANCE + 1], body[b, UNBALANCE + 2]
+        if size > 0.0 and (u0 != 0.0 or u1 != 0.0 or u2 != 0.0):
+            r0, r1, r2 = _in_root_axes(work, b, u0, u1, u2)
+            _push(tree, work, b, r2 * f1 - r1 * f2, r0 * f2 - r2 * f0, r1 * f0 - r0 * f1, dy)
+    for k in range(n):
+        b, rate = k + 1, dy[k]
+        Q = body[b, PRELOAD] - body[b, STIFFNESS] * y[k] - body[b, VISCOUS] * rate
+        level = body[b, COULOMB] if rate < 0.0 else body[b, COULOMB + 1]
+        if level > 0.0:
+            Q -= level * math.tanh(rate * body[b, PER_COULOMB_RATE])
+        # No cage is one with infinite clearance.
+        stiffness, damping, clearance = body[b, CAGE], body[b, CAGE + 1], body[b, CAGE + 2]
+        out = y[k] - body[b, CAGE + 3]
+        if clearance == 0.0:
+            Q -= stiffness * out + damping * rate
+        elif out > clearance:
+            Q -= max(stiffness * (out - clearance) + damping * rate, 0.0)
+        elif out < -clearance:
+            Q -= min(stiffness * (out + clearance) + damping * rate, 0.0)
+        dy[n + 3 + k] += Q
+    if size > 0.0:
+        for row in range(n + 1 + servos, body.shape[0]):
+            s0, s1, s2 = _in_root_axes(work, int(body[row, 4]), body[row, 0], body[row, 1], body[row, 2])
+            Q = body[row, 5] * (s0 * f0 + s1 * f1 + s2 * f2) / size
+            dy[n + 2 + int(body[row, 3])] += min(max(Q, -body[row, 6]), body[row, 6])
+
+
+@_internal
+def _spin(body: FloatArray, y: FloatArray, work: FloatArray, r: int) -> float:
+    """Spin of servo rotor r against its carrier, whose rate the workspace holds."""
+    n = work.shape[0] - 1
+    row = n + 1 + r
+    b = int(body[row, 3])
+    s0, s1, s2 = _in_root_axes(work, b, body[row, 0], body[row, 1], body[row, 2])
+    spin: float = y[2 * n + 7 + r] / body[row, 4] - (
+        s0 * work[b, RATE] + s1 * work[b, RATE + 1] + s2 * work[b, RATE + 2]
+    )
+    return spin
+
+
+@_internal
+def _drive(
+    tree: Tree, body: FloatArray, react: bool, servos: int, y: FloatArray, work: FloatArray, dy: FloatArray
+) -> None:
+    """Derivatives of the servo rotors' states into `dy`, and with `react` the motors' reactions on [M, Q] there."""
+    n = tree.shape[1]
+    p, x = 2 * n + 7, 2 * n + 7 + servos
+    for r in range(servos):
+        row = n + 1 + r
+        error = _spin(body, y, work, r) - body[row, 5]
+        wanted = -body[row, 6] * error - body[row, 7] * y[x + r]
+        limit = body[row, 8]
+        torque = min(max(wanted, -limit), limit)
+        further = (wanted >= limit and error < 0.0) or (wanted <= -limit and error > 0.0)
+        dy[p + r] = torque
+        dy[x + r] = 0.0 if further else error
+        if react:
+            b = int(body[row, 3])
+            s0, s1, s2 = _in_root_axes(work, b, body[row, 0], body[row, 1], body[row, 2])
+            _push(tree, work, b, -torque * s0, -torque * s1, -torque * s2, dy)
+
+
 @_compiled
 def derivative(
     tree: Tree,
@@ -233,6 +349,8 @@ def derivative(
     """
     n = tree.shape[1]
     x = n + 3
+    servos = (y.shape[0] - 2 * n - 7) // 2
+    acting = body.shape[1] > UNBALANCE
     assemble(tree, body, free, y, work, mass)
     for k in range(n):
         if locked[k]:
@@ -244,12 +362,22 @@ def derivative(
         for i in range(3):
             mass[x, i] = force[row, i] - work[0, MOMENT + i]
         for k in range(n):
-            moment = force[row, 3 + k] - _dot(work, k + 1, AXIS, MOMENT)
-            mass[x, 3 + k] = 0.0 if locked[k] else moment
+            mass[x, 3 + k] = force[row, 3 + k] - _dot(work, k + 1, AXIS, MOMENT)
+            dy[k] = 0.0 if locked[k] else y[n + 3 + k]
+        if acting or servos > 0:
+            for i in range(n + 3):
+                dy[n + i] = 0.0
+            if acting:
+                _act(tree, body, servos, y, work, dy)
+            if servos > 0:
+                _drive(tree, body, free, servos, y, work, dy)
+            for i in range(n + 3):
+                mass[x, i] += dy[n + i]
+        for k in range(n):
+            if locked[k]:
+                mass[x, 3 + k] = 0.0
         _factor(mass, 0)
         _solve(mass, 0)
-        for k in range(n):
-            dy[k] = 0.0 if locked[k] else y[n + 3 + k]
         for i in range(n + 3):
             dy[n + i] = mass[x, i]
     else:
@@ -289,6 +417,10 @@ def derivative(
             work[f, MOMENT + 1] += below1 + work[b, PER_RATE + 1] * rate
             work[f, MOMENT + 2] += below2 + work[b, PER_RATE + 2] * rate
             work[b, MOMENT], work[b, MOMENT + 1], work[b, MOMENT + 2] = H0, H1, H2
+        if acting:
+            _act(tree, body, servos, y, work, dy)
+        if servos > 0:
+            _drive(tree, body, free, servos, y, work, dy)
         for i in range(3):
             dy[n + i] = 0.0
     e = 2 * n + 3
@@ -314,6 +446,17 @@ def joint_momenta(
 
 
 @_compiled
+def rotor_spins(tree: Tree, body: FloatArray, moments: bool, states: FloatArray, spins: FloatArray) -> None:
+    """Spins (N, m) of the servo rotors in `states` (N, 2 n + 7 + 2 m) whose v holds the rates; `moments` is True."""
+    n = tree.shape[1]
+    work, mass = np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
+    for k in range(states.shape[0]):
+        assemble(tree, body, moments, states[k], work, mass)
+        for r in range(spins.shape[1]):
+            spins[k, r] = _spin(body, states[k], work, r)
+
+
+@_internal
 def rk4_step(
     tree: Tree,
     body: FloatArray,
@@ -330,7 +473,7 @@ def rk4_step(
     """One step of the classical Runge-Kutta method, in place.
 
     `force` (3, 3 + n) and, for a prescribed rate, `Omega` (3, 3) hold the values at the step's beginning, middle and
-    end; `stages` (3, 2 n + 7) is scratch.
+    end; `stages` (3, size of y) is scratch.
     """
     n = tree.shape[1]
     size = y.shape[0]
@@ -352,10 +495,10 @@ def rk4_step(
     norm = 0.0
     for i in range(size):
         y[i] += step / 6.0 * total[i]
-    for i in range(size - 4, size):
+    for i in range(2 * n + 3, 2 * n + 7):
         norm += y[i] * y[i]
     norm = 1.0 / math.sqrt(norm)
-    for i in range(size - 4, size):
+    for i in range(2 * n + 3, 2 * n + 7):
         y[i] *= norm
     if not free:
         for i in range(3):
@@ -366,13 +509,13 @@ def rk4_step(
 def advance(
     tree: Tree, body: FloatArray, free: bool, states: FloatArray, force: FloatArray, step: float, steps: int
 ) -> None:
-    """Move every row of `states` (N, 2 n + 7) on by `steps` steps with its `force` (N, 3 + n) held.
+    """Move every row of `states` (N, 2 n + 7 + 2 m) on by `steps` steps with its `force` (N, 3 + n) held.
 
     `free` is True: with a prescribed Omega use `closed_loop`.
     """
     n = tree.shape[1]
     work, mass = np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
-    stages = np.empty((3, 2 * n + 7))
+    stages = np.empty((3, states.shape[1]))
     held = np.empty((3, n + 3))
     Omega = np.zeros((3, 3))
     locked = np.zeros(n, dtype=np.bool_)
@@ -401,7 +544,7 @@ def half_cosine(t: float, profile: FloatArray, Omega: FloatArray) -> None:
         Omega[i] = share * profile[i]
 
 
-@_compiled
+@_internal
 def _hold(
     tree: Tree,
     body: FloatArray,
@@ -436,7 +579,7 @@ def _hold(
                 y[n + 3 + k] = _dot(work, k + 1, AXIS, MOMENT)
 
 
-@_compiled
+@_internal
 def _meet_stops(
     tree: Tree,
     body: FloatArray,
@@ -508,7 +651,7 @@ def closed_loop(
     period: float,
     whole: int,
     segments: tuple[NDArray[np.int64], FloatArray],
-    records: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    records: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
     saturated: NDArray[np.int64],
     contacts: NDArray[np.int64],
 ) -> int:
@@ -526,25 +669,28 @@ def closed_loop(
         A period has two segments, before and after the command changes: number of substeps and substep. The first
         holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
     records
-        q, v = [Omega, qdot], p, attitude with reading behind it, command, torque; a row per sample.
+        q, v = [Omega, qdot], p, attitude with reading behind it, command, torque, the servo rotors' spins with their
+        motors' torques behind them; a row per sample.
     """
     Ac, Bc, Cc, Dc = controller
     sensed, noise, quantisation = pickoffs
     target, limit, decay = torquers
     count, steps = segments
-    out_q, out_v, out_p, out_attitude, out_command, out_torque = records
+    out_q, out_v, out_p, out_attitude, out_command, out_torque, out_rotors = records
     n, nx, ny, nu = tree.shape[1], Ac.shape[0], sensed.shape[0], target.shape[0]
     samples: int = out_q.shape[0]
     work, mass = np.zeros((n + 1, COLUMNS)), np.zeros((n + 4, n + 3))
-    stages = np.empty((3, 2 * n + 7))
-    dy = np.empty(2 * n + 7)
+    size = y.shape[0]
+    servos = (size - 2 * n - 7) // 2
+    stages = np.empty((3, size))
+    dy = np.empty(size)
     force = np.zeros((3, n + 3))
     zero = np.zeros((1, n + 3))
     Omega = np.zeros((3, 3))
     x, x_next = np.zeros(nx), np.zeros(nx)
     torque, held = np.zeros(nu), np.zeros(nu)
     touching, locked = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    begin = np.empty(2 * n + 7)
+    begin = np.empty(size)
     fastest = 1.0 / max(steps[0], steps[1])
     for k in range(samples):
         # Rates and momenta at the sample.
@@ -552,6 +698,8 @@ def closed_loop(
             joint_momenta(tree, body, free, y, work, mass, out_p[k])
             for i in range(n):
                 dy[i] = y[n + 3 + i]
+            if servos > 0:
+                _drive(tree, body, free, servos, y, work, dy)
         else:
             half_cosine(k * period, profile, y[n : n + 3])
             derivative(tree, body, free, locked, y, zero, zero.shape[0] - 1, work, mass, dy)
@@ -564,7 +712,10 @@ def closed_loop(
             out_v[k, i] = y[n + i]
         for i in range(4):
             out_attitude[k, i] = y[2 * n + 3 + i]
-        for i in range(2 * n + 7):
+        for i in range(servos):
+            out_rotors[k, i] = _spin(body, y, work, i)
+            out_rotors[k, servos + i] = dy[2 * n + 7 + i]
+        for i in range(size):
             if not math.isfinite(y[i]):
                 return k
         for i in range(n + 3):
@@ -622,7 +773,7 @@ def closed_loop(
                             torque[i] = held[i] + (torque[i] - held[i]) * decay[g, i]
                     if not free:
                         half_cosine(start + (m + 0.5 * s) * h, profile, Omega[s])
-                for i in range(2 * n + 7):
+                for i in range(size):
                     begin[i] = y[i]
                 rk4_step(tree, body, free, locked, y, Omega, force, h, work, mass, stages)
                 _hold(tree, body, free, y, begin, Omega, force, h, stops, touching, locked, work, mass, stages)

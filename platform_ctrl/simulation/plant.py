@@ -2,34 +2,78 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import topology
+from platform_ctrl.simulation.servo_rotors import Plant, servo_rotors
 
 
-def pack(platform: Platform) -> tuple[NDArray[np.int64], FloatArray]:
+def pack(platform: Platform) -> Plant:
     """Return (tree, body) of a platform.
 
     `tree` (2, n): the gimbals in an order in which parents come first; the parents' body numbers (0: root, 1 + k:
-    gimbal k). `body` (1 + n, 12), a row each: the axis in the parent's axes; the inertia xx, yy, zz, xy, xz, yz of the
-    carrier with its rotors (a free rotor without its axial inertia); the sum of L s of its rotors.
+    gimbal k).
+
+    `body`: a row for each body, then one for each servo rotor, then one for each erection. 12 columns, or 25 if any
+    force element acts.
+
+    * Body: the axis in the parent's axes, in row 0 instead the specific force in root axes; the inertia xx, yy, zz, xy,
+      xz, yz of the carrier with its rotors (without the axial inertia of those that are not regulated); the sum of L s
+      of its rotors but for servo rotors. Where force elements act also the unbalance m r, and of the joint the springs'
+      stiffness and their torque at q = 0, viscous friction, dry friction against negative and against positive rates,
+      1/coulomb_rate, the cage's stiffness, damping, clearance (infinite for no cage) and angle.
+    * Servo rotor: spin axis in the carrier's axes, the carrier's body number, C, spin, speed_gain, speed_integral,
+      torque_limit (infinite for none).
+    * Erection: sensing axis, body number of the torqued gimbal and of the sensing body, gain, limit.
     """
     tree = topology(platform)
     n = len(tree.parents)
+    regulated = np.array([r.control == "regulated" for r in platform.rotors], dtype=bool)
+    momenta = np.where([r.control == "servo" for r in platform.rotors], 0.0, tree.L)
     carrier, momentum = tree.inertias.copy(), np.zeros((1 + n, 3))
-    axial = np.where(tree.regulated, tree.C, 0.0)
+    axial = np.where(regulated, tree.C, 0.0)
     np.add.at(carrier, tree.carriers, axial[:, None, None] * tree.spin_axes[:, :, None] * tree.spin_axes[:, None, :])
-    np.add.at(momentum, tree.carriers, tree.L[:, None] * tree.spin_axes)
-    body = np.zeros((1 + n, 12))
-    body[1:, :3] = tree.axes
-    body[:, 3:9] = carrier[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    body[:, 9:] = momentum
+    np.add.at(momentum, tree.carriers, momenta[:, None] * tree.spin_axes)
+    servos = servo_rotors(platform)
+    acting = any((platform.springs, platform.frictions, platform.cages, platform.unbalances, platform.erections))
+    body = np.zeros((1 + n + len(servos) + len(platform.erections), 25 if acting else 12))
+    body[0, :3] = platform.specific_force
+    body[1 : 1 + n, :3] = tree.axes
+    body[: 1 + n, 3:9] = carrier[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    body[: 1 + n, 9:12] = momentum
+    index = {name: b for b, name in enumerate((platform.root_name, *platform.gimbal_names))}
+    for row, r in enumerate(servos, 1 + n):
+        loop = (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
+        body[row, :9] = (*r.axis, index[r.carrier], *loop)
+    if acting:
+        _pack_elements(platform, index, body)
     return np.array([tree.order, tree.parents + 1], dtype=np.int64).reshape(2, n), body
+
+
+def _pack_elements(platform: Platform, index: dict[str, int], body: FloatArray) -> None:
+    body[: len(index), 23] = math.inf
+    for unbalance in platform.unbalances:
+        body[index[unbalance.body], 12:15] += unbalance.moment
+    for spring in platform.springs:
+        body[index[spring.gimbal], 15:17] += (spring.stiffness, spring.stiffness * spring.rest)
+    for friction in platform.frictions:
+        body[index[friction.gimbal], 17:21] = (friction.viscous, *friction.coulomb, 1.0 / friction.coulomb_rate)
+    for cage in platform.cages:
+        body[index[cage.gimbal], 21:25] = (cage.stiffness, cage.damping, cage.clearance, cage.angle)
+    for row, device in enumerate(platform.erections, len(body) - len(platform.erections)):
+        bodies = (index[device.gimbal], index[device.senses])
+        body[row, :7] = (*device.axis, *bodies, device.gain, _or_infinite(device.limit))
+
+
+def _or_infinite(limit: float | None) -> float:
+    return math.inf if limit is None else limit
 
 
 def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
