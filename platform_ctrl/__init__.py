@@ -15,15 +15,28 @@ if TYPE_CHECKING:
     from platform_ctrl import analysis, check, design, report, requirements, simulation
     from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, Torquer
     from platform_ctrl.errors import PlatformCtrlError
+    from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
     from platform_ctrl.job import Job
     from platform_ctrl.linearisation import LinearModel, linearise
-    from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
+    from platform_ctrl.mechanics import (
+        element_forces,
+        forward_dynamics,
+        inverse_dynamics,
+        matrices,
+        rotor_momenta,
+        with_free_rotors,
+        with_regulated_rotors,
+        with_rotors_as_gimbals,
+    )
     from platform_ctrl.reading import read_job, read_platform
     from platform_ctrl.state_space import state_space, subsystems
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Cage",
+    "Erection",
+    "Friction",
     "Gimbal",
     "Job",
     "LinearModel",
@@ -31,10 +44,13 @@ __all__ = [
     "Platform",
     "PlatformCtrlError",
     "Rotor",
+    "Spring",
     "Torquer",
+    "Unbalance",
     "analysis",
     "check",
     "design",
+    "element_forces",
     "forward_dynamics",
     "inverse_dynamics",
     "linearise",
@@ -43,14 +59,21 @@ __all__ = [
     "read_platform",
     "report",
     "requirements",
+    "rotor_momenta",
     "simulation",
     "state_space",
     "subsystems",
+    "with_free_rotors",
+    "with_regulated_rotors",
+    "with_rotors_as_gimbals",
 ]
 
 _SUBMODULES = frozenset({"analysis", "check", "design", "report", "requirements", "simulation"})
 
 _HOME = {
+    "Cage": "force_elements",
+    "Erection": "force_elements",
+    "Friction": "force_elements",
     "Gimbal": "description",
     "Job": "job",
     "LinearModel": "linearisation",
@@ -58,15 +81,22 @@ _HOME = {
     "Platform": "description",
     "PlatformCtrlError": "errors",
     "Rotor": "description",
+    "Spring": "force_elements",
     "Torquer": "description",
+    "Unbalance": "force_elements",
+    "element_forces": "mechanics",
     "forward_dynamics": "mechanics",
     "inverse_dynamics": "mechanics",
     "linearise": "linearisation",
     "matrices": "mechanics",
     "read_job": "reading",
     "read_platform": "reading",
+    "rotor_momenta": "mechanics",
     "state_space": "state_space",
     "subsystems": "state_space",
+    "with_free_rotors": "mechanics",
+    "with_regulated_rotors": "mechanics",
+    "with_rotors_as_gimbals": "mechanics",
 }
 
 
