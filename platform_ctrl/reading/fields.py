@@ -165,7 +165,7 @@ def inertia(item: object) -> FloatArray:
         zero = 0.0
     largest = np.abs(matrix).max()
     if largest == 0:
-        raise Unfit("not positive definite")
+        raise Unfit("not positive definite (for a frame without mass take a millionth of what it carries)")
     scaled = matrix / largest
     for i, j in ((0, 1), (0, 2), (1, 2)):
         if abs(scaled[i, j] - scaled[j, i]) > ROUNDING:
