@@ -362,6 +362,32 @@ def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
     assert "bandwidth" in asked
 
 
+def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
+    assert "What acts besides the torquers" not in lone_page
+    platform = dataclasses.replace(
+        lone_loop.job.platform,
+        specific_force=np.array([0.0, 0.0, 9.81]),
+        springs=(pc.Spring(gimbal="9", stiffness=0.02, rest=0.001),),
+        frictions=(pc.Friction(gimbal="10", viscous=1e-5, coulomb=(1e-4, 2e-4)),),
+        cages=(pc.Cage(gimbal="4", stiffness=50.0, damping=0.1, clearance=0.002),),
+        unbalances=(pc.Unbalance(body="10", moment=np.array([0.0, 1e-6, 0.0])),),
+        erections=(pc.Erection(gimbal="9", senses="10", axis=np.eye(3)[0], gain=1e-3, limit=5e-4),),
+    )
+    loaded = dataclasses.replace(lone_loop, job=dataclasses.replace(lone_loop.job, platform=platform))
+    rows = tables.element_rows(loaded)
+    assert rows == [
+        ("specific force", "platform", "(0, 0, 9.81) m/s²"),
+        ("spring", "9", "0.02 N m/rad, relaxed at 1 mrad"),
+        ("friction", "10", "viscous 1·10⁻⁵ N m s, dry 0.1 mN m and 0.2 mN m"),
+        ("cage", "4", "50 N m/rad, 0.1 N m s, play ±2 mrad"),
+        ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
+        ("erection", "9", "1 mN m × tilt of +1 of 10, at most 0.5 mN m"),
+    ]
+    shown = Cells(report.page(loaded)).rows
+    for row in rows:
+        assert list(row) in shown
+
+
 def test_the_gimbal_tree_names_axis_and_inertia(result: JobResult) -> None:
     rows = {row[0].strip(): row for row in tables.gimbal_rows(result)}
     assert rows["7"][1:5] == ("4", "−3", "beta7", "2·10⁻⁴ kg m²")

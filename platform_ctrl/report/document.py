@@ -82,6 +82,7 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             ],
             "gimbals": tables.gimbal_rows(result),
             "rotors": tables.rotor_rows(result),
+            "elements": tables.element_rows(result),
             "modes": tables.mode_rows(result),
             "plant_plates": _plant_plates(result),
             "loops": [_loop_section(result, outcome) for outcome in result.loops],

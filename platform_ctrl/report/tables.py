@@ -170,6 +170,34 @@ def rotor_rows(result: JobResult) -> list[tuple[str, ...]]:
     ]
 
 
+def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
+    """Return kind, place and numbers of everything that acts besides the torquers; specific force first."""
+    platform = result.job.platform
+    rows: list[tuple[str, str, str]] = []
+    if np.any(platform.specific_force):
+        f = ", ".join(plain(float(x)) for x in platform.specific_force)
+        rows.append(("specific force", platform.root_name, f"({f}) m/s²"))
+    for spring in platform.springs:
+        rest = f", relaxed at {quantity(spring.rest, 'rad')}" if spring.rest else ""
+        rows.append(("spring", spring.gimbal, f"{quantity(spring.stiffness, 'N m/rad')}{rest}"))
+    for friction in platform.frictions:
+        dry = " and ".join(dict.fromkeys(quantity(level, "N m") for level in friction.coulomb))
+        parts = [f"viscous {quantity(friction.viscous, 'N m s')}"] if friction.viscous else []
+        parts += [f"dry {dry}"] if any(friction.coulomb) else []
+        rows.append(("friction", friction.gimbal, ", ".join(parts) or "none"))
+    for cage in platform.cages:
+        numbers = f"{quantity(cage.stiffness, 'N m/rad')}, {quantity(cage.damping, 'N m s')}"
+        rows.append(("cage", cage.gimbal, f"{numbers}, play ±{quantity(cage.clearance, 'rad')}"))
+    for unbalance in platform.unbalances:
+        moment = ", ".join(plain(float(x)) for x in unbalance.moment)
+        rows.append(("unbalance", unbalance.body, f"({moment}) kg m"))
+    for erection in platform.erections:
+        sensed = f"{quantity(erection.gain, 'N m')} × tilt of {axis_text(erection.axis)} of {erection.senses}"
+        limit = "" if erection.limit is None else f", at most {quantity(erection.limit, 'N m')}"
+        rows.append(("erection", erection.gimbal, sensed + limit))
+    return rows
+
+
 def axis_text(axis: Sequence[float] | np.ndarray) -> str:
     """Return +1, −3 for a body axis, otherwise its components."""
     direction = np.asarray(axis, dtype=np.float64)
