@@ -1,0 +1,17 @@
+"""Draw the axes of every shipped model into docs/pictures/; the same models give the same files, byte for byte."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from platform_ctrl import read_platform
+from platform_ctrl.reading import shipped_models
+from platform_ctrl.report.axes_picture import axes_picture
+from platform_ctrl.writing import write_whole
+
+PICTURES = Path(__file__).parent / "pictures"
+
+if __name__ == "__main__":
+    PICTURES.mkdir(exist_ok=True)
+    for model in shipped_models():
+        write_whole(PICTURES / f"{model}.svg", axes_picture(read_platform(model)))
