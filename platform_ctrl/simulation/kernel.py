@@ -53,7 +53,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 AXIS, INERTIA, MOMENTUM, RATE, MOMENT, PER_RATE, COLUMNS = 9, 12, 18, 21, 24, 27, 30
 
 # Columns of a body's row in the plant that are there only where force elements are.
-UNBALANCE, STIFFNESS, PRELOAD, VISCOUS, COULOMB, PER_COULOMB_RATE, CAGE, WIDTH = 12, 15, 16, 17, 18, 20, 21, 25
+UNBALANCE, STIFFNESS, PRELOAD, VISCOUS, COULOMB, PER_COULOMB_RATE, CAGE = 12, 15, 16, 17, 18, 20, 21
 
 
 def _compiled(function: F, **options: Any) -> F:
