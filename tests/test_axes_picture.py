@@ -221,6 +221,22 @@ def test_torquers_and_pickoffs_are_marked_where_they_act():
     assert [len(classed(triad[k], "torquer")) for k in "123"] == [0, 1, 0]
 
 
+def test_springs_cages_and_erection_are_marked_where_they_act():
+    gimbals = [("a", "base", [0, 0, 1]), ("b", "a", [1, 0, 0])]
+    platform = plant(
+        gimbals,
+        spring=[{"gimbal": "a", "stiffness": 1.0}],
+        cage=[{"gimbal": "b", "stiffness": 1.0}],
+        erection=[{"gimbal": "a", "senses": "b", "axis": [1, 0, 0], "gain": 1.0}],
+    )
+    svg = drawn(platform)
+    joints = {joint.get("data-body"): joint for joint in classed(svg, "joint")}
+    [view] = classed(svg, "view")
+    for kind, there in (("spring", [1, 0]), ("cage", [0, 1]), ("erection", [1, 0])):
+        assert [len(classed(joints[name], kind)) for name in "ab"] == there
+        assert len(classed(view, kind)) == 1
+
+
 def test_the_control_of_a_rotor_is_its_line_style():
     held = plant([], [("wheel", "base", [0, 0, 1], 1.0)])
     controls = {"regulated", "free", "servo"}
