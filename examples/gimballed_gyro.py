@@ -101,7 +101,7 @@ def main() -> None:
 
     runs = {"regulated rotor": kardan_drift(ideal), "free rotor": kardan_drift(with_free_rotors(ideal))}
     for name, (theory, computed, *_) in runs.items():
-        row(f"drift by nutation at beta0 = 30 deg, deg/s: {name}", degrees(theory), degrees(computed))
+        row(f"drift by nutation, beta0 = 30 deg, deg/s: {name}", degrees(theory), degrees(computed))
     if not file:
         return
     figure, all_axes = plt.subplots(1, 2, figsize=(11, 4.8), layout="constrained", sharex=True, sharey=True)

@@ -8,9 +8,9 @@ that axis its small motions are stable where
 
     (h + (J2 - J1) Omega0) (h + (J2 - J3) Omega0) > 0
 
-Gimbals of stiffness k with dampers change two things. Energy decides, not frequencies: BOTH factors must be positive
-(Kelvin, Tait), so that a wheel against the rotation no longer helps. And the wheel gives way: it is worth
-h k / (k + h Omega0).
+Gimbals of stiffness k with dampers change two things. Energy decides, not frequencies (Kelvin, Tait): BOTH factors must
+have the sign of the whole momentum J2 Omega0 + h, so that a wheel against the rotation does not help unless it
+outweighs the satellite. And the wheel gives way: it is worth h k / (k + h Omega0).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def main() -> None:
     print(f"a wheel of -20 N m s: growth {held:.1e} 1/s with locked gimbals, {damped:.1e} 1/s with damped ones")
     if not file:
         return
-    momenta = np.linspace(-25.0, 25.0, 301)
+    momenta = np.linspace(-25.0, 25.0, 201)
     figure, axes = plt.subplots(figsize=(9, 4.8), layout="constrained")
     cases = {"gimbals locked": locked, "gimbals sprung and damped": {}}
     for (name, case), style in zip(cases.items(), ("C0", "C3"), strict=True):

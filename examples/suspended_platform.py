@@ -112,12 +112,12 @@ def main() -> None:
         hz, np.abs(bearing.viscous / (2j * pi * hz * J + bearing.viscous)), "k--", linewidth=1.0, label="d/(J s + d)"
     )
     bode.set(xlabel="frequency, Hz", ylabel="platform's roll rate / vehicle's", title="friction in the roll bearing")
-    pitch = np.linspace(0.0, 90.0, 181)
-    lock.plot(pitch, [following(suspended, p)[1] for p in pitch], "C3", linewidth=2.0, label="taken by the platform")
-    azimuth = [abs(following(suspended, p)[0][2]) for p in pitch]
-    lock.plot(pitch, azimuth, "C0", linewidth=2.0, label="turned by the azimuth bearing")
+    pitch = np.linspace(0.0, 90.0, 91)
+    rates, taken = zip(*(following(suspended, p) for p in pitch), strict=True)
+    lock.plot(pitch, taken, "C3", linewidth=2.0, label="taken by the platform")
+    lock.plot(pitch, [abs(rate[2]) for rate in rates], "C0", linewidth=2.0, label="turned by the azimuth bearing")
     lock.plot(
-        pitch[:-10], 1.0 / np.cos(np.radians(pitch[:-10])), "k--", linewidth=1.0, label="1/cos(pitch): massless frames"
+        pitch[:-5], 1.0 / np.cos(np.radians(pitch[:-5])), "k--", linewidth=1.0, label="1/cos(pitch): massless frames"
     )
     lock.set(xlabel="pitch, deg", ylabel="share of the vehicle's yaw rate", title="gimbal lock", ylim=(0.0, 4.0))
     for axes in (bode, lock):
