@@ -92,9 +92,12 @@ def draw(file: str, real: pc.Platform, ideal: pc.Platform) -> None:
     import matplotlib.pyplot as plt
 
     figure, (above, below) = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
-    for plant, spin, label in ((ideal, SPEED, "ideal"), (real, SPEED, "real"), (real, 900.0, "real, 10 % too slow")):
+    for plant, spin, label, style in (
+        (real, SPEED, "real loop", "C0-"),
+        (real, SPEED - 100.0, "real loop, 10 % too slow at first", "C1-"),
+        (ideal, SPEED, "ideal speed control", "k:"),
+    ):
         moved = run(plant, [0.0, 20.0], 0.5, np.radians(30.0), spin)
-        style = "--" if plant is ideal else "-"
         above.plot(moved.t, moved.velocity_history[0, :, 3], style, label=label)
         speed = moved.spin_history[0, :, 0] if moved.spin_history.size else np.full(len(moved.t), SPEED)
         below.plot(moved.t, speed, style, label=label)

@@ -84,8 +84,9 @@ def draw(file: str, cmg: pc.Platform) -> None:
     rate.set(xlabel="inner gimbal angle beta, deg", ylabel="deg/s", title="gimbal rate that makes 258 N m")
     for axes in (gain, rate):
         axes.axvline(90.0, color="0.5", linestyle=":")
-        axes.legend()
         axes.grid(alpha=0.3)
+    gain.legend(loc="center left")
+    rate.legend()
     figure.savefig(file, dpi=120)
 
 

@@ -112,7 +112,9 @@ def draw(file: str, satellite: pc.Platform) -> None:
     filled = map_axes.contourf(np.degrees(x), np.degrees(x), values, levels=20, cmap="viridis")
     figure.colorbar(filled, ax=map_axes, label="sqrt(det(A A'))")
     map_axes.plot([90.0, -90.0], [0.0, 0.0], "rx", markersize=9)
-    map_axes.set(xlabel="delta2 = -delta1, deg", ylabel="delta3 = -delta4, deg", title="0 is singular; x: the one here")
+    map_axes.set(
+        xlabel="delta2 = -delta1, deg", ylabel="delta3 = -delta4, deg", title="0 is singular; x: the one of the table"
+    )
     a = np.radians(np.linspace(0.0, 180.0, 181))
     gains = [np.linalg.norm(jacobian(satellite, np.array([-b, b, 0.0, 0.0])), axis=1) for b in a]
     for k, label in enumerate(("along axis 1", "along axis 2", "along axis 3")):
