@@ -1,0 +1,178 @@
+"""Precession theory (15) of a linear model: the test for every subsystem, the model, and its error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import known_name, positive
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.precession.admissibility import PrecessionPart, judged
+from platform_ctrl.precession.signals import system
+from platform_ctrl.state_space import _gimbal_torquers, _rows, subsystems
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class Precession:
+    """Precession theory of a linear model, where it may be used, and what it takes where it may not.
+
+    Attributes
+    ----------
+    model
+        What was tested.
+    gimbals
+        Names, in the file's order.
+    parts
+        The test of each subsystem.
+    """
+
+    model: LinearModel
+    gimbals: tuple[str, ...]
+    parts: tuple[PrecessionPart, ...]
+
+    @property
+    def admissible(self) -> bool:
+        """Whether precession theory may be used for every subsystem."""
+        return all(part.admissible for part in self.parts)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why not: a line for each obstacle in each subsystem."""
+        return tuple(line for part in self.parts for line in part.reasons)
+
+    @property
+    def cures(self) -> tuple[str, ...]:
+        """What would help, a line each."""
+        return tuple(f"{part.name}: {line}" for part in self.parts for line in part.cures)
+
+    @property
+    def momentum_states(self) -> int:
+        """How many momentum states cure all subsystems; 0 where precession theory is admissible."""
+        return sum(part.momentum_directions.shape[1] for part in self.parts)
+
+    def part(self, gimbal: str) -> PrecessionPart:
+        """Return the test of the subsystem that the named gimbal belongs to.
+
+        Raises
+        ------
+        ArgumentError
+            Unknown gimbal.
+        """
+        known_name("gimbal", gimbal, self.gimbals)
+        return next(part for part in self.parts if gimbal in part.gimbals)
+
+    def state_space(self, momentum_states: bool = False) -> control.StateSpace:
+        """Return the precession model as a state-space system, proper and without the derivative of Omega.
+
+        Parameters
+        ----------
+        momentum_states
+            False: (15) with stiffness, G q̇ + K q + G_Omega ω = Q. True: subsystems that this does not suit keep the
+            momenta π = vᵀ (M q̇ + M_Omega ω) of their `momentum_directions` v as states, π' = vᵀ (Q − G q̇ − K q −
+            G_Omega ω); all other motion, M-orthogonal to v, is without inertia.
+
+        Returns
+        -------
+        control.StateSpace
+            States: the angles, then ``pi_`` + the leading angle of each momentum kept. Where a restraint holds a null
+            direction its angles are no states: ``y_`` + angle then stands for a combination of angles that the
+            direction does not change, and angles follow torques at once. Inputs: the torquers in the file's order, then
+            Omega1 to Omega3. Outputs: the angles in the file's order. All deviate from the trim.
+
+        Raises
+        ------
+        MechanicsError
+            Not admissible, and `momentum_states` is False: the reason and a cure.
+        """
+        for part in self.parts:
+            if not (momentum_states or part.admissible):
+                raise part.refusal()
+        angles = [self.model.angle_names[self.model.gimbal_names.index(name)] for name in self.gimbals]
+        torquers, torque_map = _gimbal_torquers(self.model, self.gimbals)
+        return system(self.parts, momentum_states, self.gimbals, angles, torquers, torque_map)
+
+    def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
+        """Return the relative error of the precession model against the full one, (N,).
+
+        ‖P_precession − P‖₂ / ‖P‖₂ with the largest singular values of the transfer functions from torques to angles
+        (or rates: the factor jω cancels), in coordinates q = T x, Tᵀ M T = 1, so that no unit and no choice of gimbals
+        matters. Of several subsystems the largest counts. With K = 0 and one nutation frequency ν it is ω/ν, exactly.
+
+        Parameters
+        ----------
+        frequency : (N,)
+            > 0, rad/s.
+        momentum_states
+            Of the model that `state_space` returns with this argument.
+        each_direction
+            ‖P⁻¹ (P_precession − P)‖₂: the error in each direction against the response in that direction. It bounds the
+            other, in which a direction with a large response outshines those with a small one.
+
+        Raises
+        ------
+        ArgumentError
+            Not a row of numbers > 0.
+        MechanicsError
+            The precession equations have no unique solution. Where they are refused for another reason they are
+            measured all the same.
+        """
+        of_parts = [part.error(frequency, momentum_states, each_direction) for part in self.parts]
+        return np.max(of_parts, axis=0) if of_parts else np.zeros(np.size(frequency))
+
+    def summary(self) -> str:
+        """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures."""
+        lines = []
+        for part in self.parts:
+            verdict = "admissible" if part.admissible else "not admissible"
+            figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
+            figures += f"judged for a loop at {part.loop_frequency:.4g} rad/s"
+            lines.append(f"{part.name}: precession theory {verdict}; {figures}")
+            lines += [f"  {line}" for line in (*part.reasons, *part.cures)]
+        return "\n".join(lines)
+
+
+def precession(
+    model: LinearModel,
+    gimbals: Sequence[str] | None = None,
+    loop_frequency: float | None = None,
+    separation: float = 3.0,
+) -> Precession:
+    """Test whether precession theory (15) may be used for a linear model, and return what it gives.
+
+    It drops M q̈. That needs det G ≠ 0 (G − ∂Q/∂q̇ here), no multiple roots, and nutation well above all that the model
+    is used for. Each subsystem is tested by itself.
+
+    Parameters
+    ----------
+    model
+        From `linearise`. Springs and damping of the platform count, so that a restraint can make a difference.
+    gimbals
+        Names of the gimbals of one or several subsystems; default all.
+    loop_frequency
+        Up to which the model has to hold, rad/s: the bandwidth of the loop. Default: a hundredth of each subsystem's
+        highest nutation frequency, so that weak friction does not pass for a restraint.
+    separation
+        How many times higher than that, and than the fastest precession root, everything dropped has to lie.
+
+    Raises
+    ------
+    ArgumentError
+        Unknown gimbal, `gimbals` that cut through a subsystem, or a number that is not > 0.
+    MechanicsError
+        A* is singular at the trim (gimbal lock).
+    """
+    frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
+    required = positive("separation", separation)
+    rows = _rows(model, gimbals)
+    chosen = tuple(model.gimbal_names[k] for k in rows)
+    groups = [group for group in subsystems(model) if group[0] in chosen]
+    index = {name: k for k, name in enumerate(model.gimbal_names)}
+    parts = tuple(judged(model, [index[name] for name in group], frequency, required) for group in groups)
+    return Precession(model=model, gimbals=chosen, parts=parts)

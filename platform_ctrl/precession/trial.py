@@ -1,0 +1,139 @@
+"""A reduction held against the full equations: what it drops, how far that lies above, and what makes it fail."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.precession.reduction import ComplexArray, Reduction, Scaled, precession_rate, roots
+
+# Non-zero roots nearer to each other than this, against the largest, are one multiple root: rounding alone parts a
+# double root by the square root of the machine precision.
+_MULTIPLE = 1e-7
+# A dropped pole with Re s over |s| above this grows.
+_GROWS = 1e-6
+# Room for rounding where something is to lie a factor above something else.
+_ROUNDING = 1e-9
+
+
+@value
+class Trial:
+    """Roots of a reduction and the poles of the full equations that it drops.
+
+    Attributes
+    ----------
+    roots : complex
+        Slowest first, rad/s.
+    chain
+        Length of the longest chain of vectors at the root 0.
+    slow, dropped : complex
+        The poles of the full equations that correspond to the roots, and the rest, slowest first, rad/s.
+    pure
+        Whether no momentum is kept.
+    rate
+        How fast stiffness drives the motion without inertia, in any direction, rad/s.
+    loop_frequency
+        Up to which the reduction has to hold, rad/s.
+    """
+
+    roots: ComplexArray
+    chain: int
+    rate: float
+    slow: ComplexArray
+    dropped: ComplexArray
+    pure: bool
+    loop_frequency: float
+
+    @property
+    def nutation(self) -> FloatArray:
+        """|s| of the dropped poles, one for a conjugate pair, rad/s, lowest first."""
+        return np.abs(self.dropped[self.dropped.imag >= 0.0])
+
+    @property
+    def fastest(self) -> float:
+        """How fast anything kept is, rad/s: a root, or precession under stiffness in the worst direction."""
+        return max(float(np.abs(self.roots).max(initial=0.0)), self.rate)
+
+    @property
+    def separation(self) -> float:
+        """Lowest frequency dropped over the highest one kept; infinite where nothing is dropped or nothing kept."""
+        kept = max(self.loop_frequency, self.fastest)
+        lowest = float(np.abs(self.dropped).min(initial=np.inf))
+        return lowest / kept if kept > 0.0 else np.inf
+
+    @property
+    def root_error(self) -> float:
+        """Largest distance from a root to the nearest slow pole of the full equations or the other way, rad/s."""
+        gap = np.abs(self.roots[:, None] - self.slow[None, :])
+        return float(max(gap.min(axis=0).max(), gap.min(axis=1).max())) if gap.size else 0.0
+
+    @property
+    def multiple_root(self) -> complex | None:
+        """A multiple root that what is dropped may split, or None."""
+        if self.chain > 2:
+            return 0j
+        found = self.roots[self.roots != 0.0]
+        gap = np.abs(found[:, None] - found[None, :]) + np.diag(np.full(len(found), np.inf))
+        if gap.size == 0 or gap.min() > _MULTIPLE * self.fastest:
+            return None
+        return complex(found[np.unravel_index(int(np.argmin(gap)), gap.shape)[0]])
+
+    def obstacles(self, required: float) -> list[tuple[str, str]]:
+        """Return what speaks against the reduction, and what would help, where a factor `required` is asked for."""
+        out: list[tuple[str, str]] = []
+        lowest = float(np.abs(self.dropped).min(initial=np.inf))
+        enough = lowest * (1.0 + _ROUNDING)
+        swinging = len(self.dropped) and abs(self.dropped[0].imag) > abs(self.dropped[0].real)
+        what = f"{'nutation' if swinging else 'the dropped decay'} at {lowest:.4g} rad/s"
+        if enough < required * self.loop_frequency:
+            out.append(
+                (
+                    f"{what} lies less than {required:g} times above the loop at {self.loop_frequency:.4g} rad/s",
+                    f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors "
+                    f"{required * self.loop_frequency / lowest:.3g} times faster",
+                )
+            )
+        if enough < required * self.fastest:
+            out.append(
+                (
+                    f"{what} lies less than {required:g} times above precession, which stiffness drives at up to "
+                    f"{self.fastest:.4g} rad/s",
+                    "spin the rotors faster, or make the stiffness softer",
+                )
+            )
+        growing = self.dropped[self.dropped.real > _GROWS * np.abs(self.dropped)]
+        if len(growing):
+            fastest = growing[np.argmax(growing.real)]
+            out.append((f"what would be dropped grows: pole at {_pole(fastest)} rad/s", "damp it, or make it stiffer"))
+        multiple = self.multiple_root
+        # Momenta are kept so that a loop may be designed: what splits far below it does not matter there.
+        if multiple is not None and (self.pure or required * self.root_error > self.loop_frequency):
+            out.append(
+                (
+                    f"the precession root {_pole(multiple)} rad/s is multiple: what is dropped decides how it splits",
+                    "part the roots by a change of stiffness or momentum",
+                )
+            )
+        return out
+
+
+def tried(at: Scaled, kept: Reduction, poles: ComplexArray, loop_frequency: float) -> Trial:
+    """Return the trial of a reduction; `poles` are those of the full equations, slowest first."""
+    found, chain = roots(at, kept)
+    rate = precession_rate(at, kept)
+    return Trial(
+        roots=found,
+        chain=chain,
+        rate=rate,
+        slow=poles[: len(found)],
+        dropped=poles[len(found) :],
+        pure=kept.N.shape[1] == 0,
+        loop_frequency=loop_frequency,
+    )
+
+
+def _pole(s: complex) -> str:
+    if abs(s.imag) <= _MULTIPLE * abs(s):
+        return f"{s.real:.4g}"
+    real = f"{s.real:.4g} " if abs(s.real) > _MULTIPLE * abs(s) else ""
+    return f"{real}{'-' if s.imag < 0.0 else '+'}{abs(s.imag):.4g}j"
