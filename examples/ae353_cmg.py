@@ -103,8 +103,8 @@ def draw(file: str, real: pc.Platform, ideal: pc.Platform) -> None:
         below.plot(moved.t, speed, style, label=label)
     above.set(ylabel="platform rate, rad/s", title="gimbal at 30 deg, kicked with 20 rad/s, no gravity")
     below.set(xlabel="t, s", ylabel="rotor speed, rad/s")
+    below.legend()
     for axes in (above, below):
-        axes.legend()
         axes.grid(alpha=0.3)
     figure.savefig(file, dpi=120)
 

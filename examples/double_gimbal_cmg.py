@@ -85,7 +85,8 @@ def draw(file: str, cmg: pc.Platform) -> None:
     for axes in (gain, rate):
         axes.axvline(90.0, color="0.5", linestyle=":")
         axes.grid(alpha=0.3)
-    gain.legend(loc="center left")
+    gain.set_ylim(0.0, 6200.0)
+    gain.legend(loc="upper center", ncols=2)
     rate.legend()
     figure.savefig(file, dpi=120)
 
