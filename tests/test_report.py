@@ -181,8 +181,9 @@ def test_requirements_that_are_not_met_are_marked_by_symbol_and_colour(result: J
 
 def test_every_loop_and_run_has_its_figures(result: JobResult, page: str) -> None:
     caging = sum(outcome.spec.kind == "caging" for outcome in result.loops)
-    servo, nutation, coupled = 1, 1, 4
-    assert page.count("<svg") == page.count("<figcaption") == 5 * caging + servo + nutation + coupled + len(result.runs)
+    servo, axes, nutation, coupled = 1, 1, 1, 4
+    expected = 5 * caging + servo + axes + nutation + coupled + len(result.runs)
+    assert page.count("<svg") == page.count("<figcaption") == expected
 
 
 def test_every_figure_is_described_and_has_a_sentence(page: str) -> None:

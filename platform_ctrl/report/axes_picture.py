@@ -93,8 +93,8 @@ _RULES = """
 """.strip()
 
 
-def axes_picture(platform: Platform) -> str:
-    """Return a picture of the axes of `platform` as the text of an SVG file.
+def axes_picture(platform: Platform, alone: bool = True) -> str:
+    """Return a picture of the axes of `platform` as the text of an SVG file, or as an element of the report's page.
 
     On the left the bodies: gimbals as frames on their bearings with the positive direction and turn of their angle,
     rotors as discs with the direction of L, the root as hatched mounts and as axes 1, 2, 3. In the model all axes go
@@ -103,6 +103,13 @@ def axes_picture(platform: Platform) -> str:
 
     The same platform gives the same text. Colours are those of the report's page, light or dark as the reader's
     screen; nothing is loaded from elsewhere.
+
+    Parameters
+    ----------
+    platform
+        What is drawn.
+    alone
+        Whether the text is a file of its own, with its own colours; otherwise it takes those of the page around it.
     """
     scheme = structure_scheme(platform)
     beside = WIDTH - 3.0 * _MARGIN - scheme.width >= _LEAST_WIDTH
@@ -119,12 +126,14 @@ def axes_picture(platform: Platform) -> str:
         at = 0.5 * (width - scheme.width), _HEAD + view.height + _MARGIN
     height = bottom + _FOOT
     size = f"{number(width)} {number(height)}"
+    dark = f"@media (prefers-color-scheme:dark){{svg:root{{{_variables(DARK)}}}}}\n"
+    colours = f"svg:root{{{_variables(LIGHT)}}}\n{dark}" if alone else ""
+    space = 'xmlns="http://www.w3.org/2000/svg" ' if alone else ""
     pieces = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="axes-picture" viewBox="0 0 {size}" role="img">',
+        f'<svg {space}class="axes-picture" viewBox="0 0 {size}" role="img">',
         f"<title>{plain_text(f'Axes of {platform.name}')}</title>",
         f"<desc>{plain_text(description(platform))}</desc>",
-        f"<style>\nsvg:root{{{_variables(LIGHT)}}}",
-        f"@media (prefers-color-scheme:dark){{svg:root{{{_variables(DARK)}}}}}\n{_RULES}</style>",
+        f"<style>\n{colours}{_RULES}</style>",
         f'<rect class="paper" width="{number(width)}" height="{number(height)}" rx="6"/>',
         words(platform.name, (_MARGIN, 34.0), "title"),
         f'<g class="view" transform="translate({number(_MARGIN)} {number(top)})">\n{view.svg}\n</g>',

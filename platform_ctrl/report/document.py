@@ -84,7 +84,7 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             "rotors": tables.rotor_rows(result),
             "elements": tables.element_rows(result),
             "modes": tables.mode_rows(result),
-            "plant_plates": _plant_plates(result),
+            "plant_plates": [_axes_plate(result), *_plant_plates(result)],
             "loops": [_loop_section(result, outcome) for outcome in result.loops],
             "coupled": captions.coupled_summary(result),
             "coupled_plates": _coupled_plates(result),
@@ -101,6 +101,13 @@ def _plate(figure: Figure, title: str, caption: str) -> Plate:
     from platform_ctrl.report import style
 
     return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
+
+
+def _axes_plate(result: JobResult) -> Plate:
+    from platform_ctrl.report.axes_picture import axes_picture
+
+    caption = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
+    return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=caption)
 
 
 def _plant_plates(result: JobResult) -> list[Plate]:
