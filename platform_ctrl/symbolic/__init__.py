@@ -1,0 +1,78 @@
+"""The equations in symbols, the paper's number by number. SymPy is loaded when they are asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from platform_ctrl.symbolic.result import Equations
+
+__all__ = ["FORMS", "HIGHEST_ORDER", "equations"]
+
+FORMS = ("text", "latex", "sympy", "json")
+HIGHEST_ORDER = 3
+
+Terms = Literal["paper", "exact"]
+
+
+@overload
+def equations(
+    platform: Platform, form: Literal["text", "latex"] = ..., order: int | None = ..., terms: Terms = ...
+) -> str: ...
+@overload
+def equations(platform: Platform, form: Literal["sympy"], order: int | None = ..., terms: Terms = ...) -> Equations: ...
+@overload
+def equations(
+    platform: Platform, form: Literal["json"], order: int | None = ..., terms: Terms = ...
+) -> dict[str, Any]: ...
+def equations(
+    platform: Platform,
+    form: Literal["text", "latex", "sympy", "json"] = "text",
+    order: int | None = 1,
+    terms: Terms = "paper",
+) -> str | dict[str, Any] | Equations:
+    """Return the platform's equations in symbols: the paper's (15), (19), (21) to (27).
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    form
+        ``"text"``: to read; ``"latex"``: a fragment that needs amsmath; ``"sympy"``: an `Equations` value, to work on;
+        ``"json"``: a dict of strings that `sympy.sympify` reads.
+    order
+        0 to 3: A, BᵀA_R B, G_A and G_R to this order in the angles, B to one more. None: exact, in sines and cosines
+        (at most 5 gimbals, 3 deep); then these matrices leave nothing out, whatever `terms`.
+    terms
+        ``"paper"``: A constant, G_A from BᵀA_R B alone, and in (27) what the paper keeps. ``"exact"``: everything.
+
+    Raises
+    ------
+    ArgumentError
+        Unknown `form` or `terms`, `order` out of range, or None for a large tree.
+    """
+    if form not in FORMS:
+        raise ArgumentError(f"form: given {form!r}; expected one of {', '.join(map(repr, FORMS))}")
+    if terms not in ("paper", "exact"):
+        raise ArgumentError(f"terms: given {terms!r}; expected 'paper' or 'exact'")
+    if order is not None and (type(order) is not int or not 0 <= order <= HIGHEST_ORDER):
+        raise ArgumentError(f"order: given {order!r}; expected 0 to {HIGHEST_ORDER}, or None for the exact matrices")
+    from platform_ctrl.symbolic.derivation import derived
+
+    found = derived(platform, order, terms)
+    if form == "sympy":
+        return found
+    if form == "json":
+        from platform_ctrl.symbolic.record import record_of
+
+        return record_of(found)
+    if form == "latex":
+        from platform_ctrl.symbolic.latex import latex_of
+
+        return latex_of(found)
+    from platform_ctrl.symbolic.text import text_of
+
+    return text_of(found)

@@ -1,0 +1,134 @@
+"""Series and linear forms -> SymPy expressions, collected by equal linear forms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import sympy
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.symbolic.names import NamedSymbol
+from platform_ctrl.symbolic.series import ONE, Monomial, Series
+
+Expression = Any  # SymPy ships no types
+
+# Coefficients of simple axes are fractions of small numbers (Taylor's factorials); others stay floats.
+_DENOMINATOR = 1000
+_ROUNDING = 2e-15
+
+# Longer sums stay in the order of their symbols: to bring them into SymPy's own takes it ten times as long.
+_SHORT = 6
+
+
+@lru_cache(maxsize=65536)
+def exact_number(number: float) -> Expression:
+    """Return a SymPy number: rational where the float is one of small numbers but for rounding."""
+    near = Fraction(number).limit_denominator(_DENOMINATOR)
+    if abs(number - near) <= _ROUNDING * max(1.0, abs(number)):
+        return sympy.Rational(near.numerator, near.denominator)
+    return sympy.Float(number)
+
+
+class Writer:
+    """Writes expressions in the symbols of one platform.
+
+    Attributes
+    ----------
+    symbols
+        SymPy symbols by name, and ``"1/f"``.
+    """
+
+    def __init__(
+        self, parameters: tuple[NamedSymbol, ...], angles: tuple[NamedSymbol, ...], trigonometric: bool
+    ) -> None:
+        self._parameters = [sympy.Symbol(s.name) for s in parameters]
+        self._angles = [sympy.Symbol(s.name) for s in angles]
+        self._trigonometric = trigonometric
+        self._monomials: dict[Monomial, Expression] = {ONE: sympy.S.One}
+
+    def monomial(self, monomial: Monomial) -> Expression:
+        """Return a product of angles, or of their sines and cosines."""
+        if monomial not in self._monomials:
+            factors = [self._factor(i) for i in monomial]
+            self._monomials[monomial] = sympy.Mul(*factors)
+        return self._monomials[monomial]
+
+    def _factor(self, i: int) -> Expression:
+        if not self._trigonometric:
+            return self._angles[i]
+        return (sympy.cos if i % 2 else sympy.sin)(self._angles[i // 2])
+
+    def form(self, form: FloatArray) -> Expression:
+        """Return a linear form in the parameters."""
+        at = np.flatnonzero(form)
+        terms = [_multiple(float(form[p]), self._parameters[p]) for p in at]
+        return sympy.Add(*terms, evaluate=len(terms) <= _SHORT)
+
+    def collected(self, terms: Iterable[tuple[Expression, FloatArray]]) -> Expression:
+        """Return Σ factor × form; factors of forms that are multiples of each other share one bracket."""
+        groups: dict[bytes, tuple[FloatArray, list[tuple[float, Expression]]]] = {}
+        for factor, form in terms:
+            ratio, basic = _split(form)
+            if not ratio:
+                continue
+            _, members = groups.setdefault(np.round(basic, 12).tobytes(), (basic, []))
+            members.append((ratio, factor))
+        return sympy.Add(*(self._bracketed(basic, members) for basic, members in groups.values()))
+
+    def _bracketed(self, form: FloatArray, members: list[tuple[float, Expression]]) -> Expression:
+        """Return form × Σ ratio × factor, with a number before it that all ratios are multiples of."""
+        common, _ = _split(np.array([ratio for ratio, _ in members]))
+        inside = sympy.Add(*(exact_number(ratio / common) * factor for ratio, factor in members))
+        return sympy.Mul(exact_number(common), self.form(form), inside)
+
+    def numeric_matrix(self, series: Series, shape: tuple[int, int], skip: Monomial | None = None) -> Expression:
+        """Return a matrix whose coefficients are numbers, without the monomial `skip`."""
+        cells: list[Expression] = [sympy.S.Zero] * (shape[0] * shape[1])
+        for i, j in np.ndindex(*shape):
+            terms = [exact_number(float(c[i, j])) * self.monomial(m) for m, c in _sorted(series, skip) if c[i, j]]
+            cells[i * shape[1] + j] = sympy.Add(*terms)
+        return sympy.ImmutableDenseMatrix(*shape, cells)
+
+    def matrix(self, series: Series, shape: tuple[int, int]) -> Expression:
+        """Return a matrix whose coefficients (symbols, rows, columns) are linear forms."""
+        stored = _sorted(series)
+        used = [np.asarray(coefficient.any(axis=0)) for _, coefficient in stored]
+        cells = []
+        for i, j in np.ndindex(*shape):
+            here = [(m, c[:, i, j]) for (m, c), u in zip(stored, used, strict=True) if u[i, j]]
+            cells.append(self.collected((self.monomial(m), form) for m, form in here))
+        return sympy.ImmutableDenseMatrix(*shape, cells)
+
+    def contracted(self, series: Series, velocity: list[Expression]) -> Expression:
+        """Return Σ coefficient[:, y] velocity_y, collected over monomials and velocities together."""
+        terms = [
+            (self.monomial(m) * velocity[y], c[:, y]) for m, c in _sorted(series) for y in np.flatnonzero(c.any(axis=0))
+        ]
+        return self.collected(terms)
+
+
+def _multiple(number: float, symbol: Expression) -> Expression:
+    """Return number × symbol as SymPy would, but for its look at what can be said of the number."""
+    factor = exact_number(number)
+    return symbol if factor == 1 else sympy.Mul(factor, symbol, evaluate=False)
+
+
+def _sorted(series: Series, skip: Monomial | None = None) -> list[tuple[Monomial, FloatArray]]:
+    return sorted(((m, c) for m, c in series.items() if m != skip), key=lambda item: (len(item[0]), item[0]))
+
+
+def _split(form: FloatArray) -> tuple[float, FloatArray]:
+    """Return a number and a form whose product is `form`: the same form for all its simple multiples."""
+    at = np.flatnonzero(form)
+    if not len(at):
+        return 0.0, form
+    lead = float(form[at[0]])
+    size = float(np.abs(form[at]).min())
+    multiples = form[at] / size
+    simple = np.abs(multiples - np.round(multiples)).max() < 1e-12
+    ratio = np.copysign(size, lead) if simple else np.copysign(1.0, lead)
+    return float(ratio), np.where(form == 0.0, 0.0, form / ratio)

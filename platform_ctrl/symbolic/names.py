@@ -1,0 +1,174 @@
+"""Names of the symbols: valid and unique, however the plant's parts are called, and how they are shown."""
+
+from __future__ import annotations
+
+import builtins
+import keyword
+import re
+import unicodedata
+from typing import Literal
+
+from platform_ctrl.frozen import value
+
+Kind = Literal[
+    "inertia",
+    "axial inertia",
+    "momentum",
+    "element",
+    "specific force",
+    "torque",
+    "rate of the root",
+    "acceleration of the root",
+    "acceleration",
+    "rate",
+    "angle",
+]
+
+_GREEK = {
+    "alpha": "α",
+    "beta": "β",
+    "gamma": "γ",
+    "delta": "δ",
+    "epsilon": "ε",
+    "zeta": "ζ",
+    "eta": "η",
+    "theta": "θ",
+    "kappa": "κ",
+    "lambda": "λ",
+    "mu": "μ",
+    "nu": "ν",
+    "xi": "ξ",
+    "rho": "ρ",
+    "sigma": "σ",
+    "tau": "τ",
+    "phi": "φ",
+    "chi": "χ",
+    "psi": "ψ",
+    "omega": "ω",
+    "Gamma": "Γ",
+    "Delta": "Δ",
+    "Theta": "Θ",
+    "Lambda": "Λ",
+    "Phi": "Φ",
+    "Psi": "Ψ",
+    "Omega": "Ω",
+}
+_DOTS = {0: ("", "{}"), 1: ("\u0307", r"\dot{{{}}}"), 2: ("\u0308", r"\ddot{{{}}}")}
+_ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\backslash ", "~": r"\sim ", "^": r"\wedge "}
+# What prose in LaTeX needs; in mathematics the names of greek letters are read before.
+_PROSE = (
+    {c: f"\\{c}" for c in "&%$#_{}"}
+    | {c: f"${command.strip()}$" for c, command in _ESCAPES.items() if c in "\\~^"}
+    | {letter: rf"$\{name}$" for name, letter in _GREEK.items() if name != "epsilon"}
+    | {"ε": r"$\varepsilon$", "²": "$^2$", "<": "$<$", ">": "$>$", "|": "$|$", "−": "$-$"}
+)
+
+
+@value
+class NamedSymbol:
+    """A symbol of the equations.
+
+    Attributes
+    ----------
+    name
+        Of the SymPy symbol: an identifier that neither Python nor SymPy has taken.
+    text, latex
+        How it is shown.
+    kind
+        What sort of quantity it is.
+    meaning, unit
+        One line; SI.
+    value
+        The platform's number; None for what changes with time.
+    """
+
+    name: str
+    text: str
+    latex: str
+    kind: Kind
+    meaning: str
+    unit: str
+    value: float | None = None
+
+
+class Names:
+    """Gives out names and notations, each only once."""
+
+    def __init__(self) -> None:
+        self._names: set[str] = set()
+        self._texts: set[str] = set()
+
+    def parameter(
+        self, head: str, label: str, part: str, kind: Kind, meaning: str, unit: str, number: float | None
+    ) -> NamedSymbol:
+        """Return the symbol `head` of the part of the plant called `label`; `part` says which component."""
+        digits = label.isascii() and label[:1].isdigit()
+        plain = head + ("" if digits or not label else "_") + label + (f"_{part}" if part else "")
+        name = self._unique(plain)
+        # Head and label fall together with another symbol: the label in brackets tells them apart.
+        apart = name != identifier(plain) or plain in self._texts
+        text = self._shown(f"{head}({label})" + (f"_{part}" if part else "") if apart and label else plain, name)
+        inside = f"({_label(label)})" if apart and label else _label(label)
+        below = ",".join(filter(None, (inside, part)))
+        latex = f"{_head(head)}_{{{below}}}" if below else _head(head)
+        return NamedSymbol(name=name, text=text, latex=latex, kind=kind, meaning=meaning, unit=unit, value=number)
+
+    def motion(self, angle: str, dots: int, kind: Kind, meaning: str, unit: str) -> NamedSymbol:
+        """Return an angle (or component of Omega) as the file names it, or its derivative."""
+        name = self._unique(angle + {0: "", 1: "_dot", 2: "_ddot"}[dots])
+        head, label = _split(angle)
+        mark, pattern = _DOTS[dots]
+        text = self._shown(f"{_GREEK.get(head, head)[:1]}{mark}{_GREEK.get(head, head)[1:]}{label}", name)
+        below = _label(label.lstrip("_"))
+        latex = pattern.format(_head(head)) + (f"_{{{below}}}" if below else "")
+        return NamedSymbol(name=name, text=text, latex=latex, kind=kind, meaning=meaning, unit=unit)
+
+    def _unique(self, wanted: str) -> str:
+        name = identifier(wanted)
+        while name in self._names:
+            name += "_"
+        self._names.add(name)
+        return name
+
+    def _shown(self, text: str, name: str) -> str:
+        out = text if text not in self._texts else name
+        self._texts.add(out)
+        return out
+
+
+def identifier(wanted: str) -> str:
+    """Return the nearest identifier to a name that Python, its built-in functions and SymPy leave free."""
+    import sympy
+
+    name = "".join(c if c.isalnum() else "_" for c in unicodedata.normalize("NFKC", wanted))
+    name = name if name.isidentifier() else "q_" + name
+    name = name if name.isidentifier() else "q_" + "_".join(str(ord(c)) for c in wanted)
+    return name + "_" if keyword.iskeyword(name) or hasattr(builtins, name) or hasattr(sympy, name) else name
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Return the letters at the head of a name, and the rest."""
+    found = re.match(r"[^\W\d_]+", name)
+    head = found[0] if found else ""
+    return (head, name[len(head) :]) if head else (name[:1], name[1:])
+
+
+def _head(head: str) -> str:
+    if head in _GREEK:
+        return rf"\{head}" if head != "epsilon" else r"\varepsilon"
+    return head if len(head) == 1 and head.isalnum() else rf"\mathrm{{{_escaped(head)}}}"
+
+
+def _label(label: str) -> str:
+    if not label or label.isdigit() or (len(label) == 1 and label.isalpha()):
+        return label
+    return rf"\mathrm{{{_escaped(label)}}}"
+
+
+def text_in_latex(text: str) -> str:
+    """Return prose for text mode: LaTeX's own characters escaped, powers and Greek letters in mathematics."""
+    return "".join(_PROSE.get(c, c) for c in text)
+
+
+def _escaped(text: str) -> str:
+    return "".join(_ESCAPES.get(c, c) for c in text).replace(" ", r"\ ")
