@@ -43,9 +43,9 @@ def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     tree = topology(platform)
     on_path = tree.on_path[tree.carriers].astype(np.float64)
     shared = _ROUNDING * np.einsum("ri,rj,r->ij", on_path, on_path, np.abs(tree.L))
-    G = {"1": _clean(at[0].G, shared)}
-    K = {name: _clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
-    Q0 = {name: _clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
+    G = {"1": clean(at[0].G, shared)}
+    K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
+    Q0 = {name: clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
     return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
 
 
@@ -54,7 +54,7 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     n = len(q)
     rotors = tuple(dataclasses.replace(rotor, angular_momentum=0.0) for rotor in platform.rotors)
     still = dataclasses.replace(bare(platform), rotors=rotors)
-    shared = _inertia_rounding(platform)
+    shared = inertia_rounding(platform)
     G, K, Q0 = {}, {}, {}
     at: dict[tuple[int, int], LinearModel] = {}
     for a, b in itertools.combinations_with_replacement(range(3), 2):
@@ -63,25 +63,25 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
         at[a, b] = linearise(still, rate, "exact", q)
     for (a, b), model in at.items():
         if a == b:
-            G[OMEGA_NAMES[a]] = _clean(model.G, shared)
-            K[f"{OMEGA_NAMES[a]}^2"] = _clean(model.K, shared)
-            Q0[f"{OMEGA_NAMES[a]}^2"] = _clean(model.Q0, np.diag(shared))
+            G[OMEGA_NAMES[a]] = clean(model.G, shared)
+            K[f"{OMEGA_NAMES[a]}^2"] = clean(model.K, shared)
+            Q0[f"{OMEGA_NAMES[a]}^2"] = clean(model.Q0, np.diag(shared))
         else:
             name = f"{OMEGA_NAMES[a]}*{OMEGA_NAMES[b]}"
-            K[name] = _clean(model.K - at[a, a].K - at[b, b].K, shared)
-            Q0[name] = _clean(model.Q0 - at[a, a].Q0 - at[b, b].Q0, np.diag(shared))
+            K[name] = clean(model.K - at[a, a].K - at[b, b].K, shared)
+            Q0[name] = clean(model.Q0 - at[a, a].Q0 - at[b, b].Q0, np.diag(shared))
     return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
 
 
 def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> MatrixPolynomial:
     """Return the coefficient of q from Omega' about the angles q (n,): all of it, or C alone as the paper has it."""
     turning = linearise(bare(platform), terms=terms, q=q).M_Omega_q
-    shared = _inertia_rounding(platform)
-    return polynomial({f"{a}'": _clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
+    shared = inertia_rounding(platform)
+    return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
 
 
-def _inertia_rounding(platform: Platform) -> FloatArray:
-    """Rounding to expect in the entry of gimbals i and j, (n, n): only what both carry enters it."""
+def inertia_rounding(platform: Platform) -> FloatArray:
+    """Return the rounding to expect in the entry of gimbals i and j, (n, n): only what both carry enters it."""
     tree = topology(platform)
     size = np.trace(tree.inertias, axis1=1, axis2=2)
     np.add.at(size, tree.carriers, tree.C * tree.regulated)
@@ -89,5 +89,6 @@ def _inertia_rounding(platform: Platform) -> FloatArray:
     return np.asarray(_ROUNDING * np.einsum("bi,bj,b->ij", on_path, on_path, size))
 
 
-def _clean(array: FloatArray, rounding: FloatArray) -> FloatArray:
+def clean(array: FloatArray, rounding: FloatArray) -> FloatArray:
+    """Return the array without the entries that are rounding alone."""
     return np.where(np.abs(array) > 4.0 * rounding, array, 0.0)

@@ -78,8 +78,8 @@ def monomial_values(
 def polynomial(terms: Mapping[str, FloatArray], shape: tuple[int, ...]) -> MatrixPolynomial:
     """Return the sum of coefficient times monomial, without the monomials whose coefficient is zero."""
     occurring = tuple(name for name in _FACTORS if name in terms and np.any(terms[name]))
-    stack = [terms[name] for name in occurring]
-    return MatrixPolynomial(monomials=occurring, coefficients=np.array(stack, dtype=np.float64).reshape(-1, *shape))
+    stack = np.array([terms[name] for name in occurring], dtype=np.float64)
+    return MatrixPolynomial(monomials=occurring, coefficients=stack.reshape(len(occurring), *shape))
 
 
 def total(*parts: MatrixPolynomial) -> MatrixPolynomial:

@@ -1,0 +1,54 @@
+"""Terms as (27) prints them: Greek letters, dots for derivatives, sums of rotors' L."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+
+import numpy as np
+
+from platform_ctrl.frozen import FloatArray
+
+_GREEK = {
+    **{"alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ"},
+    **{"kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "rho": "ρ", "sigma": "σ", "tau": "τ"},
+    **{"phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω"},
+}
+_DOTS = ("", "\u0307", "\u0308")
+
+
+def coordinate(angle: str, derivative: int) -> str:
+    """Return an angle or its derivative: ``alpha4``, 2 becomes α̈4."""
+    word = re.match("[A-Za-z]*", angle)
+    letters = "" if word is None else word.group()
+    letter = _GREEK.get(letters.lower(), letters)
+    if len(letter) == 1:
+        return unicodedata.normalize("NFC", letter + _DOTS[derivative]) + angle[len(letters) :]
+    return ("{}", "d({})/dt", "d²({})/dt²")[derivative].format(angle)
+
+
+def rates(monomial: str) -> str:
+    """Return a product of platform rates: ``Omega1*Omega2`` becomes Ω1 Ω2, ``Omega1'`` Ω̇1, and ``1`` nothing."""
+    if monomial == "1":
+        return ""
+    dotted = re.sub("Omega([123])'", "Ω\u0307\\1", monomial)
+    return dotted.replace("Omega", "Ω").replace("*", " ").replace("^2", "²")
+
+
+def combination(names: Sequence[str], weights: FloatArray) -> str:
+    """Return a sum of named quantities: (L6 − L8), −L8, 0.5 L6."""
+    out = ""
+    relevant = [k for k in range(len(names)) if abs(weights[k]) > 1e-12 * np.abs(weights).max()]
+    for k in relevant:
+        size = abs(weights[k])
+        sign = "−" if weights[k] < 0.0 else "+"
+        number = "" if abs(size - 1.0) < 1e-9 else f"{size:.3g} "
+        joint = f" {sign} " if out else sign.replace("+", "")
+        out += f"{joint}{number}{names[k]}"
+    return f"({out})" if len(relevant) > 1 else out
+
+
+def product(*factors: str) -> str:
+    """Return factors with spaces between those that are not empty."""
+    return " ".join(factor for factor in factors if factor)

@@ -1,0 +1,200 @@
+"""A term of a gimbal's equation and the table of all of them."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Sequence
+from typing import Literal
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray, value
+
+Kind = Literal[
+    "nutation",
+    "coupling inertia",
+    "gyroscopic action",
+    "Coriolis",
+    "gyroscopic restraint",
+    "centrifugal",
+    "rotor acceleration",
+    "inertia acceleration",
+    "acceleration disturbance",
+    "gyroscopic disturbance",
+    "centrifugal disturbance",
+    "spring",
+    "friction",
+    "cage",
+    "unbalance",
+    "erection",
+]
+
+# The paper's reading of what (27) keeps, in our words; the rest is ours.
+MEANINGS: dict[Kind, str] = {
+    "nutation": "inertia about the gimbal's own axis; matters for nutation and fast oscillation, not for precession",
+    "coupling inertia": "inertia that a gimbal feels when another is accelerated; matters where nutation does",
+    "gyroscopic action": "a rotor that is turned about one axis pushes about the other; dominant with fast rotors",
+    "Coriolis": "adds J Ω to the L of a gyroscopic action; dropped, because L is much larger",
+    "gyroscopic restraint": "the turning platform pulls the rotor's axis towards its own: a spring, stable where rotor "
+    "and platform turn in the same sense",
+    "centrifugal": "the turning platform pulls the gimbal's inertia; adds J Ω to the L of a gyroscopic restraint",
+    "rotor acceleration": "a change of the platform's rate, felt by a deflected rotor's axial inertia; usually small",
+    "inertia acceleration": "the same, felt by the other inertias; as large as the rotor's, yet dropped",
+    "acceleration disturbance": "a change of the platform's rate, felt by the gimbal's inertia; belongs with J q̈",
+    "gyroscopic disturbance": "the torque that takes a rotor along with the platform; the main disturbance, and what "
+    "a caged gyro measures",
+    "centrifugal disturbance": "the turning platform pulls the inertia of the gimbal even undeflected; adds J Ω to "
+    "the L of a gyroscopic disturbance",
+    "spring": "a spring between the gimbal and its parent",
+    "friction": "friction in the gimbal's bearing, dry friction by its describing function",
+    "cage": "the contact of a closed cage",
+    "unbalance": "specific force on a centre of mass off the fixed point",
+    "erection": "an erecting device that follows the specific force",
+}
+
+DROPPED_BY_THE_PAPER: frozenset[Kind] = frozenset(
+    {"Coriolis", "centrifugal", "inertia acceleration", "centrifugal disturbance"}
+)
+
+
+@value
+class Term:
+    """One term on the left side of a gimbal's equation.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal whose equation it stands in.
+    label
+        The term as in (27); ``J`` without a number is a combination of moments of inertia whose value is `coefficient`.
+    kind, meaning
+        What it is, and how to read it: the paper's reading of what (27) keeps.
+    coefficient
+        What stands before Omega and the coordinate, with its sign, SI.
+    factor
+        `coefficient` times its Omega, what stands before the coordinate (or, of a forcing term, the term), SI.
+    column, derivative
+        The gimbal whose angle it multiplies, and which derivative of it: 0, 1 or 2. None for a forcing term.
+    size
+        Its amplitude at the operating point, N m: the torque that is missing when it is dropped.
+    share, torque_error
+        `size` over the largest of its equation, and over the sum of all of them.
+    rank
+        Place by size in its equation, from 1.
+    sense
+        Of a stiffness on the gimbal's own angle: ``"stable"`` or ``"unstable"``. A gyroscopic restraint is stable where
+        rotor and platform turn in the same sense.
+    kept
+        Whether the paper's rule keeps it.
+    pole_change, poles_lost
+        What dropping it alone does to the poles of its subsystem: the largest relative change of those that remain, and
+        how many go to infinity (all, where nothing else determines the motion). None for a forcing term, which no pole
+        feels.
+    """
+
+    gimbal: str
+    label: str
+    kind: Kind
+    meaning: str
+    coefficient: float
+    factor: float
+    column: str | None
+    derivative: int | None
+    size: float
+    share: float
+    torque_error: float
+    rank: int
+    sense: Literal["stable", "unstable"] | None
+    kept: bool
+    pole_change: float | None
+    poles_lost: int | None
+
+
+@value
+class TermTable:
+    """Every term of every gimbal's equation at an operating point.
+
+    Attributes
+    ----------
+    platform
+        The platform.
+    Omega, Omega_dot : (3,)
+        The platform's rate and its derivative, rad/s, rad/s².
+    angles, rates, accelerations : (n,)
+        Amplitudes of the gimbals' motion, rad, rad/s, rad/s².
+    terms
+        Equations in the file's order, the terms of each by falling size.
+    """
+
+    platform: Platform
+    Omega: FloatArray
+    Omega_dot: FloatArray
+    angles: FloatArray
+    rates: FloatArray
+    accelerations: FloatArray
+    terms: tuple[Term, ...]
+
+    def of(self, gimbal: str) -> tuple[Term, ...]:
+        """Return the terms of the named gimbal's equation.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such gimbal.
+        """
+        known_name("gimbal", gimbal, self.platform.gimbal_names)
+        return tuple(term for term in self.terms if term.gimbal == gimbal)
+
+    def dropped_by_the_paper(self) -> tuple[Term, ...]:
+        """Return the terms that (27) leaves out, the largest of all equations first."""
+        return tuple(sorted((term for term in self.terms if not term.kept), key=lambda term: -term.size))
+
+    def text(self, gimbals: Sequence[str] | None = None, smallest: float = 0.0) -> str:
+        """Return the table as aligned text.
+
+        Parameters
+        ----------
+        gimbals
+            Names of those whose equations are wanted; default all.
+        smallest
+            Terms whose share of the largest of their equation is not above this are left out; by default those that
+            are zero at the operating point.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such gimbal.
+        """
+        lines = []
+        for gimbal in self.platform.gimbal_names if gimbals is None else gimbals:
+            terms = self.of(gimbal)
+            shown = [term for term in terms if term.share > smallest]
+            lines.append(f"gimbal {gimbal}: {len(shown)} of {len(terms)} terms")
+            head = ("", "term", "kind", "N m", "share", "poles", "paper", "")
+            cells = [head, *(_cells(term) for term in shown)]
+            widths = [max(_width(row[k]) for row in cells) for k in range(len(head))]
+            lines += ["  ".join(_pad(row[k], widths[k]) for k in range(len(head))).rstrip() for row in cells if shown]
+        return "\n".join(lines) or f"platform {self.platform.name!r} has no gimbals: there is no term to rank"
+
+    def legend(self) -> str:
+        """Return what the kinds of terms that occur mean, a line each."""
+        kinds = dict.fromkeys(term.kind for term in self.terms)
+        return "\n".join(f"{kind}: {MEANINGS[kind]}" for kind in MEANINGS if kind in kinds)
+
+
+def _cells(term: Term) -> tuple[str, ...]:
+    poles = "" if term.pole_change is None else f"{term.pole_change:.1e}"
+    if term.poles_lost:
+        poles += f", {term.poles_lost} lost"
+    size, share = f"{term.size:.2e}", f"{100 * term.share:.3g} %"
+    kept = "kept" if term.kept else "dropped"
+    return (str(term.rank), term.label, term.kind, size, share, poles, kept, term.sense or "")
+
+
+def _width(text: str) -> int:
+    """Columns on the screen: the dots over letters take none."""
+    return sum(not unicodedata.combining(letter) for letter in text)
+
+
+def _pad(text: str, width: int) -> str:
+    return text + " " * (width - _width(text))
