@@ -353,6 +353,8 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(dataclasses.replace(platform, gimbals=(), rotors=(), torquers=()))
     with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
         model.K["Omega4"]
+    with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
+        monomial_values(("Omega4",))
     with pytest.raises(ArgumentError, match="form='momenta'"):
         model.rhs(0.0, np.zeros(10), manoeuvre)
     with pytest.raises(ArgumentError, match=">= 0"):

@@ -198,6 +198,8 @@ def test_infinite_poles_of_a_chain_of_constraints_are_all_taken_out():
     np.testing.assert_allclose(poles(np.diag([0.0, 1.0]), G, np.zeros((2, 2))), [0.0, 0.0], atol=1e-12)
     rigid = poles(np.diag([0.0, 1.0]), np.zeros((2, 2)), np.array([[0.0, 1.0], [1.0, 0.0]]))
     assert len(rigid) == 0
+    # Two constraints that say the same leave a motion undetermined.
+    assert len(poles(np.zeros((2, 2)), np.zeros((2, 2)), np.ones((2, 2)))) == 0
     assert len(poles(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))) == 0
     assert pole_change(np.array([1j, -1j]), rigid, 0.1) == (0.0, 2)
 
@@ -298,3 +300,8 @@ def test_the_page_shows_what_is_printed(table):
     page = (Path(__file__).parents[1] / "docs" / "terms.md").read_text(encoding="utf-8")
     shown = page.split("```text\n")[1].split("\n```")[0]
     assert shown == table.text(gimbals=("9",))
+
+
+def test_bodies_with_words_for_names_are_subscripts():
+    table = terms(read_platform("gyro_horizon"), (0.0, 0.0, 0.1), (0.01, 0.01))
+    assert {"J_outer d²(roll)/dt²", "L_rotor d(roll)/dt"} <= {term.label for term in table.terms}

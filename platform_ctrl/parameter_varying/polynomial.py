@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -71,8 +72,10 @@ def monomial_values(
     """
     variables = np.concatenate([real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)])
     for name in monomials:
-        known_name("monomial", name, tuple(_FACTORS))
-    return np.array([np.prod(variables[list(_FACTORS[name])]) for name in monomials], dtype=np.float64)
+        if name not in _FACTORS:
+            known_name("monomial", name, tuple(_FACTORS))
+    values = [math.prod(variables[k] for k in _FACTORS[name]) for name in monomials]
+    return np.array(values, dtype=np.float64)
 
 
 def polynomial(terms: Mapping[str, FloatArray], shape: tuple[int, ...]) -> MatrixPolynomial:

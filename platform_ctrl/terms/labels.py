@@ -36,6 +36,11 @@ def rates(monomial: str) -> str:
     return dotted.replace("Omega", "Ω").replace("*", " ").replace("^2", "²")
 
 
+def symbol(letter: str, name: str) -> str:
+    """Return a quantity of a body: L6, J_outer."""
+    return f"{letter}{name}" if name[:1].isdigit() else f"{letter}_{name}"
+
+
 def combination(names: Sequence[str], weights: FloatArray) -> str:
     """Return a sum of named quantities: (L6 − L8), −L8, 0.5 L6."""
     out = ""

@@ -21,7 +21,7 @@ from platform_ctrl.parameter_varying.coefficients import (
     rotor_part,
 )
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial
-from platform_ctrl.terms.labels import combination
+from platform_ctrl.terms.labels import combination, symbol
 from platform_ctrl.terms.table import Kind
 
 # Name of the quantity before an entry of the equations, from its place.
@@ -74,7 +74,7 @@ def _mass(platform: Platform, q: FloatArray) -> Iterator[Part]:
 
     def inertia(place: tuple[int, ...]) -> str:
         i, j = place
-        return f"J{names[i]}" if i == j else f"J{names[i]},{names[j]}"
+        return symbol("J", names[i] if i == j else f"{names[i]},{names[j]}")
 
     yield _part("nutation", 2, "1", M, inertia, off_diagonal="coupling inertia")
     for a, name in enumerate(OMEGA_NAMES):
@@ -97,12 +97,12 @@ def _rotors(platform: Platform, q: FloatArray) -> Iterator[Part]:
         turning.append(acceleration_part(dataclasses.replace(platform, rotors=tuple(one)), q, "paper"))
     L = np.array([rotor.angular_momentum for rotor in rotors])
     C = np.array([rotor.axial_inertia for rotor in rotors])
-    momenta = [f"{'p' if rotor.control == 'free' else 'L'}{rotor.name}" for rotor in rotors]
+    momenta = [symbol("p" if rotor.control == "free" else "L", rotor.name) for rotor in rotors]
     yield _sum_of("gyroscopic action", 1, "1", L, momenta, [part.G for part in unit])
     for name in OMEGA_NAMES:
         yield _sum_of("gyroscopic restraint", 0, name, L, momenta, [part.K for part in unit])
         yield _sum_of("gyroscopic disturbance", None, name, L, momenta, [part.Q0 for part in unit])
-        yield _sum_of("rotor acceleration", 0, f"{name}'", C, [f"C{rotor.name}" for rotor in rotors], turning)
+        yield _sum_of("rotor acceleration", 0, f"{name}'", C, [symbol("C", rotor.name) for rotor in rotors], turning)
 
 
 def _inertias(platform: Platform, q: FloatArray) -> Iterator[Part]:
@@ -126,7 +126,7 @@ def _own_inertia(M: FloatArray, coefficients: FloatArray, names: tuple[str, ...]
     def named(place: tuple[int, ...]) -> str:
         entry, own = coefficients[place], M[place[0], place[0]]
         if names and np.isclose(abs(entry), own, rtol=1e-12, atol=0.0):
-            return f"{'−' if entry < 0.0 else ''}J{names[place[0]]}"
+            return ("−" if entry < 0.0 else "") + symbol("J", names[place[0]])
         return "J"
 
     return named
@@ -145,12 +145,12 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
         ("unbalance", "unbalances", "body", "(m r f)"),
         ("erection", "erections", "gimbal", "e"),
     )
-    for kind, field, where, symbol in families:
+    for kind, field, where, letter in families:
         for element in getattr(platform, field):
             only: dict[str, Any] = {field: (element,)}
             alone = dataclasses.replace(bare(platform), **only)
 
-            def name(place: tuple[int, ...], given: str = f"{symbol}{getattr(element, where)}") -> str:
+            def name(place: tuple[int, ...], given: str = symbol(letter, getattr(element, where))) -> str:
                 return given
 
             slopes = force_slopes(alone, q, specific_force, amplitude)
