@@ -211,7 +211,7 @@ def test_along_a_manoeuvre_the_error_is_of_second_order_in_the_angles(form):
     platform = small_three_body()
     n = len(platform.gimbals)
     model = parameter_varying(platform, form=form)
-    times = np.linspace(0.0, 2.0, 9)
+    times = np.linspace(0.0, 1.0, 9)
     start = np.array([1.0, -0.5, 0.7, 0.4, -0.8])
 
     def caging(t):
@@ -229,7 +229,7 @@ def test_along_a_manoeuvre_the_error_is_of_second_order_in_the_angles(form):
 
     errors = []
     for size in (0.02, 0.01):
-        keep = {"t_span": (0.0, 2.0), "t_eval": times, "rtol": 1e-8, "atol": 1e-10}
+        keep = {"t_span": (0.0, 1.0), "t_eval": times, "rtol": 1e-7, "atol": 1e-9}
         full = solve_ivp(exact, y0=np.concatenate([size * start, np.zeros(n)]), **keep).y[:n]
         first = solve_ivp(linear, y0=model.state(size * start, np.zeros(n), manoeuvre(0.0)), **keep).y[:n]
         errors.append(np.abs(full - first).max())
@@ -244,7 +244,7 @@ def test_both_forms_move_alike_and_the_momenta_need_no_acceleration():
     for form, change in (("rates", manoeuvre_change), ("momenta", None)):
         model = parameter_varying(platform, form=form)
         run = solve_ivp(
-            model.rhs, (0, 1), model.state(q, rates, manoeuvre(0)), args=(manoeuvre, change), rtol=1e-9, atol=1e-11
+            model.rhs, (0, 1), model.state(q, rates, manoeuvre(0)), args=(manoeuvre, change), rtol=1e-8, atol=1e-10
         )
         runs.append(run.y[:5, -1])
         assert any(name.endswith("'") for name in model.affine().parameters) == (form == "rates")
