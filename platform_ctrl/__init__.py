@@ -1,7 +1,8 @@
 """Control loops of gimballed platforms with fast rotors: equations of motion, design, check, report.
 
-The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space` is both
-a function and the module that holds it; ``platform_ctrl.state_space`` is always the function.
+The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space`, `precession`,
+`parameter_varying` and `terms` are both functions and the modules that hold them; ``platform_ctrl.state_space`` is always
+the function.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
         with_regulated_rotors,
         with_rotors_as_gimbals,
     )
+    from platform_ctrl.parameter_varying import ParameterVaryingModel, parameter_varying
     from platform_ctrl.reading import read_job, read_platform
     from platform_ctrl.state_space import state_space, subsystems
+    from platform_ctrl.terms import TermTable, terms
 
 __version__ = "0.1.0"
 
@@ -40,11 +43,13 @@ __all__ = [
     "Gimbal",
     "Job",
     "LinearModel",
+    "ParameterVaryingModel",
     "PickOff",
     "Platform",
     "PlatformCtrlError",
     "Rotor",
     "Spring",
+    "TermTable",
     "Torquer",
     "Unbalance",
     "analysis",
@@ -55,6 +60,7 @@ __all__ = [
     "inverse_dynamics",
     "linearise",
     "matrices",
+    "parameter_varying",
     "read_job",
     "read_platform",
     "report",
@@ -63,6 +69,7 @@ __all__ = [
     "simulation",
     "state_space",
     "subsystems",
+    "terms",
     "with_free_rotors",
     "with_regulated_rotors",
     "with_rotors_as_gimbals",
@@ -77,11 +84,13 @@ _HOME = {
     "Gimbal": "description",
     "Job": "job",
     "LinearModel": "linearisation",
+    "ParameterVaryingModel": "parameter_varying",
     "PickOff": "description",
     "Platform": "description",
     "PlatformCtrlError": "errors",
     "Rotor": "description",
     "Spring": "force_elements",
+    "TermTable": "terms",
     "Torquer": "description",
     "Unbalance": "force_elements",
     "element_forces": "mechanics",
@@ -89,11 +98,13 @@ _HOME = {
     "inverse_dynamics": "mechanics",
     "linearise": "linearisation",
     "matrices": "mechanics",
+    "parameter_varying": "parameter_varying",
     "read_job": "reading",
     "read_platform": "reading",
     "rotor_momenta": "mechanics",
     "state_space": "state_space",
     "subsystems": "state_space",
+    "terms": "terms",
     "with_free_rotors": "mechanics",
     "with_regulated_rotors": "mechanics",
     "with_rotors_as_gimbals": "mechanics",
