@@ -168,11 +168,11 @@ def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None
     order = _least_opposed_first(at, null)
     damped = _slowest(null.T @ at.D @ null) > fast
     turning = _turns(model, rows)
-    first = 0 if damped and turning else n - rank
+    first = 0 if damped and turning else n - rank if turning else n
     held = [
         Reduction(N=none, H=order[:, :h])
         for h in range(first, n)
-        if turning and (h == 0 or _holds(at, order[:, :h], order[:, h:], fast))
+        if (h == 0 or _holds(at, order[:, :h], order[:, h:], fast))
     ]
     trials = [tried(at, candidate, poles, loop_frequency) for candidate in held]
     good = next((k for k, trial in enumerate(trials) if not trial.obstacles(required)), 0)
@@ -183,7 +183,7 @@ def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None
         trial, cured = trials[good], held[good]
     else:
         pure = Reduction(N=none, H=none) if _slowest(at.D) > _NULL * at.size else None
-        cured = Reduction(N=null, H=none)
+        cured = Reduction(N=order[:, :first], H=none)
         trial = tried(at, cured, poles, loop_frequency)
         findings.append(_lack(turning, at, null, names, fast))
     findings += trial.obstacles(required)

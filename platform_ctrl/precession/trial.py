@@ -90,7 +90,9 @@ class Trial:
                 (
                     f"{what} lies less than {required:g} times above the loop at {self.loop_frequency:.4g} rad/s",
                     f"close the loop below {lowest / required:.4g} rad/s, or spin the rotors "
-                    f"{required * self.loop_frequency / lowest:.3g} times faster",
+                    f"{required * self.loop_frequency / lowest:.3g} times faster"
+                    if lowest > 0.0
+                    else "hold what does not return",
                 )
             )
         if enough < required * self.fastest:
