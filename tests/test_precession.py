@@ -443,6 +443,22 @@ def test_without_spin_no_rotor_gives_any_momentum(platform):
         np.testing.assert_allclose(np.asarray(sys(2j)), np.asarray(full(2j)), rtol=1e-9, atol=1e-6)
 
 
+def test_a_single_gimbal_has_no_gyroscopic_pair(platform):
+    """A rate gyro: its damper serves up to a frequency, and without one to compare with nothing is said."""
+    gyro = dataclasses.replace(
+        with_momenta(platform, L, L, L),
+        gimbals=platform.gimbals[3:4],
+        rotors=(dataclasses.replace(platform.rotors[2], carrier="9"),),
+        torquers=(),
+        pickoffs=(),
+        frictions=(Friction(gimbal="9", viscous=0.1),),
+    )
+    whole = precession(linearise(gyro))
+    assert whole.reasons == ("9: G_R is 1 x 1 and skew, so its determinant is 0: alpha9 has no gyroscopic stiffness",)
+    assert whole.cures[1] == "9: or restrain alpha9 and give loop_frequency"
+    assert precession(linearise(gyro), loop_frequency=5.0).admissible
+
+
 def test_a_platform_without_gimbals_has_nothing_to_refuse():
     platform = read_platform({"schema": 1, "name": "bare", "root": {"name": "base", "inertia": [1, 1, 1]}})
     whole = precession(linearise(platform))

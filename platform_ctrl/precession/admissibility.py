@@ -166,13 +166,13 @@ def judged(model: LinearModel, rows: Sequence[int], loop_frequency: float | None
     poles = full_poles(at)
     # The models to choose from: what gives way first stands first.
     order = _least_opposed_first(at, null)
-    damped = _slowest(null.T @ at.D @ null) > fast
+    damped = rank == n or _slowest(null.T @ at.D @ null) > fast > 0.0
     turning = _turns(model, rows)
     first = 0 if damped and turning else n - rank if turning else n
     held = [
         Reduction(N=none, H=order[:, :h])
         for h in range(first, n)
-        if (h == 0 or _holds(at, order[:, :h], order[:, h:], fast))
+        if h == 0 or _holds(at, order[:, :h], order[:, h:], fast)
     ]
     trials = [tried(at, candidate, poles, loop_frequency) for candidate in held]
     good = next((k for k, trial in enumerate(trials) if not trial.obstacles(required)), 0)
@@ -285,6 +285,9 @@ def _lack(turning: bool, at: Scaled, null: FloatArray, names: Sequence[str], fas
     n, k = null.shape
     singular = f"G_R is {n} x {n} and skew, so its determinant is 0" if n % 2 else f"G_R has rank {n - k} of {n}"
     why = f"{singular}: {', '.join(names)} {'has' if k == 1 else 'have'} no gyroscopic stiffness"
+    if fast == 0.0:
+        # No gyroscopic pair at all, so nothing that a restraint could be measured by.
+        return why, f"restrain {', '.join(names)} and give loop_frequency"
     stiffness = np.linalg.eigvals(null.T @ at.S @ null)
     held = _slowest(null.T @ at.D @ null)
     if np.all(stiffness.real > 0.0):
