@@ -1,8 +1,8 @@
 """Control loops of gimballed platforms with fast rotors: equations of motion, design, check, report.
 
 The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space`, `precession`,
-`parameter_varying` and `terms` are both functions and the modules that hold them; ``platform_ctrl.state_space`` is always
-the function.
+`parameter_varying` and `terms` are functions as well as the modules that hold them; ``platform_ctrl.state_space`` is
+always the function.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         with_rotors_as_gimbals,
     )
     from platform_ctrl.parameter_varying import ParameterVaryingModel, parameter_varying
+    from platform_ctrl.precession import Precession, precession
     from platform_ctrl.reading import read_job, read_platform
     from platform_ctrl.state_space import state_space, subsystems
     from platform_ctrl.terms import TermTable, terms
@@ -47,6 +48,7 @@ __all__ = [
     "PickOff",
     "Platform",
     "PlatformCtrlError",
+    "Precession",
     "Rotor",
     "Spring",
     "TermTable",
@@ -61,6 +63,7 @@ __all__ = [
     "linearise",
     "matrices",
     "parameter_varying",
+    "precession",
     "read_job",
     "read_platform",
     "report",
@@ -88,6 +91,7 @@ _HOME = {
     "PickOff": "description",
     "Platform": "description",
     "PlatformCtrlError": "errors",
+    "Precession": "precession",
     "Rotor": "description",
     "Spring": "force_elements",
     "TermTable": "terms",
@@ -99,6 +103,7 @@ _HOME = {
     "linearise": "linearisation",
     "matrices": "mechanics",
     "parameter_varying": "parameter_varying",
+    "precession": "precession",
     "read_job": "reading",
     "read_platform": "reading",
     "rotor_momenta": "mechanics",

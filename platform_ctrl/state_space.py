@@ -97,10 +97,10 @@ def state_space(
         if gimbals is not None:
             raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
         return _free(model, specific_force)
-    rows = _rows(model, gimbals)
+    rows = whole_subsystems(model, gimbals)
     names = [model.angle_names[k] for k in rows]
     chosen = [model.gimbal_names[k] for k in rows]
-    torquers, torque_map = _gimbal_torquers(model, chosen)
+    torquers, torque_map = gimbal_torquers(model, chosen)
     part = np.ix_(rows, rows)
     M, G, K = model.M[part], model.damping[part], model.stiffness[part]
     M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
@@ -121,7 +121,7 @@ def state_space(
 def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     n = len(model.gimbal_names)
     names = list(model.angle_names)
-    torquers, torque_map = _gimbal_torquers(model, list(model.gimbal_names))
+    torquers, torque_map = gimbal_torquers(model, list(model.gimbal_names))
     inertia = np.block([[model.M, model.M_Omega], [model.M_Omega.T, model.root_inertia]])
     to_rates = inverse_inertia(inertia, (*names, *OMEGA_NAMES))
     q_dot, omega = to_rates[:n], to_rates[n:]
@@ -150,7 +150,14 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
 
 
-def _rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
+def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
+    """Return the rows of the named gimbals, of all without names.
+
+    Raises
+    ------
+    ArgumentError
+        A string, an unknown name, or names that cut through a subsystem.
+    """
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
     if isinstance(gimbals, str):
@@ -167,7 +174,8 @@ def _rows(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     return sorted(chosen)
 
 
-def _gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
+def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return the names of the torquers on the named gimbals, and which gimbal each turns, (gimbals, torquers)."""
     torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
     torque_map = np.zeros((len(gimbals), len(torquers)))
     for column, torquer in enumerate(torquers):

@@ -13,7 +13,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.precession.admissibility import PrecessionPart, judged
 from platform_ctrl.precession.signals import system
-from platform_ctrl.state_space import _gimbal_torquers, _rows, subsystems
+from platform_ctrl.state_space import gimbal_torquers, subsystems, whole_subsystems
 
 if TYPE_CHECKING:
     import control
@@ -95,7 +95,7 @@ class Precession:
             if not (momentum_states or part.admissible):
                 raise part.refusal()
         angles = [self.model.angle_names[self.model.gimbal_names.index(name)] for name in self.gimbals]
-        torquers, torque_map = _gimbal_torquers(self.model, self.gimbals)
+        torquers, torque_map = gimbal_torquers(self.model, self.gimbals)
         return system(self.parts, momentum_states, self.gimbals, angles, torquers, torque_map)
 
     def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
@@ -170,7 +170,7 @@ def precession(
     """
     frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
     required = positive("separation", separation)
-    rows = _rows(model, gimbals)
+    rows = whole_subsystems(model, gimbals)
     chosen = tuple(model.gimbal_names[k] for k in rows)
     groups = [group for group in subsystems(model) if group[0] in chosen]
     index = {name: k for k, name in enumerate(model.gimbal_names)}
