@@ -1,8 +1,8 @@
 """Control loops of gimballed platforms with fast rotors: equations of motion, design, check, report.
 
-The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space`, `precession`,
-`parameter_varying` and `terms` are functions as well as the modules that hold them; ``platform_ctrl.state_space`` is
-always the function.
+The public names are loaded on first use: ``import platform_ctrl`` itself loads nothing else. `state_space`,
+`precession`, `parameter_varying` and `terms` are functions as well as the modules that hold them;
+``platform_ctrl.state_space`` is always the function.
 """
 
 from __future__ import annotations
