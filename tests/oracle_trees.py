@@ -1,0 +1,531 @@
+"""Random trees with everything that is nasty, and the same trees as models of Pinocchio and MuJoCo.
+
+Those libraries know nothing of rotors whose speed is held: here every rotor is a body of its own on a hinge. Neither is
+imported before a model is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.description import Gimbal, Platform, Rotor
+
+EPS = np.finfo(float).eps
+DEPTH = 6  # longest chain of gimbals
+FASTEST = 2000.0  # fastest rotor, rad/s
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A platform in motion; `rng` for whatever else a statement needs."""
+
+    platform: Platform
+    q: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    attitude: np.ndarray
+    rng: np.random.Generator
+
+
+def for_all(strategy: st.SearchStrategy[Any], quick: int, long: int = 1000) -> Callable[..., Any]:
+    """Turn a statement about one drawn value into a test of `quick` examples and a slow one of `long` examples."""
+
+    def decorate(statement: Callable[[Any], None]) -> Callable[[int], None]:
+        @pytest.mark.parametrize("examples", [quick, pytest.param(long, marks=pytest.mark.slow)])
+        def test(examples: int) -> None:
+            effort = settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck))
+            effort(given(strategy)(statement))()
+
+        test.__name__, test.__doc__ = statement.__name__, statement.__doc__
+        return test
+
+    return decorate
+
+
+def turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Return the rotation about a unit axis, (3, 3)."""
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Return the rotation of a unit quaternion w, x, y, z, (3, 3)."""
+    w, v = quaternion[0], quaternion[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2 * (w * cross + cross @ cross)
+
+
+@st.composite
+def motions(draw, controls=("regulated", "free"), max_rotors=4, min_size=1e-6):
+    """Draw a platform in motion.
+
+    Chains to depth 6 and bushes of up to 8 gimbals, listed in any order. Axes: any, a coordinate axis, the parent's,
+    its negative, nearly parallel to it, or the one that locks with the grandparent's at the parent's angle, to within
+    1e-9 to 1e-2 rad. Inertias from `min_size` to 1 kg m² side by side, flat and rod-like bodies among them. Rotors on
+    any body and about any axis, at rest or to 2000 rad/s, regulated or free.
+    """
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(1, 8))
+    shape = draw(st.sampled_from(["chain", "bush", "any"]))
+    parents, depths = [], []
+    for k in range(n):
+        able = [j for j in range(k) if depths[j] < DEPTH]
+        if shape == "chain" and able:
+            parent = max(able, key=lambda j: depths[j])
+        elif shape == "bush":
+            parent = draw(st.integers(-1, min(k - 1, 1)))
+        else:
+            parent = draw(st.sampled_from([-1, *able]))
+        parents.append(parent)
+        depths.append(1 + (depths[parent] if parent >= 0 else 0))
+    q = rng.uniform(-np.pi, np.pi, n)
+    q[[draw(st.integers(0, 3)) == 0 for _ in range(n)]] = 0.0
+    axes: list[np.ndarray] = []
+    for parent in parents:
+        kinds = ["any", "coordinate"]
+        if parent >= 0:
+            kinds += ["parallel", "antiparallel", "nearly parallel"]
+            kinds += ["lock"] * 2 * (parents[parent] >= 0)
+        kind = draw(st.sampled_from(kinds))
+        sign = 1.0 if draw(st.booleans()) else -1.0
+        if kind == "any":
+            axis = _unit(rng)
+        elif kind == "coordinate":
+            axis = sign * np.eye(3)[draw(st.integers(0, 2))]
+        elif kind == "lock":
+            away = sign * 10 ** rng.uniform(-9, -2)
+            axis = sign * turn(axes[parent], q[parent] + away).T @ axes[parents[parent]]
+        else:
+            axis = {"parallel": 1.0, "antiparallel": -1.0, "nearly parallel": sign}[kind] * axes[parent]
+            if kind == "nearly parallel":
+                axis = axis + 10 ** rng.uniform(-9, -2) * _unit(rng)
+        axes.append(axis / np.linalg.norm(axis))
+    names = ["root", *(f"g{k}" for k in range(n))]
+
+    def size() -> float:
+        # The ends are what is nasty.
+        low = np.log10(min_size)
+        return float(10 ** draw(st.sampled_from([0.0, low, rng.uniform(low, 0.0)])))
+
+    gimbals = [
+        Gimbal(
+            name=names[1 + k], parent=names[1 + parents[k]], axis=axes[k], inertia=_inertia(rng, size()), angle=f"q{k}"
+        )
+        for k in range(n)
+    ]
+    rotors = []
+    for k in range(draw(st.integers(0, max_rotors))):
+        carrier = draw(st.integers(-1, n - 1))
+        kind = draw(st.sampled_from(["any", "coordinate", "own axis"]))
+        if kind == "own axis" and carrier >= 0:
+            axis = axes[carrier] * rng.choice([-1.0, 1.0])
+        else:
+            axis = _unit(rng) if kind == "any" else np.eye(3)[draw(st.integers(0, 2))]
+        axial = 0.3 * size()
+        spin = draw(st.sampled_from([0.0, FASTEST, -FASTEST, rng.uniform(-FASTEST, FASTEST), rng.normal()]))
+        rotors.append(
+            Rotor(
+                name=f"r{k}",
+                carrier=names[1 + carrier],
+                axis=axis,
+                axial_inertia=axial,
+                transverse_inertia=float(axial * rng.uniform(0.5, 2.0)),
+                angular_momentum=axial * spin,
+                control=draw(st.sampled_from(controls)),
+            )
+        )
+    order = rng.permutation(n)
+    platform = Platform(
+        name="random tree",
+        root_name="root",
+        root_inertia=_inertia(rng, size()),
+        gimbals=tuple(gimbals[k] for k in order),
+        rotors=tuple(rotors),
+    )
+    quick, hard = 10 ** rng.uniform(-3, 1, 2)
+    return Motion(
+        platform=platform,
+        q=q[order],
+        velocity=quick * rng.normal(size=3 + n),
+        acceleration=hard * rng.normal(size=3 + n),
+        attitude=_unit(rng, 4),
+        rng=rng,
+    )
+
+
+def _unit(rng: np.random.Generator, size: int = 3) -> np.ndarray:
+    vector = rng.normal(size=size)
+    return vector / np.linalg.norm(vector)
+
+
+def _inertia(rng: np.random.Generator, size: float) -> np.ndarray:
+    # Principal moments from positive second moments keep the triangle inequality.
+    spread = 10 ** rng.uniform(-rng.choice([0.3, 3.0]), 0, 3)
+    basis, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    inertia = basis @ np.diag(spread.sum() - spread) @ basis.T * size
+    return 0.5 * (inertia + inertia.T)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body of the tree as general multi-body programs see it; `rotor` says which rotor it is, or None."""
+
+    name: str
+    parent: int
+    axis: np.ndarray | None
+    inertia: np.ndarray
+    gimbal: int | None = None
+    rotor: int | None = None
+
+
+def links(platform: Platform, rotors: str = "bodies", depth_first: bool = True) -> list[Link]:
+    """Return the bodies, root first, parents before children.
+
+    `rotors`: "bodies" of their own, or "locked": regulated rotors belong to their carriers with C, free ones without.
+    """
+    eye = np.eye(3)
+    inertias = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
+    carriers = 1 + platform.carriers
+    if rotors == "locked":
+        inertias = [np.array(inertia) for inertia in inertias]
+        for rotor, body in zip(platform.rotors, carriers, strict=True):
+            along = np.outer(rotor.axis, rotor.axis)
+            inertias[body] += rotor.transverse_inertia * (eye - along)
+            inertias[body] += (rotor.control != "free") * rotor.axial_inertia * along
+    out = [Link(platform.root_name, -1, None, inertias[0])]
+
+    def rotors_of(body: int, at: int) -> list[Link]:
+        if rotors == "locked":
+            return []
+        found = []
+        for k in np.flatnonzero(carriers == body):
+            rotor = platform.rotors[k]
+            along = np.outer(rotor.axis, rotor.axis)
+            inertia = rotor.transverse_inertia * (eye - along) + rotor.axial_inertia * along
+            found.append(Link(f"rotor {rotor.name}", at, rotor.axis, inertia, rotor=int(k)))
+        return found
+
+    waiting = [(0, 0)]
+    while waiting:
+        body, at = waiting.pop() if depth_first else waiting.pop(0)
+        if body:
+            gimbal = platform.gimbals[body - 1]
+            out.append(Link(gimbal.name, at, gimbal.axis, inertias[body], gimbal=body - 1))
+            at = len(out) - 1
+        if depth_first:
+            out += rotors_of(body, at)
+        waiting += [(1 + int(k), at) for k in np.flatnonzero(platform.parents == body - 1)]
+        if not depth_first:
+            out += rotors_of(body, at)
+    return out
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """What rounding may do to the rows of a platform, from bodies' sizes and rates alone.
+
+    The moment balance of body b is J_b α_b + ω_b × J_b ω_b; its rounding is a few eps ‖J_b‖ (|α_b| + |ω_b|²) whatever
+    the method, and a joint's row gathers that of all bodies that it carries. A rotor as a body has its spin in ω_b:
+    with exact numbers ω × Jω contains no spin², in floating point eps C spin² is left.
+
+    Attributes
+    ----------
+    torque : (3 + n + m,)
+        Σ ‖J_b‖ (|α_b| + |ω_b|²) over the bodies that each row carries, those of the rotors last, N m.
+    mass : (3 + n + m, 3 + n + m)
+        Σ ‖J_b‖ over the bodies that both carry, kg m²: a row's own diagonal may be far less (a rotor's A does not count
+        about its axis).
+    energy, momentum
+        Σ ‖J_b‖ |ω_b|², J; Σ ‖J_b‖ |ω_b|, N m s.
+    """
+
+    torque: np.ndarray
+    mass: np.ndarray
+    energy: float
+    momentum: float
+
+
+def rounding(motion: Motion, spin: np.ndarray | None = None, spin_acceleration: np.ndarray | float = 0.0) -> Rounding:
+    """Return the sizes that eps multiplies; `spin` of the rotors relative to their carriers, default none."""
+    platform, u, u_dot = motion.platform, motion.velocity, motion.acceleration
+    n, m = len(platform.gimbals), len(platform.rotors)
+    spin = np.zeros(m) if spin is None else spin
+    on_path = np.zeros((1 + n, 3 + n), dtype=bool)
+    on_path[:, :3] = True
+    for body in range(1 + n):
+        at = body
+        while at:
+            on_path[body, 2 + at] = True
+            at = 1 + int(platform.parents[at - 1])
+    bodies = [(platform.root_inertia, 0), *((g.inertia, 1 + k) for k, g in enumerate(platform.gimbals))]
+    size = np.array([np.linalg.norm(inertia, 2) for inertia, _ in bodies])
+    size = np.concatenate([size, [max(r.axial_inertia, r.transverse_inertia) for r in platform.rotors]])
+    carried = np.zeros((1 + n + m, 3 + n + m), dtype=bool)
+    carried[:, : 3 + n] = np.vstack([on_path, on_path[1 + platform.carriers]])
+    carried[1 + n :, 3 + n :] = np.eye(m, dtype=bool)
+    rate = carried @ np.abs(np.concatenate([u, spin]))
+    change = carried @ np.abs(np.concatenate([u_dot, np.broadcast_to(spin_acceleration, m)]))
+    moment = size * (change + rate**2)
+    return Rounding(
+        torque=carried.T @ moment,
+        mass=carried.T @ (size[:, None] * carried),
+        energy=float(size @ rate**2),
+        momentum=float(size @ rate),
+    )
+
+
+def solved(mass: np.ndarray, torque: np.ndarray, mass_size: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """First-order bound of u̇ = M⁻¹ f, by eps: `torque` is uncertain in f, `mass_size` in M, `change` is |u̇|.
+
+    A solver that scales M to a unit diagonal errs by eps √(M_ii M_jj) at any i, j.
+    """
+    diagonal = np.sqrt(np.diag(mass))
+    return np.abs(np.linalg.inv(mass)) @ (torque + (mass_size + np.outer(diagonal, diagonal)) @ np.abs(change))
+
+
+@dataclass(frozen=True)
+class Run:
+    """The end of a run of the package's own integrator, and how far an exact one may be away.
+
+    Attributes
+    ----------
+    q, velocity, turned
+        Angles, [Omega, q̇], root axes to inertial axes (3, 3), at `duration`, s, with `step`, s.
+    force : (3 + n,)
+        [M, Q] all the way.
+    q_error, velocity_error, turn_error
+        Difference to the run with steps twice as long (a fourth-order method is 15 times closer to the truth), measured
+        by the energy that it has in A*, so that coordinates that move little inertia may err more; and what rounding
+        does to u̇ all the way.
+    """
+
+    q: np.ndarray
+    velocity: np.ndarray
+    turned: np.ndarray
+    force: np.ndarray
+    step: float
+    steps: int
+    q_error: np.ndarray
+    velocity_error: np.ndarray
+    turn_error: np.ndarray
+    spin: np.ndarray
+
+
+def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
+    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest oscillation a step."""
+    from platform_ctrl.mechanics import inverse_dynamics, matrices
+    from platform_ctrl.simulation import rollout
+
+    platform, n = motion.platform, 3 + len(motion.q)
+    m = matrices(platform, motion.q, motion.velocity)
+    whole = m.A + m.B.T @ m.A_R @ m.B
+    d = 1.0 / np.sqrt(np.diag(m.A_star))
+    gyro = d[:, None] * (2 * m.G_A + m.G_R + m.G_root) * d
+    values, vectors = np.linalg.eigh(d[:, None] * m.A_star * d)
+    root = (vectors / np.sqrt(values)) @ vectors.T
+    bias = inverse_dynamics(platform, motion.q, motion.velocity, np.zeros(n))
+    # Forces as large as what the motion itself calls for, and no larger.
+    force = np.abs(bias).max() * motion.rng.normal(size=n) * np.minimum(1.0, np.diag(whole) / np.diag(whole).max())
+    start = root @ root @ (d * (force - bias))
+    size = np.linalg.norm(motion.velocity) + 1e-9
+    rate = np.linalg.norm(root @ gyro @ root, 2) + size + np.linalg.norm(start) ** 0.5
+    step = pace / rate
+    ends = [
+        rollout(
+            platform,
+            motion.q[None],
+            motion.velocity[None],
+            step=h,
+            steps=k,
+            attitude=motion.attitude[None],
+            force=force[None],
+            threads=1,
+        )
+        for h, k in ((step, steps), (2 * step, steps // 2))
+    ]
+    fine, coarse = ends
+    spins = np.array([rotor.spin for rotor in platform.rotors])
+    duration = step * steps
+    moved = replace(motion, velocity=np.abs(motion.velocity) + np.abs(fine.velocity[0]), acceleration=d * start)
+    limits = rounding(moved, spins)
+    drift = duration * 30 * EPS * solved(m.A_star, limits.torque[:n], limits.mass[:n, :n], d * start)
+
+    def energy(change: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(change / scale) * scale
+
+    turned = [rotation(end.attitude[0]) for end in ends]
+    turn = rotation_vector(turned[0] @ turned[1].T)
+    floor = steps * EPS
+    lengths = energy(np.concatenate([turn, fine.q[0] - coarse.q[0]]), d) + duration * drift
+    return Run(
+        q=fine.q[0],
+        velocity=fine.velocity[0],
+        turned=turned[0],
+        force=force,
+        step=step,
+        steps=steps,
+        q_error=lengths[3:] + floor * (1 + np.abs(motion.q)),
+        velocity_error=energy(fine.velocity[0] - coarse.velocity[0], d) + drift + floor * moved.velocity,
+        turn_error=np.linalg.norm(lengths[:3]) + floor,
+        spin=spins,
+    )
+
+
+def rotation_vector(turned: np.ndarray) -> np.ndarray:
+    """Return the axis times the sine of the angle of a rotation: of a small one, the angle."""
+    return 0.5 * np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+
+
+def agree(what: str, ours: np.ndarray | float, theirs: np.ndarray | float, allowed: np.ndarray | float) -> None:
+    """Assert |ours − theirs| <= allowed, entry by entry."""
+    away = np.abs(np.asarray(ours) - np.asarray(theirs))
+    assert np.all(away <= allowed), f"{what}: off by up to {np.max(away / allowed):.3g} times what rounding explains"
+
+
+class Tree:
+    """Indices of one library's velocity vector: root in ``[:3]``, `gimbals`, `rotors`."""
+
+    def __init__(self, bodies: Sequence[Link]) -> None:
+        self.bodies = bodies
+        self.gimbals = self._places([body.gimbal for body in bodies])
+        self.rotors = self._places([body.rotor for body in bodies])
+        self.size = 2 + len(bodies)
+
+    @staticmethod
+    def _places(owners: list[int | None]) -> np.ndarray:
+        # The root takes three places.
+        place = {owner: 2 + k for k, owner in enumerate(owners) if owner is not None}
+        return np.array([place[k] for k in range(len(place))], dtype=int)
+
+    def spins(self, platform: Platform, carried: np.ndarray) -> np.ndarray:
+        """Return φ̇, (m,), by (8) or (4); `carried`: rates that the carriers' motion adds about the rotors' axes."""
+        free = [rotor.control == "free" for rotor in platform.rotors]
+        return np.array([rotor.spin for rotor in platform.rotors]) - np.where(free, carried, 0.0)
+
+    @property
+    def platform_places(self) -> np.ndarray:
+        """Where [Omega, q̇] of the package stands."""
+        return np.concatenate([[0, 1, 2], self.gimbals])
+
+    def vector(self, platform_part: np.ndarray, rotor_part: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return a velocity, acceleration or force in the library's order."""
+        out = np.zeros(self.size)
+        out[self.platform_places] = platform_part
+        out[self.rotors] = rotor_part
+        return out
+
+
+class PinocchioTree(Tree):
+    """The tree in Pinocchio: a spherical joint and hinges, every centre of mass in the fixed point but for `offsets`.
+
+    Pinocchio's CRBA takes it for granted that joints were added depth first.
+    """
+
+    def __init__(
+        self,
+        platform: Platform,
+        rotors: str = "bodies",
+        depth_first: bool = True,
+        masses: np.ndarray | None = None,
+        offsets: np.ndarray | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        import pinocchio as pin
+
+        super().__init__(links(platform, rotors, depth_first))
+        self.model = pin.Model()
+        self.model.gravity = pin.Motion(np.array(gravity, dtype=float), np.zeros(3))
+        for k, body in enumerate(self.bodies):
+            joint = pin.JointModelSpherical() if body.axis is None else pin.JointModelRevoluteUnaligned(body.axis)
+            added = self.model.addJoint(1 + body.parent, joint, pin.SE3.Identity(), body.name)
+            assert added == 1 + k
+            mass, offset, about_centre = centred(body, masses, offsets)
+            self.model.appendBodyToJoint(added, pin.Inertia(mass, offset, about_centre), pin.SE3.Identity())
+        self.data = self.model.createData()
+
+    def configuration(self, q: np.ndarray, attitude: np.ndarray, phi: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return Pinocchio's configuration: quaternion x, y, z, w, then the angles."""
+        out = np.zeros(1 + self.size)
+        out[:4] = np.roll(attitude, -1)
+        out[1 + self.gimbals] = q
+        out[1 + self.rotors] = phi
+        return out
+
+
+def centred(body: Link, masses: np.ndarray | None, offsets: np.ndarray | None) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass, centre of mass, and inertia about it (the package's is about the fixed point)."""
+    if masses is None or offsets is None or body.rotor is not None:
+        return 1.0, np.zeros(3), body.inertia
+    k = 0 if body.gimbal is None else 1 + body.gimbal
+    mass, offset = masses[k], offsets[k]
+    return mass, offset, body.inertia - mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+class MujocoTree(Tree):
+    """The tree in MuJoCo: a ball joint and hinges. `stiffness`, `rest`, `damping` (gimbals): of the hinges."""
+
+    def __init__(
+        self,
+        platform: Platform,
+        rotors: str = "bodies",
+        masses: np.ndarray | None = None,
+        offsets: np.ndarray | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, 0.0),
+        springs: Sequence[tuple[float, float, float]] | None = None,
+    ) -> None:
+        import mujoco
+
+        super().__init__(links(platform, rotors))
+        spec = mujoco.MjSpec()
+        spec.option.gravity = gravity
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        made = [spec.worldbody]
+        for body in self.bodies:
+            mass, offset, about_centre = centred(body, masses, offsets)
+            moments, basis = np.linalg.eigh(about_centre)
+            if np.linalg.det(basis) < 0.0:
+                basis[:, 0] *= -1.0
+            # Not `fullinertia`: MuJoCo would find the principal axes to 1e-12 only.
+            added = made[1 + body.parent].add_body(
+                name=body.name, mass=mass, ipos=offset, inertia=moments, iquat=quaternion(basis), explicitinertial=True
+            )
+            if body.axis is None:
+                added.add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
+            else:
+                joint = added.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=body.axis)
+                if springs is not None and body.gimbal is not None:
+                    joint.stiffness, joint.springref, joint.damping = springs[body.gimbal]
+            made.append(added)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+
+    def set(self, q: np.ndarray, attitude: np.ndarray, velocity: np.ndarray, phi: np.ndarray | float = 0.0) -> None:
+        """Set the state: quaternion w, x, y, z and angles; `velocity` in MuJoCo's order."""
+        self.data.qpos[:4] = attitude
+        self.data.qpos[1 + self.gimbals] = q
+        self.data.qpos[1 + self.rotors] = phi
+        self.data.qvel[:] = velocity
+
+
+def quaternion(turned: np.ndarray) -> np.ndarray:
+    """Return the unit quaternion w, x, y, z of a rotation, to rounding at every angle."""
+    # The dominant eigenvector of Bar-Itzhack's matrix: no branch by the angle.
+    t = turned
+    symmetric = np.array(
+        [
+            [t[0, 0] + t[1, 1] + t[2, 2], t[2, 1] - t[1, 2], t[0, 2] - t[2, 0], t[1, 0] - t[0, 1]],
+            [t[2, 1] - t[1, 2], t[0, 0] - t[1, 1] - t[2, 2], t[0, 1] + t[1, 0], t[0, 2] + t[2, 0]],
+            [t[0, 2] - t[2, 0], t[0, 1] + t[1, 0], t[1, 1] - t[0, 0] - t[2, 2], t[1, 2] + t[2, 1]],
+            [t[1, 0] - t[0, 1], t[0, 2] + t[2, 0], t[1, 2] + t[2, 1], t[2, 2] - t[0, 0] - t[1, 1]],
+        ]
+    )
+    return np.linalg.eigh(symmetric)[1][:, -1]
