@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from platform_ctrl.precession import Precession, precession
     from platform_ctrl.reading import read_job, read_platform
     from platform_ctrl.state_space import state_space, subsystems
+    from platform_ctrl.symbolic import equations
     from platform_ctrl.terms import TermTable, terms
 
 __version__ = "0.1.0"
@@ -58,6 +59,7 @@ __all__ = [
     "check",
     "design",
     "element_forces",
+    "equations",
     "forward_dynamics",
     "inverse_dynamics",
     "linearise",
@@ -98,6 +100,7 @@ _HOME = {
     "Torquer": "description",
     "Unbalance": "force_elements",
     "element_forces": "mechanics",
+    "equations": "symbolic",
     "forward_dynamics": "mechanics",
     "inverse_dynamics": "mechanics",
     "linearise": "linearisation",

@@ -1,6 +1,7 @@
 """Degenerate platforms get an answer, not numbers: nothing to turn, nothing that spins, nothing that resists."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
+from platform_ctrl.reading import platform_source
 from platform_ctrl.simulation import rollout
 
 X, Y, Z = np.eye(3)
@@ -83,6 +85,33 @@ def test_a_rotor_that_stands_still_is_a_body_and_no_gyro():
     assert not model.G.any()
     np.testing.assert_allclose(pc.state_space(model).poles(), 0.0, atol=1e-12)
     assert pc.rotor_momenta(platform, velocity=[0, 0, 1, 0, 0]).p == pytest.approx(0.2)
+    slow = pc.precession(model)
+    assert not slow.admissible
+    assert "no rotor gives it any momentum" in slow.reasons[0]
+    with pytest.raises(MechanicsError, match="give it a rotor that spins|keep all momenta"):
+        slow.state_space()
+
+
+def test_a_loop_around_a_rotor_that_stands_still_is_one_around_two_inertias():
+    """No pair, no nutation to go by: each gimbal is controlled for itself, and the report is drawn."""
+    plant = tomllib.loads(platform_source("three_gyro_platform"))
+    plant["rotor"][2]["angular_momentum"] = 0.0
+    loop = {"name": "still", "kind": "caging", "gimbals": ["9", "10"], "use": "one"}
+    loop["design"] = [{"name": "one", "method": "classical", "inertial_crossover_hz": 40.0}]
+    job = pc.read_job(
+        {
+            "schema": 1,
+            "name": "a gyro at rest",
+            "plant": plant,
+            "operation": {"Omega": [0.1, 0.1, 0.1]},
+            "sampling": {"rate_hz": 2000, "delay": 0.0005},
+            "loop": [loop],
+        }
+    )
+    result = pc.check.checked(job, pc.design.loops(job))
+    assert result.passed
+    assert not result.loops[0].closed.controller.C[0] @ result.loops[0].closed.controller.B[:, 1]
+    assert "no gyro acts in this direction" in pc.report.page(result)
 
 
 @pytest.mark.parametrize("rotors", [(), (wheel("base", 3.0),)])
@@ -100,6 +129,9 @@ def test_without_gimbals_the_root_is_a_rigid_gyrostat(rotors):
     assert (free.nstates, free.ninputs, free.noutputs) == (3, 3, 3)
     nutation = h * len(rotors) / m.A_star[0, 0]
     np.testing.assert_allclose(np.abs(free.poles()).max(), nutation, atol=1e-12)
+    assert pc.precession(pc.linearise(platform)).summary() == "no gimbals: nothing precesses"
+    assert pc.terms(platform, (1, 1, 1), []).terms == ()
+    assert "G_root" in pc.equations(platform)
     carried = pc.state_space(pc.linearise(platform))
     assert (carried.nstates, carried.noutputs) == (0, 0)
     out = rollout(platform, np.zeros((2, 0)), np.tile(velocity, (2, 1)), steps=10)
@@ -117,6 +149,8 @@ def test_twenty_gimbals_are_twenty_gimbals():
     np.testing.assert_allclose(pc.forward_dynamics(platform, q, u, torque), 0.0, atol=1e-8 * np.abs(torque).max())
     model = pc.linearise(platform, Omega=u[:3], q=q)
     assert pc.state_space(model).nstates == 40
+    assert len(pc.terms(platform, (1, 1, 1), np.full(20, 0.1)).of("g19")) > 20
+    assert len(pc.precession(model).parts) == 1
     out = rollout(platform, q[None], u[None], step=1e-4, steps=5)
     assert np.isfinite(out.velocity).all()
 

@@ -30,7 +30,8 @@ class PlantSet:
     torques, angles
         Signal names.
     nutation
-        Nutation frequency of the nominal plant: its fastest open-loop motion without torquers, rad/s.
+        Nutation frequency of the nominal plant: its fastest open-loop motion without torquers, rad/s. Where it
+        hardly moves by itself, the frequency that stands in for it.
     noise : (p,)
         Rms of one sample of each pick-off, rad.
     frequency : (F,)

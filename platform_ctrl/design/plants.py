@@ -19,6 +19,9 @@ from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
 from platform_ctrl.state_space import state_space
 
+# Open-loop motion slower than this share of the Nyquist frequency says nothing about where a loop can act.
+_STILL = 1e-3
+
 
 def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
     """Return `platform` with other inertias and spins.
@@ -111,6 +114,13 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
         labels=tuple(label for label, _, _ in cases),
         torques=tuple(torques),
         angles=tuple(angles),
-        nutation=float(np.abs(np.linalg.eigvals(A[0])).max()),
+        nutation=_reference(A[0], sampling.period),
         noise=np.array([s.sampled_noise(sampling.period) for s in pickoffs]),
     )
+
+
+def _reference(A: FloatArray, period: float) -> float:
+    """Return the frequency that grids and starting values go by: nutation; without any, a tenth of Nyquist's."""
+    nyquist = np.pi / period
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
+    return fastest if fastest > _STILL * nyquist else 0.1 * nyquist

@@ -281,7 +281,7 @@ def _turns(model: LinearModel, rows: Sequence[int]) -> bool:
 def _lack(turning: bool, at: Scaled, null: FloatArray, names: Sequence[str], fast: float) -> tuple[str, str]:
     """Return why null directions that nothing holds are there, and the restraint that would hold them."""
     if not turning:
-        return "no rotor gives it any momentum", "give it a rotor"
+        return "no rotor gives it any momentum", "give it a rotor that spins"
     n, k = null.shape
     singular = f"G_R is {n} x {n} and skew, so its determinant is 0" if n % 2 else f"G_R has rank {n - k} of {n}"
     why = f"{singular}: {', '.join(names)} {'has' if k == 1 else 'have'} no gyroscopic stiffness"

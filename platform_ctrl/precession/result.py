@@ -128,7 +128,7 @@ class Precession:
 
     def summary(self) -> str:
         """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures."""
-        lines = []
+        lines = [] if self.parts else ["no gimbals: nothing precesses"]
         for part in self.parts:
             verdict = "admissible" if part.admissible else "not admissible"
             figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
