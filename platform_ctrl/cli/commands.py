@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.cli.equations_command import equations
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def platform_ctrl(
 
     \b
     platform-ctrl models                          which plants come with it
+    platform-ctrl equations three_gyro_platform   its equations in symbols, by the paper's numbers
     platform-ctrl design job.toml -o out          design, check, report: out/report.html
     platform-ctrl check job.toml                  the same verdicts for out/result.json, after the job has changed
     platform-ctrl simulate job.toml --run 1       one manoeuvre of the job, with the same controllers
@@ -94,6 +96,9 @@ def models(as_json: Json = False) -> None:
     width = max(len(model["name"]) for model in listed)
     for model in listed:
         typer.echo(f"{model['name']:<{width}}  {model['title']}: {model['gimbal']} gimbals, {model['rotor']} rotors")
+
+
+app.command()(equations)
 
 
 @app.command()

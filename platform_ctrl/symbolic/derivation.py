@@ -276,23 +276,19 @@ def _singular(
     for term in known.element_terms:
         if term.variable == "rate":
             damping[term.row] += term.coefficient * numbers[term.position]
-    out = []
+    found: dict[str, list[str]] = {}
     for group in groups:
         rows = [3 + k for k in group]
         block = G_R[np.ix_(rows, rows)]
-        rank = _rank(block)
-        if rank == len(group):
+        rank, order = _rank(block), len(group)
+        if rank == order:
             continue
-        names = ", ".join(platform.gimbal_names[k] for k in group)
-        line = f"G_R of {names} is singular at zero angles: {len(group)} rows, rank {rank}"
-        if len(group) % 2:
-            line += " (skew and of odd order)"
-        if _rank(block + np.diag(damping[list(group)])) == len(group):
-            line += "; with the damping of the plant it is regular"
-        else:
-            line += "; (15) does not determine the rates there: use (27)"
-        out.append(line)
-    return tuple(out)
+        odd = " (skew, and of odd order)" if order % 2 else ""
+        cured = _rank(block + np.diag(damping[list(group)])) == order
+        then = "with the damping of the plant it is regular" if cured else "(15) does not determine the rates: use (27)"
+        line = f"is singular at zero angles, order {order}, rank {rank}{odd}; {then}"
+        found.setdefault(line, []).append(", ".join(platform.gimbal_names[k] for k in group))
+    return tuple(f"G_R of {'; of '.join(names)} {line}" for line, names in found.items())
 
 
 def _rank(matrix: FloatArray) -> int:

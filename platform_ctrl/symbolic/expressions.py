@@ -12,7 +12,7 @@ import sympy
 
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.symbolic.names import NamedSymbol
-from platform_ctrl.symbolic.series import ONE, Monomial, Series
+from platform_ctrl.symbolic.series import ONE, Monomial, Series, without_residue
 
 Expression = Any  # SymPy ships no types
 
@@ -28,7 +28,7 @@ _SHORT = 6
 def exact_number(number: float) -> Expression:
     """Return a SymPy number: rational where the float is one of small numbers but for rounding."""
     near = Fraction(number).limit_denominator(_DENOMINATOR)
-    if abs(number - near) <= _ROUNDING * max(1.0, abs(number)):
+    if abs(number - near) <= _ROUNDING * abs(number):
         return sympy.Rational(near.numerator, near.denominator)
     return sympy.Float(number)
 
@@ -72,7 +72,7 @@ class Writer:
         """Return Σ factor × form; factors of forms that are multiples of each other share one bracket."""
         groups: dict[bytes, tuple[FloatArray, list[tuple[float, Expression]]]] = {}
         for factor, form in terms:
-            ratio, basic = _split(form)
+            ratio, basic = _split(without_residue(form))
             if not ratio:
                 continue
             _, members = groups.setdefault(np.round(basic, 12).tobytes(), (basic, []))
@@ -129,6 +129,6 @@ def _split(form: FloatArray) -> tuple[float, FloatArray]:
     lead = float(form[at[0]])
     size = float(np.abs(form[at]).min())
     multiples = form[at] / size
-    simple = np.abs(multiples - np.round(multiples)).max() < 1e-12
+    simple = np.abs(multiples - np.round(multiples)).max() < 1e-12 and np.abs(multiples).max() < _DENOMINATOR
     ratio = np.copysign(size, lead) if simple else np.copysign(1.0, lead)
     return float(ratio), np.where(form == 0.0, 0.0, form / ratio)

@@ -107,7 +107,8 @@ class Names:
         name = self._unique(plain)
         # Head and label fall together with another symbol: the label in brackets tells them apart.
         apart = name != identifier(plain) or plain in self._texts
-        text = self._shown(f"{head}({label})" + (f"_{part}" if part else "") if apart and label else plain, name)
+        shown = f"{head}({label})" + (f"_{part}" if part else "") if apart and label else plain
+        text = self._shown(shown, name)
         inside = f"({_label(label)})" if apart and label else _label(label)
         below = ",".join(filter(None, (inside, part)))
         latex = f"{_head(head)}_{{{below}}}" if below else _head(head)
@@ -131,6 +132,7 @@ class Names:
         return name
 
     def _shown(self, text: str, name: str) -> str:
+        text = "_".join(text.split())
         out = text if text not in self._texts else name
         self._texts.add(out)
         return out

@@ -30,7 +30,7 @@ class Style:
     symbol: Callable[[NamedSymbol], str]
     number: Callable[[Expression], str]
     power: Callable[[str, int], str]
-    function: Callable[[str, str], str]
+    function: Callable[[str, str, int], str]
     quotient: Callable[[str, str], str]
     brackets: tuple[str, str]
     times: str
@@ -60,7 +60,7 @@ TEXT = Style(
     symbol=lambda s: s.text,
     number=_text_number,
     power=lambda base, exponent: base + str(exponent).translate(_SUPERSCRIPT),
-    function=lambda name, argument: f"{name} {argument}",
+    function=lambda name, argument, n: f"{name}{str(n).translate(_SUPERSCRIPT) if n > 1 else ''} {argument}",
     quotient=lambda top, bottom: f"{top}/{bottom}",
     brackets=("(", ")"),
     times=" ",
@@ -70,7 +70,7 @@ LATEX = Style(
     symbol=lambda s: s.latex,
     number=_latex_number,
     power=lambda base, exponent: f"{base}^{{{exponent}}}",
-    function=lambda name, argument: rf"\{name} {argument}",
+    function=lambda name, argument, n: rf"\{name}{f'^{n}' if n > 1 else ''} {argument}",
     quotient=lambda top, bottom: rf"\frac{{{top}}}{{{bottom}}}",
     brackets=("(", ")"),
     times=r" \, ",
@@ -80,7 +80,7 @@ CODE = Style(
     symbol=lambda s: s.name,
     number=_code_number,
     power=lambda base, exponent: f"{base}**{exponent}",
-    function=lambda name, argument: f"{name}({argument})",
+    function=lambda name, argument, n: f"{name}({argument})" + (f"**{n}" if n > 1 else ""),
     quotient=lambda top, bottom: f"{top}/{bottom}",
     brackets=("(", ")"),
     times="*",
@@ -135,20 +135,21 @@ class Notation:
         number, factors = _factors(expression)
         negative = float(number) < 0.0
         size = abs(number)
-        top, bottom = [], []
-        for factor in sorted(factors, key=self._key):
+        top: list[str] = []
+        bottom: list[str] = []
+        moving: list[str] = []
+        for factor in sorted(factors, key=self._factor_key):
             if factor.is_Pow and factor.exp == -1:
                 bottom.append(self._atom(factor.base))
-            elif factor.is_Add:
-                flipped, inside = self._bracket(factor)
-                negative ^= flipped
-                top.append(inside)
-            else:
-                top.append(self._atom(factor))
-        if size != 1 or not top:
+                continue
+            flipped, written = self._bracket(factor) if factor.is_Add else (False, self._atom(factor))
+            negative ^= flipped
+            (moving if any(self._key(factor)[:2]) else top).append(written)
+        if size != 1 or not (top or moving):
             top.insert(0, self.style.number(size))
-        written = self.style.times.join(top)
-        return negative, self.style.quotient(written, self.style.times.join(bottom)) if bottom else written
+        if bottom:
+            top = [self.style.quotient(self.style.times.join(top), self.style.times.join(bottom))]
+        return negative, self.style.times.join(top + moving)
 
     def _bracket(self, expression: Expression) -> tuple[bool, str]:
         """Return a sum in brackets; where its first term is negative, the sign stands before them."""
@@ -161,9 +162,12 @@ class Notation:
         if expression.is_Symbol:
             return self.style.symbol(self._symbols[expression.name][1])
         if expression.is_Pow:
-            return self.style.power(self._atom(expression.base), int(expression.exp))
+            base, exponent = expression.base, int(expression.exp)
+            if base.is_Function:
+                return self.style.function(base.func.__name__, self._atom(base.args[0]), exponent)
+            return self.style.power(self._atom(base), exponent)
         if expression.func in (sympy.sin, sympy.cos):
-            return self.style.function(expression.func.__name__, self._atom(expression.args[0]))
+            return self.style.function(expression.func.__name__, self._atom(expression.args[0]), 1)
         if expression.is_Number:
             return self.style.number(expression)
         return "".join((self.style.brackets[0], self(expression), self.style.brackets[1]))
@@ -178,7 +182,7 @@ class Notation:
         elif expression.is_Number:
             key = (0, 0, ())
         elif expression.is_Add:
-            key = min(self._key(part) for part in expression.args)
+            key = min(self._key(part) for part in expression.args if not part.is_Number)
         elif expression.is_Pow:
             base = self._key(expression.base)
             times = int(expression.exp)
@@ -189,6 +193,10 @@ class Notation:
             key = (sum(key[0] for key in keys), sum(key[1] for key in keys), ranks)
         self._keys[expression] = key
         return key
+
+    def _factor_key(self, expression: Expression) -> Key:
+        """Return what sorts factors: a power stands where its base would."""
+        return self._key(expression.base if expression.is_Pow else expression)
 
 
 def _factors(expression: Expression) -> tuple[Expression, list[Expression]]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.symbolic.elements import Term, Variable
-from platform_ctrl.symbolic.series import Monomial, Series
+from platform_ctrl.symbolic.series import Monomial, Series, without_residue
 
 Factors = tuple[str, ...]
 Forms = dict[Factors, FloatArray]
@@ -130,5 +130,6 @@ def _add_squares(into: Forms, rates: tuple[str, ...], slope: FloatArray) -> None
 
 
 def _add(into: Forms, factors: Factors, form: FloatArray) -> None:
-    if np.any(np.abs(form) > 1e-14):
-        into[factors] = into[factors] + form if factors in into else form
+    kept = without_residue(form)
+    if kept.any():
+        into[factors] = into[factors] + kept if factors in into else kept

@@ -126,12 +126,13 @@ def product(
 
 def pruned(series: Series) -> Series:
     """Return the series without coefficients that are zero but for rounding."""
-    out = {}
-    for monomial, coefficient in series.items():
-        kept = np.where(np.abs(coefficient) < _RESIDUE, 0.0, coefficient)
-        if kept.any():
-            out[monomial] = kept
-    return out
+    cleared = {monomial: without_residue(coefficient) for monomial, coefficient in series.items()}
+    return {monomial: coefficient for monomial, coefficient in cleared.items() if coefficient.any()}
+
+
+def without_residue(coefficient: FloatArray) -> FloatArray:
+    """Return the array with zeros where there is only what rounding leaves of them."""
+    return np.where(np.abs(coefficient) < _RESIDUE, 0.0, coefficient)
 
 
 def apply(series: Series, function: Callable[[FloatArray], FloatArray]) -> Series:
