@@ -88,7 +88,7 @@ def test_a_rotor_that_stands_still_is_a_body_and_no_gyro():
     slow = pc.precession(model)
     assert not slow.admissible
     assert "no rotor gives it any momentum" in slow.reasons[0]
-    with pytest.raises(MechanicsError, match="give it a rotor that spins|keep all momenta"):
+    with pytest.raises(MechanicsError, match="no rotor gives it any momentum"):
         slow.state_space()
 
 

@@ -464,7 +464,7 @@ def test_a_platform_without_gimbals_has_nothing_to_refuse():
     whole = precession(linearise(platform))
     assert whole.admissible
     assert whole.parts == ()
-    assert whole.summary() == ""
+    assert whole.summary() == "no gimbals: nothing precesses"
     assert whole.state_space().nstates == 0
     np.testing.assert_array_equal(whole.error([1.0, 2.0]), 0)
 
