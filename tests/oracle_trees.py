@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.description import Gimbal, Platform, Rotor
+from platform_ctrl.force_elements import Friction, Spring, Unbalance
 
 EPS = np.finfo(float).eps
 DEPTH = 6  # longest chain of gimbals
@@ -173,6 +174,52 @@ def _inertia(rng: np.random.Generator, size: float) -> np.ndarray:
     return 0.5 * (inertia + inertia.T)
 
 
+def unbalanced(motion: Motion) -> tuple[Platform, np.ndarray, np.ndarray, np.ndarray]:
+    """Move the centres of mass: what leaves the bodies' inertia about the fixed point as it is."""
+    platform, rng = motion.platform, motion.rng
+    inertias = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
+    offsets = rng.normal(size=(len(inertias), 3)) * 10 ** rng.uniform(-4, -1)
+    # About the centre of mass there has to be a body left: m r² takes a quarter of the smallest second moment.
+    least = np.array([0.5 * np.trace(inertia) - np.linalg.eigvalsh(inertia)[-1] for inertia in inertias])
+    masses = 0.25 * least * rng.uniform(0.1, 1.0, len(least)) / np.sum(offsets**2, axis=1)
+    gravity = rng.normal(size=3) * 9.81
+    unbalances = tuple(
+        Unbalance(body=name, moment=mass * offset)
+        for name, mass, offset in zip((platform.root_name, *platform.gimbal_names), masses, offsets, strict=True)
+    )
+    return replace(platform, unbalances=unbalances), masses, offsets, gravity
+
+
+def moments_carried(motion: Motion, masses: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Σ m |r| of the bodies that each row carries, (3 + n,)."""
+    platform = motion.platform
+    moments = masses * np.linalg.norm(offsets, axis=1)
+    out = np.zeros(3 + len(platform.gimbals))
+    for body, moment in enumerate(moments):
+        out[:3] += moment
+        at = body
+        while at:
+            out[2 + at] += moment
+            at = 1 + int(platform.parents[at - 1])
+    return out
+
+
+def sprung(motion: Motion) -> Motion:
+    """Give every gimbal a spring (some drive it away) and viscous friction, both slow beside the motion."""
+    platform, rng = motion.platform, motion.rng
+    bodies = np.array([np.linalg.eigvalsh(g.inertia)[0] for g in platform.gimbals])
+    rate = np.linalg.norm(motion.velocity)
+    springs = tuple(
+        Spring(gimbal=name, stiffness=float(size * rate**2 * rng.normal()), rest=float(rng.normal()))
+        for name, size in zip(platform.gimbal_names, bodies, strict=True)
+    )
+    frictions = tuple(
+        Friction(gimbal=name, viscous=float(size * rate * rng.uniform()))
+        for name, size in zip(platform.gimbal_names, bodies, strict=True)
+    )
+    return replace(motion, platform=replace(platform, springs=springs, frictions=frictions))
+
+
 @dataclass(frozen=True)
 class Link:
     """A body of the tree as general multi-body programs see it; `rotor` says which rotor it is, or None."""
@@ -296,46 +343,68 @@ class Run:
 
     Attributes
     ----------
-    q, velocity, turned
-        Angles, [Omega, q̇], root axes to inertial axes (3, 3), at `duration`, s, with `step`, s.
+    q, velocity, turned, spin
+        Angles, [Omega, q̇], root axes to inertial axes (3, 3), spins of servo rotors after `steps` of `step` s.
     force : (3 + n,)
         [M, Q] all the way.
     q_error, velocity_error, turn_error
-        Difference to the run with steps twice as long (a fourth-order method is 15 times closer to the truth), measured
-        by the energy that it has in A*, so that coordinates that move little inertia may err more; and what rounding
-        does to u̇ all the way.
+        Difference to the run with steps twice as long (a fourth-order method is 15 times closer to the truth), and what
+        rounding does to u̇ all the way. Both are measured by the energy that they have in A*: the motion carries errors
+        from one coordinate to others, and those that move little inertia err more.
     """
 
     q: np.ndarray
     velocity: np.ndarray
     turned: np.ndarray
+    spin: np.ndarray
     force: np.ndarray
     step: float
     steps: int
     q_error: np.ndarray
     velocity_error: np.ndarray
-    turn_error: np.ndarray
-    spin: np.ndarray
+    turn_error: float
 
 
-def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
-    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest oscillation a step."""
+def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, steps: int = 100) -> Run:
+    """Integrate from the state of `motion` under constant forces, `pace` rad of the fastest motion a step.
+
+    `spin`: of the servo rotors at the start; default nominal.
+    """
     from platform_ctrl.mechanics import inverse_dynamics, matrices
+    from platform_ctrl.mechanics.forces import element_forces
     from platform_ctrl.simulation import rollout
 
     platform, n = motion.platform, 3 + len(motion.q)
     m = matrices(platform, motion.q, motion.velocity)
-    whole = m.A + m.B.T @ m.A_R @ m.B
-    d = 1.0 / np.sqrt(np.diag(m.A_star))
-    gyro = d[:, None] * (2 * m.G_A + m.G_R + m.G_root) * d
-    values, vectors = np.linalg.eigh(d[:, None] * m.A_star * d)
-    root = (vectors / np.sqrt(values)) @ vectors.T
+    servo = np.array([rotor.control == "servo" for rotor in platform.rotors], dtype=bool)
+    B, axial = m.B[servo], np.diag(m.A_R)[servo]
+    inertia = m.A_star - B.T @ (axial[:, None] * B)
+    scale = 1.0 / np.sqrt(np.diag(inertia))
+    values, vectors = np.linalg.eigh(scale[:, None] * inertia * scale)
+    root = scale[:, None] * (vectors / np.sqrt(values)) @ vectors.T  # root @ root.T is the inverse of inertia
+    stiffness, viscous, motors = np.zeros(n), np.zeros(n), np.zeros(n)
+    for spring in platform.springs:
+        stiffness[3 + platform.gimbal_names.index(spring.gimbal)] += abs(spring.stiffness)
+    for friction in platform.frictions:
+        viscous[3 + platform.gimbal_names.index(friction.gimbal)] += friction.viscous
     bias = inverse_dynamics(platform, motion.q, motion.velocity, np.zeros(n))
-    # Forces as large as what the motion itself calls for, and no larger.
-    force = np.abs(bias).max() * motion.rng.normal(size=n) * np.minimum(1.0, np.diag(whole) / np.diag(whole).max())
-    start = root @ root @ (d * (force - bias))
-    size = np.linalg.norm(motion.velocity) + 1e-9
-    rate = np.linalg.norm(root @ gyro @ root, 2) + size + np.linalg.norm(start) ** 0.5
+    bias -= element_forces(platform, motion.q, motion.velocity)
+    # Forces as large as what the motion itself calls for.
+    force = np.abs(bias).max() * motion.rng.normal(size=n) * np.minimum(1.0, np.diag(inertia) / np.diag(inertia).max())
+    push = force - bias
+    damping = 2 * m.G_A + m.G_R + m.G_root + np.diag(viscous)
+    rate = np.linalg.norm(motion.velocity) + 1e-9
+    if spin is not None:
+        loops = [rotor for rotor in platform.rotors if rotor.control == "servo"]
+        gain = np.array([rotor.speed_gain for rotor in loops])
+        integral = np.array([rotor.speed_integral for rotor in loops])
+        push += B.T @ (gain * (spin - np.array([rotor.spin for rotor in loops])))
+        motors += np.abs(B).T @ (gain * (np.abs(spin) + np.abs(B) @ np.abs(motion.velocity)))
+        exchange = np.diag(1 / axial) + B @ root @ root.T @ B.T
+        rate += np.linalg.norm(exchange * gain, 2) + np.linalg.norm(exchange * integral, 2) ** 0.5
+    start = root @ (root.T @ push)
+    rate += np.linalg.norm(root.T @ damping @ root, 2) + np.linalg.norm(start) ** 0.5
+    rate += np.linalg.norm(root.T @ np.diag(stiffness) @ root, 2) ** 0.5
     step = pace / rate
     ends = [
         rollout(
@@ -347,34 +416,36 @@ def run(motion: Motion, pace: float = 0.02, steps: int = 100) -> Run:
             attitude=motion.attitude[None],
             force=force[None],
             threads=1,
+            spin=None if spin is None else spin[None],
         )
         for h, k in ((step, steps), (2 * step, steps // 2))
     ]
     fine, coarse = ends
-    spins = np.array([rotor.spin for rotor in platform.rotors])
     duration = step * steps
-    moved = replace(motion, velocity=np.abs(motion.velocity) + np.abs(fine.velocity[0]), acceleration=d * start)
-    limits = rounding(moved, spins)
-    drift = duration * 30 * EPS * solved(m.A_star, limits.torque[:n], limits.mass[:n, :n], d * start)
-
-    def energy(change: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(change / scale) * scale
-
+    fastest = np.abs(motion.velocity) + np.abs(fine.velocity[0])
+    spins = np.array([rotor.spin for rotor in platform.rotors])
+    limits = rounding(replace(motion, velocity=fastest, acceleration=start), spins)
+    torque = limits.torque[:n] + viscous * fastest + motors
+    torque[3:] += stiffness[3:] * (np.abs(motion.q) + np.pi)
+    drift = duration * 30 * EPS * solved(inertia, torque, limits.mass[:n, :n], start)
     turned = [rotation(end.attitude[0]) for end in ends]
     turn = rotation_vector(turned[0] @ turned[1].T)
+    size = np.linalg.norm
+    change = np.concatenate([turn, fine.q[0] - coarse.q[0]])
+    q_error = (size(change / scale) + size(duration * drift / scale)) * scale
+    u_error = (size((fine.velocity - coarse.velocity)[0] / scale) + size(drift / scale)) * scale
     floor = steps * EPS
-    lengths = energy(np.concatenate([turn, fine.q[0] - coarse.q[0]]), d) + duration * drift
     return Run(
         q=fine.q[0],
         velocity=fine.velocity[0],
         turned=turned[0],
+        spin=fine.spin[0],
         force=force,
         step=step,
         steps=steps,
-        q_error=lengths[3:] + floor * (1 + np.abs(motion.q)),
-        velocity_error=energy(fine.velocity[0] - coarse.velocity[0], d) + drift + floor * moved.velocity,
-        turn_error=np.linalg.norm(lengths[:3]) + floor,
-        spin=spins,
+        q_error=q_error[3:] + floor * (1 + np.abs(motion.q)),
+        velocity_error=u_error + floor * fastest,
+        turn_error=float(size(q_error[:3])) + floor,
     )
 
 
@@ -461,15 +532,18 @@ class PinocchioTree(Tree):
 
 def centred(body: Link, masses: np.ndarray | None, offsets: np.ndarray | None) -> tuple[float, np.ndarray, np.ndarray]:
     """Return mass, centre of mass, and inertia about it (the package's is about the fixed point)."""
-    if masses is None or offsets is None or body.rotor is not None:
+    if masses is None or offsets is None:
         return 1.0, np.zeros(3), body.inertia
+    if body.rotor is not None:
+        # MuJoCo moves all inertias to the common centre of mass: a heavy body of little inertia would lose it in m r².
+        return float(np.linalg.norm(body.inertia, 2)), np.zeros(3), body.inertia
     k = 0 if body.gimbal is None else 1 + body.gimbal
     mass, offset = masses[k], offsets[k]
     return mass, offset, body.inertia - mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
 class MujocoTree(Tree):
-    """The tree in MuJoCo: a ball joint and hinges. `stiffness`, `rest`, `damping` (gimbals): of the hinges."""
+    """The tree in MuJoCo: a ball joint and hinges; springs and viscous friction are those of `elements`."""
 
     def __init__(
         self,
@@ -478,15 +552,18 @@ class MujocoTree(Tree):
         masses: np.ndarray | None = None,
         offsets: np.ndarray | None = None,
         gravity: Sequence[float] = (0.0, 0.0, 0.0),
-        springs: Sequence[tuple[float, float, float]] | None = None,
+        elements: Platform | None = None,
     ) -> None:
         import mujoco
 
         super().__init__(links(platform, rotors))
+        springs = {spring.gimbal: spring for spring in elements.springs} if elements else {}
+        frictions = {friction.gimbal: friction for friction in elements.frictions} if elements else {}
         spec = mujoco.MjSpec()
         spec.option.gravity = gravity
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
         spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EULERDAMP
+        spec.compiler.degree = False
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
         made = [spec.worldbody]
         for body in self.bodies:
@@ -502,8 +579,10 @@ class MujocoTree(Tree):
                 added.add_joint(type=mujoco.mjtJoint.mjJNT_BALL)
             else:
                 joint = added.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=body.axis)
-                if springs is not None and body.gimbal is not None:
-                    joint.stiffness, joint.springref, joint.damping = springs[body.gimbal]
+                if body.name in springs:
+                    joint.stiffness[0], joint.springref = springs[body.name].stiffness, springs[body.name].rest
+                if body.name in frictions:
+                    joint.damping[0] = frictions[body.name].viscous
             made.append(added)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

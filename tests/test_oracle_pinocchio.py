@@ -17,15 +17,16 @@ from oracle_trees import (
     Run,
     agree,
     for_all,
+    moments_carried,
     motions,
     rotation,
     rotation_vector,
     rounding,
     run,
     solved,
+    unbalanced,
 )
 from platform_ctrl.description import Gimbal, Platform
-from platform_ctrl.force_elements import Unbalance
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import (
     forward_dynamics,
@@ -232,22 +233,6 @@ def test_forward_dynamics_undoes_the_bodies_torques(motion):
     agree("ABA", articulated, motion.acceleration, FEW * away)
 
 
-def unbalanced(motion: Motion) -> tuple[Platform, np.ndarray, np.ndarray, np.ndarray]:
-    """Move the centres of mass: what leaves the bodies' inertia about the fixed point as it is."""
-    platform, rng = motion.platform, motion.rng
-    inertias = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
-    offsets = rng.normal(size=(len(inertias), 3)) * 10 ** rng.uniform(-4, -1, (len(inertias), 1))
-    # The inertia about the centre of mass has to stay one: m r² is less than a quarter of the smallest moment.
-    least = np.array([np.linalg.eigvalsh(inertia)[0] for inertia in inertias])
-    masses = 0.25 * least * rng.uniform(0.1, 1.0, len(least)) / np.sum(offsets**2, axis=1)
-    gravity = rng.normal(size=3) * 9.81
-    unbalances = tuple(
-        Unbalance(body=name, moment=mass * offset)
-        for name, mass, offset in zip((platform.root_name, *platform.gimbal_names), masses, offsets, strict=True)
-    )
-    return dataclasses.replace(platform, unbalances=unbalances), masses, offsets, gravity
-
-
 @for_all(motions(), quick=40)
 def test_unbalance_under_gravity_is_a_force_element(motion):
     """Pinocchio moves the centres of mass and pulls at them; the root turns, its fixed point stays."""
@@ -260,20 +245,6 @@ def test_unbalance_under_gravity_is_a_force_element(motion):
     size = rounding(motion, bodies.spin, bodies.spin_acceleration)
     weight = np.abs(moments_carried(motion, masses, offsets)) * np.linalg.norm(gravity)
     agree("[M, Q]", ours, theirs, FEW * (size.torque[: len(ours)] + weight))
-
-
-def moments_carried(motion: Motion, masses: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Σ m |r| of the bodies that each row carries, (3 + n,)."""
-    platform = motion.platform
-    moments = masses * np.linalg.norm(offsets, axis=1)
-    out = np.zeros(3 + len(platform.gimbals))
-    for body, moment in enumerate(moments):
-        out[:3] += moment
-        at = body
-        while at:
-            out[2 + at] += moment
-            at = 1 + int(platform.parents[at - 1])
-    return out
 
 
 @for_all(motions(controls=("regulated", "servo")), quick=40)
@@ -308,22 +279,30 @@ def test_linear_equations_are_the_derivatives_of_the_bodies_torques(motion):
     agree("G_Omega", model.G_Omega, by_rate[np.ix_(rows, root)], FEW * rate * mass[:, :3])
 
 
-def end_of_bodies(bodies: Bodies, ours: Run, held: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Integrate the bodies; those places of the velocity that are `held` get the torques that keep them so.
+def end_of_bodies(motion: Motion, bodies: Bodies, ours: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Integrate the bodies to q, [Omega, q̇], attitude and spins; regulated rotors are held, servo rotors have loops.
 
     u̇ comes from CRBA and Cholesky, not from ABA: that loses up to four digits more, and the integrator chases them.
     """
-    tree, size = bodies.tree, bodies.tree.size
-    others = np.setdiff1d(np.arange(size), held)
-    force = tree.vector(ours.force)
+    platform, tree, size = motion.platform, bodies.tree, bodies.tree.size
+    kinds = np.array([rotor.control for rotor in platform.rotors], dtype=str)
+    others = np.setdiff1d(np.arange(size), tree.rotors[kinds == "regulated"])
+    servo = kinds == "servo"
+    motors = tree.rotors[servo]
+    loops = [rotor for rotor in platform.rotors if rotor.control == "servo"]
+    gain, integral, wanted = (
+        np.array([getattr(rotor, name) for rotor in loops]) for name in ("speed_gain", "speed_integral", "spin")
+    )
     left = 20_000
 
     def rates(_: float, state: np.ndarray) -> np.ndarray:
         nonlocal left
         left -= 1
         assert left, "the adaptive integrator does not get on: rounding is larger than its tolerance"
-        configuration, velocity = state[: 1 + size].copy(), state[1 + size :]
-        configuration[:4] /= np.linalg.norm(configuration[:4])
+        configuration, velocity, summed = np.split(state, [1 + size, 1 + 2 * size])
+        configuration = np.concatenate([configuration[:4] / np.linalg.norm(configuration[:4]), configuration[4:]])
+        force = tree.vector(ours.force)
+        force[motors] = -gain * (velocity[motors] - wanted) - integral * summed
         inertia = np.triu(pin.crba(tree.model, tree.data, configuration))[np.ix_(others, others)]
         bias = pin.nonLinearEffects(tree.model, tree.data, configuration, velocity)
         scale = 1.0 / np.sqrt(np.diag(inertia))
@@ -332,30 +311,64 @@ def end_of_bodies(bodies: Bodies, ours: Run, held: np.ndarray) -> tuple[np.ndarr
         change[others] = scale * cho_solve(factor, scale * (force - bias)[others])
         x, y, z, w = configuration[:4]
         turning = 0.5 * np.array([[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]]) @ velocity[:3]
-        return np.concatenate([turning, velocity[3:], change])
+        return np.concatenate([turning, velocity[3:], change, velocity[motors] - wanted])
 
     # A tenth of what is allowed: where rounding of spin² dominates, a smaller tolerance would chase noise.
     atol = [
         np.full(4, ours.turn_error),
         tree.vector(np.concatenate([np.zeros(3), ours.q_error]), 1.0)[3:],
         tree.vector(ours.velocity_error, ours.velocity_error.sum()),
+        np.full(len(motors), ours.velocity_error.sum() * ours.step * ours.steps),
     ]
-    start = np.concatenate([bodies.configuration, bodies.velocity])
     done = solve_ivp(
-        rates, (0.0, ours.step * ours.steps), start, method="DOP853", rtol=0.1 * NEAR, atol=0.1 * np.concatenate(atol)
+        rates,
+        (0.0, ours.step * ours.steps),
+        np.concatenate([bodies.configuration, bodies.velocity, np.zeros(len(motors))]),
+        method="DOP853",
+        rtol=0.1 * NEAR,
+        atol=0.1 * np.concatenate(atol),
     )
     assert done.success
-    end = done.y[:, -1]
-    attitude = end[[3, 0, 1, 2]] / np.linalg.norm(end[:4])
-    return end[1 + tree.gimbals], end[1 + size :][tree.platform_places], rotation(attitude)
+    configuration, velocity, _ = np.split(done.y[:, -1], [1 + size, 1 + 2 * size])
+    attitude = np.roll(configuration[:4], 1) / np.linalg.norm(configuration[:4])
+    return configuration[1 + tree.gimbals], velocity[tree.platform_places], rotation(attitude), velocity[motors]
 
 
 @for_all(st.one_of(motions(), motions(min_size=0.1)), quick=15)
 def test_runs_are_those_of_bodies_under_an_adaptive_integrator(motion):
-    platform, bodies = motion.platform, as_bodies(motion)
-    ours = run(motion)
-    held = bodies.tree.rotors[~free(platform)]
-    q, velocity, turned = end_of_bodies(bodies, ours, held)
+    bodies, ours = as_bodies(motion), run(motion)
+    q, velocity, turned, _ = end_of_bodies(motion, bodies, ours)
     agree("q", ours.q, q, ours.q_error + NEAR * np.abs(ours.q))
     agree("u", ours.velocity, velocity, ours.velocity_error + NEAR * np.linalg.norm(ours.velocity))
     agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + NEAR)
+
+
+@for_all(motions(controls=("servo", "servo", "regulated", "free"), min_size=1e-3), quick=15)
+def test_servo_rotors_are_bodies_with_motors(motion):
+    """Off their nominal spins at the start; the motor of each turns its carrier the other way."""
+    rng = motion.rng
+    rotors = tuple(
+        dataclasses.replace(
+            rotor,
+            speed_gain=rotor.axial_inertia * 10 ** rng.uniform(0, 3),
+            speed_integral=rotor.axial_inertia * 10 ** rng.uniform(0, 6),
+        )
+        for rotor in motion.platform.rotors
+    )
+    motion = dataclasses.replace(motion, platform=dataclasses.replace(motion.platform, rotors=rotors))
+    servo = np.array([rotor.control == "servo" for rotor in rotors], dtype=bool)
+    bodies = as_bodies(motion)
+    spin = bodies.spin.copy()
+    spin[servo] += rng.normal(size=servo.sum()) * 10 ** rng.uniform(-1, 2)
+    bodies.velocity = bodies.tree.vector(motion.velocity, spin)
+    ours = run(motion, spin=spin[servo])
+    q, velocity, turned, spins = end_of_bodies(motion, bodies, ours)
+    agree("q", ours.q, q, ours.q_error + NEAR * np.abs(ours.q))
+    agree("u", ours.velocity, velocity, ours.velocity_error + NEAR * np.linalg.norm(ours.velocity))
+    agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + NEAR)
+    # What a rotor gains its carriers lose: its own error is that of momentum, and theirs of rate.
+    axial = np.array([rotor.axial_inertia for rotor in rotors])[servo]
+    inertia = matrices(motion.platform, motion.q).A_star
+    lost = np.abs(inertia) @ ours.velocity_error
+    allowed = ours.velocity_error.sum() + lost.max() / axial + NEAR * (1 + np.abs(spin[servo]))
+    agree("spin", ours.spin, spins, allowed)
