@@ -20,8 +20,9 @@ Expression = Any  # SymPy ships no types
 _DENOMINATOR = 1000
 _ROUNDING = 2e-15
 
-# Longer sums stay in the order of their symbols: to bring them into SymPy's own takes it ten times as long.
-_SHORT = 6
+# Longer sums, and those with floats, stay in the order of their symbols: to bring them into its own takes SymPy ten
+# times as long.
+_SHORT = 8
 
 
 @lru_cache(maxsize=65536)
@@ -65,8 +66,10 @@ class Writer:
     def form(self, form: FloatArray) -> Expression:
         """Return a linear form in the parameters."""
         at = np.flatnonzero(form)
-        terms = [_multiple(float(form[p]), self._parameters[p]) for p in at]
-        return sympy.Add(*terms, evaluate=len(terms) <= _SHORT)
+        numbers = [exact_number(float(form[p])) for p in at]
+        terms = [_multiple(number, self._parameters[p]) for number, p in zip(numbers, at, strict=True)]
+        short = len(terms) <= _SHORT and all(number.is_Rational for number in numbers)
+        return sympy.Add(*terms, evaluate=short or len(terms) < 2)
 
     def collected(self, terms: Iterable[tuple[Expression, FloatArray]]) -> Expression:
         """Return Σ factor × form; factors of forms that are multiples of each other share one bracket."""
@@ -111,10 +114,9 @@ class Writer:
         return self.collected(terms)
 
 
-def _multiple(number: float, symbol: Expression) -> Expression:
+def _multiple(number: Expression, symbol: Expression) -> Expression:
     """Return number × symbol as SymPy would, but for its look at what can be said of the number."""
-    factor = exact_number(number)
-    return symbol if factor == 1 else sympy.Mul(factor, symbol, evaluate=False)
+    return symbol if number == 1 else sympy.Mul(number, symbol, evaluate=False)
 
 
 def _sorted(series: Series, skip: Monomial | None = None) -> list[tuple[Monomial, FloatArray]]:
