@@ -100,13 +100,13 @@ class Notation:
         """Return the expression as written, ``0`` where it is zero."""
         return self.signed_sum([*self.terms(expression)]) or "0"
 
-    def terms(self, expression: Expression) -> list[tuple[bool, str]]:
+    def terms(self, expression: Expression, positive_first: bool = True) -> list[tuple[bool, str]]:
         """Return the terms of a sum in their order: whether each is negative, and its size."""
         if expression == 0:
             return []
         parts = sorted(expression.args, key=self._key) if expression.is_Add else [expression]
         written = [self._term(part) for part in parts]
-        if written[0][0] and len(written) <= 3:
+        if positive_first and written[0][0] and len(written) <= 3:
             # L8 − L6 rather than −L6 + L8
             first = next((k for k, (negative, _) in enumerate(written) if not negative), 0)
             written.insert(0, written.pop(first))

@@ -83,5 +83,5 @@ def matrix_of(equations: Equations, section: MatrixSection) -> Any:
 def sides(terms: RowTerms, torque: Any, write: Notation) -> tuple[str, str]:
     """Return both sides of a gimbal equation: coordinates on the left, Q and what the root does on the right."""
     left = write.signed_sum([write.times(c, v) for c, v in terms if v != 1]) or "0"
-    constants = [term for c, v in terms if v == 1 for term in write.terms(c)]
+    constants = [term for c, v in terms if v == 1 for term in write.terms(c, positive_first=False)]
     return left, write.signed_sum([*write.terms(torque), *((not negative, size) for negative, size in constants)])
