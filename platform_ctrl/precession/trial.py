@@ -107,6 +107,13 @@ class Trial:
         if len(growing):
             fastest = growing[np.argmax(growing.real)]
             out.append((f"what would be dropped grows: pole at {_pole(fastest)} rad/s", "damp it, or make it stiffer"))
+        if self.root_error > (1.0 + _ROUNDING) * max(self.loop_frequency, self.fastest) / required:
+            out.append(
+                (
+                    f"its roots miss the slow poles of the full equations by up to {self.root_error:.4g} rad/s",
+                    "spin the rotors faster, or make the stiffness softer",
+                )
+            )
         multiple = self.multiple_root
         # Momenta are kept so that a loop may be designed: what splits far below it does not matter there.
         if multiple is not None and (self.pure or required * self.root_error > self.loop_frequency):
