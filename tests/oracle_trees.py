@@ -571,6 +571,9 @@ class MujocoTree(Tree):
             moments, basis = np.linalg.eigh(about_centre)
             if np.linalg.det(basis) < 0.0:
                 basis[:, 0] *= -1.0
+            if np.abs(basis - np.eye(3)).max() < 0.1:
+                # MuJoCo takes principal axes within 1e-6 of the body's own for the same: name them in another order.
+                moments, basis = np.roll(moments, 1), np.roll(basis, 1, axis=1)
             # Not `fullinertia`: MuJoCo would find the principal axes to 1e-12 only.
             added = made[1 + body.parent].add_body(
                 name=body.name, mass=mass, ipos=offset, inertia=moments, iquat=quaternion(basis), explicitinertial=True
