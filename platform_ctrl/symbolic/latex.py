@@ -33,7 +33,8 @@ def latex_of(equations: Equations) -> str:
         out += [f"% {section.number} {section.key}".replace("  ", " "), *_matrix(equations, section, write)]
     for rows in row_sections(equations):
         out += [f"% {rows.number} {rows.key}", *_rows(equations, rows.key, rows.number, write)]
-    out += [rf"\par\noindent {text_in_latex(note)}." for note in equations.notes]
+    notes = [text_in_latex(note).replace(r"G\_R", "$G_R$") for note in equations.notes]
+    out += [rf"\par\noindent {note}." for note in notes]
     return "\n".join([*out, *_symbols(equations), r"\endgroup"]) + "\n"
 
 
@@ -96,15 +97,31 @@ def _rows(equations: Equations, key: str, number: str, write: Notation) -> list[
 
 
 def _broken(written: str) -> str:
-    """Break a long sum before signs that stand outside all braces."""
-    lines, line, depth = [], "", 0
+    """Break a long sum before the signs of its terms, and inside brackets only where a term alone is too long."""
+    lines, line = [], ""
+    for term in _terms(written, r"{}()"):
+        pieces = [term] if _printed(term) <= 1.4 * _LINE else _terms(term, r"{}")
+        for piece in pieces:
+            if line and _printed(line + piece) > _LINE:
+                lines.append(line)
+                line = ""
+            line += piece
+    # A sign that begins a cell stands before a number, not between two.
+    lines = [re.sub(r"^-", "{-}", one) for one in [*lines, line]]
+    return " \\\\\n  & \\quad ".join(lines)
+
+
+def _terms(written: str, brackets: str) -> list[str]:
+    """Split before +, − and = that stand outside all of `brackets`."""
+    out, depth = [""], 0
     for piece in re.split(r"(?= [+=-] )", written):
-        if not depth and line and _printed(line + piece) > _LINE:
-            lines.append(line)
-            line = ""
-        line += piece
-        depth += len(re.findall(r"(?<!\\)\{", piece)) - len(re.findall(r"(?<!\\)\}", piece))
-    return " \\\\\n  & \\quad ".join([*lines, line])
+        if depth:
+            out[-1] += piece
+        else:
+            out.append(piece)
+        for mark in re.findall(r"(?<!\\)[{}()]", piece):
+            depth += (mark in brackets) * (1 if mark in "{(" else -1)
+    return [piece for piece in out if piece]
 
 
 def _symbols(equations: Equations) -> list[str]:
