@@ -84,6 +84,21 @@ def known_name(kind: str, given: str, known: Sequence[str]) -> int:
     )
 
 
+def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Return the indices of names in `known`, in its order, each once.
+
+    Raises
+    ------
+    ArgumentError
+        A string in place of a sequence, or a name that is not among `known`.
+    """
+    if isinstance(given, str):
+        raise ArgumentError(
+            f"{kind}: given the string {given!r}; expected a sequence of names, for example ({given!r},)"
+        )
+    return sorted({known_name(kind, name, known) for name in given})
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that `word` was probably meant to be, or None."""
     by_lower = {name.lower(): name for name in known}

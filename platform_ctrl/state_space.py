@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from platform_ctrl.arguments import known_name
+from platform_ctrl.arguments import known_names
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -160,11 +160,7 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
     """
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
-    if isinstance(gimbals, str):
-        raise ArgumentError(
-            f"gimbals: given the string {gimbals!r}; expected a sequence of names, for example ({gimbals!r},)"
-        )
-    chosen = {known_name("gimbals", name, model.gimbal_names) for name in gimbals}
+    chosen = set(known_names("gimbals", gimbals, model.gimbal_names))
     for group in subsystems(model):
         members = {model.gimbal_names.index(name) for name in group}
         if members & chosen and not members <= chosen:

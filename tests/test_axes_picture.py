@@ -14,10 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import read_platform
+from platform_ctrl.greek import greek
 from platform_ctrl.reading import shipped_models
 from platform_ctrl.report.axes_picture import DARK, LIGHT, axes_picture
 from platform_ctrl.report.structure_scheme import direction_text
-from platform_ctrl.report.svg_pieces import greek, text_width
+from platform_ctrl.report.svg_pieces import text_width
 from tree_cases import platforms
 
 ROOT = Path(__file__).parents[1]

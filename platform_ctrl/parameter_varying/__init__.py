@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import known_name
+from platform_ctrl.arguments import known_names
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.linearisation import Terms, linearise
@@ -92,10 +92,8 @@ def parameter_varying(
 
 
 def _rows(platform: Platform, gimbals: Sequence[str] | None) -> list[int]:
-    if isinstance(gimbals, str):
-        raise ArgumentError(f"gimbals: given the string {gimbals!r}; expected a sequence of names: ({gimbals!r},)")
     names = platform.gimbal_names
-    rows = sorted({known_name("gimbals", name, names) for name in (names if gimbals is None else gimbals)})
+    rows = known_names("gimbals", names if gimbals is None else gimbals, names)
     if not rows:
         where = f"platform {platform.name!r} has none" if not names else "given none"
         raise ArgumentError(f"gimbals: {where}; expected at least one whose angle is a coordinate")

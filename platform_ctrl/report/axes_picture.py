@@ -6,11 +6,12 @@ import numpy as np
 
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.greek import greek
 from platform_ctrl.report.axes_bodies import camera, signs, spin_direction
 from platform_ctrl.report.axes_view import axes_view, triad
 from platform_ctrl.report.quantities import count, listed
 from platform_ctrl.report.structure_scheme import direction_text, structure_scheme
-from platform_ctrl.report.svg_pieces import SIGNS, arrow_head, greek, line, number, plain_text, sign, words
+from platform_ctrl.report.svg_pieces import SIGNS, arrow_head, line, number, plain_text, sign, words
 
 WIDTH = 1000.0
 _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0

@@ -10,13 +10,13 @@ import numpy as np
 
 from platform_ctrl.description import Gimbal, Platform
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.greek import greek
 from platform_ctrl.report.axes_bodies import Shape, bodies, disc_axis, levels
 from platform_ctrl.report.svg_pieces import (
     arrow_head,
     attribute,
     circle,
     direction,
-    greek,
     level_class,
     line,
     number,

@@ -8,8 +8,9 @@ import numpy as np
 
 from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.greek import greek
 from platform_ctrl.report.axes_bodies import signs, spin_direction
-from platform_ctrl.report.svg_pieces import attribute, greek, level_class, line, number, sign, text_width, words
+from platform_ctrl.report.svg_pieces import attribute, level_class, line, number, sign, text_width, words
 from platform_ctrl.report.tables import axis_text
 
 FONT = 14.0

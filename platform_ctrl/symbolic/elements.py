@@ -34,7 +34,6 @@ class ElementSymbols:
     def __init__(self, names: Names, symbols: list[NamedSymbol]) -> None:
         self._names, self._symbols = names, symbols
         self._made: Counter[tuple[str, str]] = Counter()
-        self._forces: dict[str, NamedSymbol] = {}
 
     def add(self, head: str, label: str, part: str, meaning: str, unit: str, number: float) -> tuple[int, str]:
         """Return the position and the name of a new parameter; a second one of the same head and label is numbered."""

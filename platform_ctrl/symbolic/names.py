@@ -9,6 +9,7 @@ import unicodedata
 from typing import Literal
 
 from platform_ctrl.frozen import value
+from platform_ctrl.greek import DOTS, LETTERS
 
 Kind = Literal[
     "inertia",
@@ -24,42 +25,13 @@ Kind = Literal[
     "angle",
 ]
 
-_GREEK = {
-    "alpha": "α",
-    "beta": "β",
-    "gamma": "γ",
-    "delta": "δ",
-    "epsilon": "ε",
-    "zeta": "ζ",
-    "eta": "η",
-    "theta": "θ",
-    "kappa": "κ",
-    "lambda": "λ",
-    "mu": "μ",
-    "nu": "ν",
-    "xi": "ξ",
-    "rho": "ρ",
-    "sigma": "σ",
-    "tau": "τ",
-    "phi": "φ",
-    "chi": "χ",
-    "psi": "ψ",
-    "omega": "ω",
-    "Gamma": "Γ",
-    "Delta": "Δ",
-    "Theta": "Θ",
-    "Lambda": "Λ",
-    "Phi": "Φ",
-    "Psi": "Ψ",
-    "Omega": "Ω",
-}
-_DOTS = {0: ("", "{}"), 1: ("\u0307", r"\dot{{{}}}"), 2: ("\u0308", r"\ddot{{{}}}")}
+_DOTTED = ("{}", r"\dot{{{}}}", r"\ddot{{{}}}")
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\backslash ", "~": r"\sim ", "^": r"\wedge "}
 # What prose in LaTeX needs; in mathematics the names of greek letters are read before.
 _PROSE = (
     {c: f"\\{c}" for c in "&%$#_{}"}
     | {c: f"${command.strip()}$" for c, command in _ESCAPES.items() if c in "\\~^"}
-    | {letter: rf"$\{name}$" for name, letter in _GREEK.items() if name != "epsilon"}
+    | {letter: rf"$\{name}$" for name, letter in LETTERS.items() if name != "epsilon"}
     | {"ε": r"$\varepsilon$", "²": "$^2$", "<": "$<$", ">": "$>$", "|": "$|$", "−": "$-$"}
 )
 
@@ -118,10 +90,10 @@ class Names:
         """Return an angle (or component of Omega) as the file names it, or its derivative."""
         name = self._unique(angle + {0: "", 1: "_dot", 2: "_ddot"}[dots])
         head, label = _split(angle)
-        mark, pattern = _DOTS[dots]
-        text = self._shown(f"{_GREEK.get(head, head)[:1]}{mark}{_GREEK.get(head, head)[1:]}{label}", name)
+        letters = LETTERS.get(head, head)
+        text = self._shown(f"{letters[:1]}{DOTS[dots]}{letters[1:]}{label}", name)
         below = _label(label.lstrip("_"))
-        latex = pattern.format(_head(head)) + (f"_{{{below}}}" if below else "")
+        latex = _DOTTED[dots].format(_head(head)) + (f"_{{{below}}}" if below else "")
         return NamedSymbol(name=name, text=text, latex=latex, kind=kind, meaning=meaning, unit=unit)
 
     def _unique(self, wanted: str) -> str:
@@ -156,7 +128,7 @@ def _split(name: str) -> tuple[str, str]:
 
 
 def _head(head: str) -> str:
-    if head in _GREEK:
+    if head in LETTERS:
         return rf"\{head}" if head != "epsilon" else r"\varepsilon"
     return head if len(head) == 1 and head.isalnum() else rf"\mathrm{{{_escaped(head)}}}"
 

@@ -9,22 +9,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.frozen import FloatArray
-
-_GREEK = {
-    **{"alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "theta": "θ"},
-    **{"kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "rho": "ρ", "sigma": "σ", "tau": "τ"},
-    **{"phi": "φ", "chi": "χ", "psi": "ψ", "omega": "ω"},
-}
-_DOTS = ("", "\u0307", "\u0308")
+from platform_ctrl.greek import DOTS, LETTERS
 
 
 def coordinate(angle: str, derivative: int) -> str:
     """Return an angle or its derivative: ``alpha4``, 2 becomes α̈4."""
     word = re.match("[A-Za-z]*", angle)
     letters = "" if word is None else word.group()
-    letter = _GREEK.get(letters.lower(), letters)
+    letter = LETTERS.get(letters, letters)
     if len(letter) == 1:
-        return unicodedata.normalize("NFC", letter + _DOTS[derivative]) + angle[len(letters) :]
+        return unicodedata.normalize("NFC", letter + DOTS[derivative]) + angle[len(letters) :]
     return ("{}", "d({})/dt", "d²({})/dt²")[derivative].format(angle)
 
 
