@@ -84,6 +84,7 @@ def models(as_json: Json = False) -> None:
     import tomllib
 
     from platform_ctrl.reading import platform_source, shipped_models
+    from platform_ctrl.report.quantities import count
 
     listed = []
     for name in shipped_models():
@@ -95,7 +96,8 @@ def models(as_json: Json = False) -> None:
         return
     width = max(len(model["name"]) for model in listed)
     for model in listed:
-        typer.echo(f"{model['name']:<{width}}  {model['title']}: {model['gimbal']} gimbals, {model['rotor']} rotors")
+        parts = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
+        typer.echo(f"{model['name']:<{width}}  {model['title']}: {parts}")
 
 
 app.command()(equations)
