@@ -387,8 +387,16 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
         stiffness[3 + platform.gimbal_names.index(spring.gimbal)] += abs(spring.stiffness)
     for friction in platform.frictions:
         viscous[3 + platform.gimbal_names.index(friction.gimbal)] += friction.viscous
-    bias = inverse_dynamics(platform, motion.q, motion.velocity, np.zeros(n))
-    bias -= element_forces(platform, motion.q, motion.velocity)
+
+    def needed(q: np.ndarray) -> np.ndarray:
+        return inverse_dynamics(platform, q, motion.velocity, np.zeros(n)) - element_forces(
+            platform, q, motion.velocity
+        )
+
+    bias, slope = needed(motion.q), np.zeros((n, n))
+    for k in range(n - 3):
+        away = 1e-4 * np.eye(n - 3)[k]
+        slope[:, 3 + k] = (needed(motion.q + away) - needed(motion.q - away)) / 2e-4
     # Forces as large as what the motion itself calls for.
     force = np.abs(bias).max() * motion.rng.normal(size=n) * np.minimum(1.0, np.diag(inertia) / np.diag(inertia).max())
     push = force - bias
@@ -403,8 +411,9 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
         exchange = np.diag(1 / axial) + B @ root @ root.T @ B.T
         rate += np.linalg.norm(exchange * gain, 2) + np.linalg.norm(exchange * integral, 2) ** 0.5
     start = root @ (root.T @ push)
-    rate += np.linalg.norm(root.T @ damping @ root, 2) + np.linalg.norm(start) ** 0.5
-    rate += np.linalg.norm(root.T @ np.diag(stiffness) @ root, 2) ** 0.5
+    # From rest the run is to turn nothing by more than 0.1 rad: beside gimbal lock another A* is not far.
+    rate += np.linalg.norm(root.T @ damping @ root, 2) + 5 * np.linalg.norm(start) ** 0.5
+    rate += np.linalg.norm(root.T @ slope @ root, 2) ** 0.5
     step = pace / rate
     ends = [
         rollout(

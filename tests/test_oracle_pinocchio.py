@@ -334,13 +334,18 @@ def end_of_bodies(motion: Motion, bodies: Bodies, ours: Run) -> tuple[np.ndarray
     return configuration[1 + tree.gimbals], velocity[tree.platform_places], rotation(attitude), velocity[motors]
 
 
+def agree_at_the_end(ours: Run, q: np.ndarray, velocity: np.ndarray, turned: np.ndarray) -> None:
+    near, duration = NEAR * np.linalg.norm(ours.velocity), ours.step * ours.steps
+    agree("q", ours.q, q, ours.q_error + NEAR * np.abs(ours.q) + near * duration)
+    agree("u", ours.velocity, velocity, ours.velocity_error + near)
+    agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + NEAR)
+
+
 @for_all(st.one_of(motions(), motions(min_size=0.1)), quick=15)
 def test_runs_are_those_of_bodies_under_an_adaptive_integrator(motion):
     bodies, ours = as_bodies(motion), run(motion)
     q, velocity, turned, _ = end_of_bodies(motion, bodies, ours)
-    agree("q", ours.q, q, ours.q_error + NEAR * np.abs(ours.q))
-    agree("u", ours.velocity, velocity, ours.velocity_error + NEAR * np.linalg.norm(ours.velocity))
-    agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + NEAR)
+    agree_at_the_end(ours, q, velocity, turned)
 
 
 @for_all(motions(controls=("servo", "servo", "regulated", "free"), min_size=1e-3), quick=15)
@@ -363,9 +368,7 @@ def test_servo_rotors_are_bodies_with_motors(motion):
     bodies.velocity = bodies.tree.vector(motion.velocity, spin)
     ours = run(motion, spin=spin[servo])
     q, velocity, turned, spins = end_of_bodies(motion, bodies, ours)
-    agree("q", ours.q, q, ours.q_error + NEAR * np.abs(ours.q))
-    agree("u", ours.velocity, velocity, ours.velocity_error + NEAR * np.linalg.norm(ours.velocity))
-    agree("attitude", rotation_vector(ours.turned @ turned.T), 0.0, ours.turn_error + NEAR)
+    agree_at_the_end(ours, q, velocity, turned)
     # What a rotor gains its carriers lose: its own error is that of momentum, and theirs of rate.
     axial = np.array([rotor.axial_inertia for rotor in rotors])[servo]
     inertia = matrices(motion.platform, motion.q).A_star
