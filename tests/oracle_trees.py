@@ -583,7 +583,7 @@ class MujocoTree(Tree):
             if np.abs(basis - np.eye(3)).max() < 0.1:
                 # MuJoCo takes principal axes within 1e-6 of the body's own for the same: name them in another order.
                 moments, basis = np.roll(moments, 1), np.roll(basis, 1, axis=1)
-            # Not `fullinertia`: MuJoCo would find the principal axes to 1e-12 only.
+            # Not `fullinertia`: the principal axes that MuJoCo finds are good to 50 eps, as much as is allowed here.
             added = made[1 + body.parent].add_body(
                 name=body.name, mass=mass, ipos=offset, inertia=moments, iquat=quaternion(basis), explicitinertial=True
             )
