@@ -96,8 +96,8 @@ def models(as_json: Json = False) -> None:
         return
     width = max(len(model["name"]) for model in listed)
     for model in listed:
-        parts = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
-        typer.echo(f"{model['name']:<{width}}  {model['title']}: {parts}")
+        bodies = f"{count(model['gimbal'], 'gimbal')}, {count(model['rotor'], 'rotor')}"
+        typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
 
 
 app.command()(equations)

@@ -14,7 +14,7 @@ from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
-from platform_ctrl.mechanics.regularity import inverse_inertia
+from platform_ctrl.mechanics.regularity import solved_inertia
 
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
@@ -73,8 +73,7 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     inertias = world_inertias(platform, at)
     bias = _moments(platform, at, inertias, u, np.zeros(3 + n))
     A_star = mass_matrix(at.jacobians, inertias)
-    out: FloatArray = inverse_inertia(A_star, (*OMEGA_NAMES, *platform.angle_names)) @ (torque - bias)
-    return out
+    return solved_inertia(A_star, torque - bias, (*OMEGA_NAMES, *platform.angle_names))
 
 
 def _moments(platform: Platform, at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:

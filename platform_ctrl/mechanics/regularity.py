@@ -13,13 +13,15 @@ from platform_ctrl.frozen import FloatArray
 _SINGULAR = 1e-13
 
 
-def inverse_inertia(mass: FloatArray, names: Sequence[str]) -> FloatArray:
-    """Return the inverse of a mass matrix, from its scaled eigenvalues.
+def solved_inertia(mass: FloatArray, momenta: FloatArray, names: Sequence[str]) -> FloatArray:
+    """Return M⁻¹ times a vector or the columns of a matrix.
 
     Parameters
     ----------
     mass : (k, k)
         A*, or the part of it that belongs to `names`.
+    momenta : (k,) or (k, ...)
+        What it is solved for.
     names
         Its coordinates, for the message.
 
@@ -35,7 +37,8 @@ def inverse_inertia(mass: FloatArray, names: Sequence[str]) -> FloatArray:
             f"A* is singular: {still} moves no inertia; expected some in its body or in what it carries"
         )
     scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(scale[:, None] * mass * scale)
+    unit = scale[:, None] * mass * scale
+    values, vectors = np.linalg.eigh(unit)
     if values.size and values[0] < _SINGULAR * values[-1]:
         # What moves in the null direction, by its share of the scaled motion.
         joint = [name for name, part in zip(names, np.abs(vectors[:, 0]), strict=True) if part > 0.3]
@@ -43,5 +46,17 @@ def inverse_inertia(mass: FloatArray, names: Sequence[str]) -> FloatArray:
             f"A* is singular at these angles: {', '.join(joint)} can move without moving any inertia (gimbal lock); "
             "expected other angles, or an inertia about that axis"
         )
-    out: FloatArray = scale[:, None] * (vectors / values @ vectors.T) * scale
-    return out
+    # Elimination keeps more digits of rows of very different size than the eigenvectors do.
+    return np.asarray((scale * np.linalg.solve(unit, (scale * momenta.T).T).T).T)
+
+
+def inverse_inertia(mass: FloatArray, names: Sequence[str]) -> FloatArray:
+    """Return M⁻¹, symmetric.
+
+    Raises
+    ------
+    MechanicsError
+        As in `solved_inertia`.
+    """
+    inverse = solved_inertia(mass, np.eye(len(mass)), names)
+    return np.asarray(0.5 * (inverse + inverse.T))
