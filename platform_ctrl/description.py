@@ -8,6 +8,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import FloatArray, read_only, value
@@ -201,8 +202,28 @@ class Platform:
         return self._indices([r.carrier for r in self.rotors])
 
     def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
-        index = {self.root_name: -1} | {g.name: k for k, g in enumerate(self.gimbals)}
-        return np.array([index[name] for name in bodies], dtype=np.intp)
+        number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
+        return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
+
+    def body(self, name: str) -> int:
+        """Return the number of a body: 0 the root, 1 + k that of gimbal k.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such body.
+        """
+        return known_name(f"body of platform {self.name!r}", name, (self.root_name, *self.gimbal_names))
+
+    def gimbal(self, name: str) -> int:
+        """Return the index of the named gimbal.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal.
+        """
+        return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.

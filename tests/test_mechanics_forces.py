@@ -13,6 +13,7 @@ from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.reading import read_platform
+from platform_ctrl.simulation import rollout
 from platform_ctrl.state_space import state_space, subsystems
 from tree_cases import platforms, with_torquers
 
@@ -200,3 +201,27 @@ def test_specific_force_and_rate_amplitude_are_judged():
         element_forces(platform, [0.0], specific_force=[1.0])
     with pytest.raises(ArgumentError, match="rate_amplitude"):
         linearise(platform, rate_amplitude=[0.0])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"springs": (Spring(gimbal="armm", stiffness=1.0),)},
+        {"frictions": (Friction(gimbal="armm"),)},
+        {"cages": (Cage(gimbal="armm", stiffness=1.0),)},
+        {"unbalances": (Unbalance(body="armm", moment=np.ones(3)),)},
+        {"erections": (Erection(gimbal="arm", senses="armm", axis=np.eye(3)[0], gain=1.0),)},
+    ],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_an_element_on_a_body_that_is_not_there_is_named_wherever_it_is_used(wrong):
+    platform = dataclasses.replace(pendulum(), **wrong)
+    for call in (element_forces, linearise, lambda p: rollout(p, [[0.0]], np.zeros((1, 4)), steps=1)):
+        with pytest.raises(ArgumentError, match=r"platform 'pendulum': given 'armm'.*did you mean 'arm'"):
+            call(platform)
+
+
+def test_a_second_friction_on_a_gimbal_is_refused_by_the_simulation_as_by_the_file():
+    platform = dataclasses.replace(pendulum(), frictions=(Friction(gimbal="arm"), Friction(gimbal="arm")))
+    with pytest.raises(ArgumentError, match="gimbal 'arm' has more than one friction"):
+        rollout(platform, [[0.0]], np.zeros((1, 4)), steps=1)

@@ -136,6 +136,24 @@ def test_gimbal_lock_is_named_not_solved():
     assert np.all(np.isfinite(forward_dynamics(platform, 0 * q, np.zeros(6), np.ones(6))))
 
 
+@pytest.mark.parametrize(("lightest", "regular"), [(1e-11, True), (1e-15, False)])
+def test_a_mass_matrix_is_singular_where_no_digit_is_left(lightest, regular):
+    """Two gimbals on one axis: the outer one's own inertia is all that tells them apart."""
+    axis = np.eye(3)[0]
+    names = ("base", "outer", "inner")
+    gimbals = tuple(
+        Gimbal(name=names[k + 1], parent=names[k], axis=axis, inertia=size * np.eye(3), angle=names[k + 1])
+        for k, size in enumerate((lightest, 1.0))
+    )
+    platform = Platform(name="coaxial", root_name="base", root_inertia=np.diag([1e3] * 3), gimbals=gimbals)
+    if regular:
+        moved = forward_dynamics(platform, np.zeros(2), np.zeros(5), [0, 0, 0, 1e-11, 0.0])
+        np.testing.assert_allclose(moved[3], 1.0, rtol=1e-2)
+    else:
+        with pytest.raises(MechanicsError, match="outer, inner can move without"):
+            forward_dynamics(platform, np.zeros(2), np.zeros(5), np.zeros(5))
+
+
 def test_a_body_without_inertia_is_named():
     platform = Platform(
         name="nothing",

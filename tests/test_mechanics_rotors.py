@@ -133,6 +133,16 @@ def test_the_routhian_of_4_to_7_gives_the_free_rows(platform, seed):
     np.testing.assert_allclose((ahead - behind) / (2 * h) - gradient, expected, atol=1e-7 * size)
 
 
+def test_a_rotor_that_is_no_servo_any_more_has_no_speed_loop():
+    wheel = {"name": "w", "carrier": "base", "axis": [0, 0, 1], "axial_inertia": 1, "transverse_inertia": 1, "spin": 5}
+    loop = {"control": "servo", "speed_gain": 1.0, "speed_integral": 2.0, "torque_limit": 3.0}
+    data = {"schema": 1, "name": "wheel", "root": {"name": "base", "inertia": [1, 1, 1]}, "rotor": [wheel | loop]}
+    for changed in (with_free_rotors, with_regulated_rotors):
+        rotor = changed(read_platform(data), velocity=[0, 0, 1]).rotors[0]
+        assert (rotor.speed_gain, rotor.speed_integral, rotor.torque_limit) == (0.0, 0.0, None)
+        assert rotor.spin == (6.0 if rotor.control == "free" else 5.0)
+
+
 def test_a_gimbal_that_takes_the_name_of_a_rotors_body_is_refused():
     platform = read_platform(
         {

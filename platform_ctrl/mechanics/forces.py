@@ -62,16 +62,15 @@ def element_forces(
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
     at = kinematics(platform, angles)
-    index = {name: k for k, name in enumerate(platform.gimbal_names)}
     out = _unbalance_torque(platform, at) @ f
     for spring in platform.springs:
-        k = index[spring.gimbal]
+        k = platform.gimbal(spring.gimbal)
         out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
     for friction in platform.frictions:
-        k = index[friction.gimbal]
+        k = platform.gimbal(friction.gimbal)
         out[3 + k] -= friction.viscous * rates[k] + _dry(friction, float(rates[k]))
     for cage in platform.cages:
-        k = index[cage.gimbal]
+        k = platform.gimbal(cage.gimbal)
         out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
     for erecting in _erections(platform, at, f):
         out[3 + erecting.gimbal] += min(max(erecting.gain * erecting.tilt, -erecting.limit), erecting.limit)
@@ -89,19 +88,19 @@ def force_slopes(
     tree = topology(platform)
     n = len(tree.parents)
     at = kinematics(platform, q)
-    index = {name: k for k, name in enumerate(platform.gimbal_names)}
     rate = np.zeros((n, n))
     angle, force = _unbalance_slope(platform, at, specific_force), _unbalance_torque(platform, at)
     for spring in platform.springs:
-        k = index[spring.gimbal]
+        k = platform.gimbal(spring.gimbal)
         angle[3 + k, k] -= spring.stiffness
     for friction in platform.frictions:
-        k = index[friction.gimbal]
+        k = platform.gimbal(friction.gimbal)
         rate[k, k] -= friction.viscous
         if rate_amplitude is not None:
-            rate[k, k] -= 4.0 * 0.5 * sum(friction.coulomb) / (math.pi * rate_amplitude[k])
+            mean = 0.5 * sum(friction.coulomb)
+            rate[k, k] -= 4.0 * mean / (math.pi * rate_amplitude[k])
     for cage in platform.cages:
-        k = index[cage.gimbal]
+        k = platform.gimbal(cage.gimbal)
         if cage.clearance == 0.0 or abs(q[k] - cage.angle) > cage.clearance:
             angle[3 + k, k] -= cage.stiffness
             rate[k, k] -= cage.damping
@@ -148,28 +147,22 @@ def _erections(platform: Platform, at: Kinematics, f: FloatArray) -> list[_Erect
     size = float(np.linalg.norm(f))
     if size == 0.0:
         return []
-    bodies = _bodies(platform)
     out = []
     for device in platform.erections:
-        body = bodies[device.senses]
+        body = platform.body(device.senses)
         axis = at.rotations[body] @ device.axis
         limit = math.inf if device.limit is None else device.limit
         tilt = float(axis @ f) / size
-        gimbal = bodies[device.gimbal] - 1
+        gimbal = platform.gimbal(device.gimbal)
         out.append(_Erecting(gimbal=gimbal, body=body, axis=axis, tilt=tilt, gain=device.gain, limit=limit))
     return out
 
 
-def _bodies(platform: Platform) -> dict[str, int]:
-    return {name: k for k, name in enumerate((platform.root_name, *platform.gimbal_names))}
-
-
 def _moments(platform: Platform, at: Kinematics) -> FloatArray:
     """Mass moments in root axes, (1 + n, 3), kg m."""
-    bodies = _bodies(platform)
     out = np.zeros((1 + len(platform.gimbals), 3))
     for unbalance in platform.unbalances:
-        body = bodies[unbalance.body]
+        body = platform.body(unbalance.body)
         out[body] += at.rotations[body] @ unbalance.moment
     return out
 

@@ -90,7 +90,9 @@ def with_regulated_rotors(
 
 def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray) -> Platform:
     rotors = tuple(
-        dataclasses.replace(r, control=control, angular_momentum=float(h))
+        dataclasses.replace(
+            r, control=control, angular_momentum=float(h), speed_gain=0.0, speed_integral=0.0, torque_limit=None
+        )
         for r, h in zip(platform.rotors, momenta, strict=True)
     )
     return dataclasses.replace(platform, rotors=rotors)

@@ -13,6 +13,7 @@ from platform_ctrl.design.channels import channels
 from platform_ctrl.design.plants import changed, rows_of
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.state_space import state_space
 
 # A pole this small against the fastest of its group counts as zero: multiple zeros come out that large in floats.
 _ZERO = 1e-5
@@ -45,12 +46,7 @@ class Mode:
 
 def gimbal_poles(model: LinearModel, gimbals: tuple[str, ...]) -> ComplexArray:
     """Return the poles of the uncontrolled gimbals with Omega given, fastest first, rad/s."""
-    rows = rows_of(model, gimbals)
-    part = np.ix_(rows, rows)
-    n = len(rows)
-    mobility = np.linalg.inv(model.M[part])
-    A = np.block([[np.zeros((n, n)), np.eye(n)], [-mobility @ model.stiffness[part], -mobility @ model.damping[part]]])
-    s = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+    s = np.asarray(np.linalg.eigvals(state_space(model, gimbals=gimbals).A), dtype=np.complex128)
     return s[np.argsort(-np.abs(s), kind="stable")]
 
 

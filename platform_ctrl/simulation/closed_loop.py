@@ -225,13 +225,12 @@ def simulate(
     steps = np.array([length / c if c else 0.0 for length, c in zip(lengths, count, strict=True)])
     check_step(platform, float(steps.max()), free)
 
-    index = {g.name: k for k, g in enumerate(platform.gimbals)}
-    sensed = np.array([index[s.gimbal] for s in platform.pickoffs], dtype=np.int64)
+    sensed = np.array([platform.gimbal(s.gimbal) for s in platform.pickoffs], dtype=np.int64)
     rms = np.array([s.sampled_noise(period) if noise else 0.0 for s in platform.pickoffs])
     disturbance = np.random.default_rng(seed).standard_normal((samples, len(rms))) * rms
     quantisation = np.array([s.quantisation for s in platform.pickoffs])
     target = np.array(
-        [t.root_axis - 1 if t.root_axis is not None else 3 + index[str(t.gimbal)] for t in platform.torquers],
+        [t.root_axis - 1 if t.root_axis is not None else 3 + platform.gimbal(str(t.gimbal)) for t in platform.torquers],
         dtype=np.int64,
     )
     limit = np.array([np.inf if t.limit is None else t.limit for t in platform.torquers])

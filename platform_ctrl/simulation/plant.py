@@ -48,27 +48,34 @@ def pack(platform: Platform) -> Plant:
     body[1 : 1 + n, :3] = tree.axes
     body[: 1 + n, 3:9] = carrier[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     body[: 1 + n, 9:12] = momentum
-    index = {name: b for b, name in enumerate((platform.root_name, *platform.gimbal_names))}
     for row, r in enumerate(servos, 1 + n):
         loop = (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
-        body[row, :9] = (*r.axis, index[r.carrier], *loop)
+        body[row, :9] = (*r.axis, platform.body(r.carrier), *loop)
     if acting:
-        _pack_elements(platform, index, body)
+        _pack_elements(platform, body)
     return np.array([tree.order, tree.parents + 1], dtype=np.int64).reshape(2, n), body
 
 
-def _pack_elements(platform: Platform, index: dict[str, int], body: FloatArray) -> None:
-    body[: len(index), 23] = math.inf
+def _pack_elements(platform: Platform, body: FloatArray) -> None:
+    body[: 1 + len(platform.gimbals), 23] = math.inf
     for unbalance in platform.unbalances:
-        body[index[unbalance.body], 12:15] += unbalance.moment
+        body[platform.body(unbalance.body), 12:15] += unbalance.moment
     for spring in platform.springs:
-        body[index[spring.gimbal], 15:17] += (spring.stiffness, spring.stiffness * spring.rest)
+        body[1 + platform.gimbal(spring.gimbal), 15:17] += (spring.stiffness, spring.stiffness * spring.rest)
+    for kind, elements in (("friction", platform.frictions), ("cage", platform.cages)):
+        names = [element.gimbal for element in elements]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ArgumentError(
+                f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; expected one"
+            )
     for friction in platform.frictions:
-        body[index[friction.gimbal], 17:21] = (friction.viscous, *friction.coulomb, 1.0 / friction.coulomb_rate)
+        row = 1 + platform.gimbal(friction.gimbal)
+        body[row, 17:21] = (friction.viscous, *friction.coulomb, 1.0 / friction.coulomb_rate)
     for cage in platform.cages:
-        body[index[cage.gimbal], 21:25] = (cage.stiffness, cage.damping, cage.clearance, cage.angle)
+        body[1 + platform.gimbal(cage.gimbal), 21:25] = (cage.stiffness, cage.damping, cage.clearance, cage.angle)
     for row, device in enumerate(platform.erections, len(body) - len(platform.erections)):
-        bodies = (index[device.gimbal], index[device.senses])
+        bodies = (1 + platform.gimbal(device.gimbal), platform.body(device.senses))
         body[row, :7] = (*device.axis, *bodies, device.gain, _or_infinite(device.limit))
 
 
