@@ -61,10 +61,25 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     try:
         number = float(given)
     except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {given!r}; expected a number") from None
+        raise ArgumentError(f"{name}: given {_short(given)}; expected a number") from None
+    except OverflowError:
+        raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
     if not np.isfinite(number) or number < 0.0 or (number == 0.0 and not zero):
         raise ArgumentError(f"{name}: given {given!r}; expected a finite number {'>=' if zero else '>'} 0")
     return number
+
+
+def one_of(name: str, given: object, options: Sequence[str]) -> None:
+    """Judge a word that selects something.
+
+    Raises
+    ------
+    ArgumentError
+        It is none of `options`.
+    """
+    if not isinstance(given, str) or given not in options:
+        *first, last = map(repr, options)
+        raise ArgumentError(f"{name}: given {_short(given)}; expected {', '.join(first)} or {last}")
 
 
 def known_name(kind: str, given: str, known: Sequence[str]) -> int:
@@ -102,6 +117,9 @@ def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[i
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that `word` was probably meant to be, or None."""
     by_lower = {name.lower(): name for name in known}
+    begun = [name for name in by_lower if len(word) > 2 and name.startswith(word.lower()[:_LONGEST])]
+    if begun:
+        return by_lower[begun[0]]
     close = difflib.get_close_matches(word.lower()[:_LONGEST], by_lower, n=1)
     return by_lower[close[0]] if close else None
 

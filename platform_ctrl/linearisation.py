@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
+from platform_ctrl.arguments import one_of, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -135,8 +135,7 @@ def linearise(
     n = len(tree.parents)
     rate = real_array("Omega", Omega, (3,))
     angles = real_array("q", q, (n,), 0.0)
-    if terms not in ("exact", "paper"):
-        raise ArgumentError(f"terms: given {terms!r}; expected 'exact' or 'paper'")
+    one_of("terms", terms, ("exact", "paper"))
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
     amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
     if amplitude is not None and not np.all(amplitude > 0.0):

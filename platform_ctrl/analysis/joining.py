@@ -19,7 +19,14 @@ if TYPE_CHECKING:
 def joined(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:
-    """Return one controller from `inputs` (pick-offs) to `outputs` (torquers).
+    """Return one controller from `inputs` (pick-offs) to `outputs` (torquers): see `joined_arrays`."""
+    return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, name="all loops")
+
+
+def joined_arrays(
+    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
+) -> StateArrays:
+    """Return the arrays of one controller from `inputs` (pick-offs) to `outputs` (torquers).
 
     The joining is exact: nothing non-linear stands between controllers, and later ones see this step's outputs.
 
@@ -77,8 +84,7 @@ def joined(
                 f"expected one of {', '.join(outputs)}"
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
-    arrays = StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
-    return state_space(arrays, inputs, outputs, name="all loops")
+    return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
 
 
 def _where(k: int, system: control.StateSpace) -> str:

@@ -6,6 +6,7 @@ be carried out. 2: the input is wrong. 130: interrupted. Nothing heavy is loaded
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -21,6 +22,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (default: those of the process) and return its exit code."""
     # Our matrices are small: BLAS threads spend their time waiting for each other, most of it on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if sys.stdout is None or sys.stderr is None:
+        # Closed by whoever started us: what would go there goes nowhere, and libraries need not know.
+        nowhere = open(os.devnull, "w")  # noqa: SIM115 - open as long as the process
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a name that the terminal cannot show must not stop the work
             stream.reconfigure(errors="backslashreplace")
@@ -31,6 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone; what is left in the buffer must not complain when the program ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            raise
+        # A full disk behind standard output; files have their own errors, in one line each.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = _failed(f"standard output: {error.strerror or error}", 1)
     except BaseException as error:
         if not _began_with_interrupt(error):
             raise

@@ -108,16 +108,18 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
     Raises
     ------
     ArgumentError
-        A gimbal bears such a name already.
+        A gimbal or an angle bears such a name already.
     """
     added = []
     for rotor in platform.rotors:
-        name = f"rotor {rotor.name}"
-        if name in (platform.root_name, *platform.gimbal_names):
-            raise ArgumentError(f"gimbal {name!r}: expected another name, it is needed for the body of that rotor")
+        name, angle = f"rotor {rotor.name}", f"phi {rotor.name}"
+        for what, needed, taken in (
+            ("gimbal", name, (platform.root_name, *platform.gimbal_names)),
+            ("angle", angle, platform.angle_names),
+        ):
+            if needed in taken:
+                raise ArgumentError(f"{what} {needed!r}: expected another name, it is needed for that rotor's body")
         along = np.outer(rotor.axis, rotor.axis)
         inertia = rotor.transverse_inertia * (np.eye(3) - along) + rotor.axial_inertia * along
-        added.append(
-            Gimbal(name=name, parent=rotor.carrier, axis=rotor.axis, inertia=inertia, angle=f"phi {rotor.name}")
-        )
+        added.append(Gimbal(name=name, parent=rotor.carrier, axis=rotor.axis, inertia=inertia, angle=angle))
     return dataclasses.replace(platform, gimbals=(*platform.gimbals, *added), rotors=())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.joining import joined
+from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
@@ -17,6 +17,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Mode
 from platform_ctrl.simulation.plant import pack, unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
+from platform_ctrl.simulation.step_limit import check_elements
 
 if TYPE_CHECKING:
     import control
@@ -185,7 +186,7 @@ def simulate(
     ------
     ArgumentError
         If an argument has the wrong shape, is out of range, or names something that the plant does not have; if the
-        step is too long for the speed loop of a servo rotor.
+        step is too long for a speed loop, a spring, a cage or friction.
     """
     n = len(platform.gimbals)
     period = positive("period", period)
@@ -224,6 +225,7 @@ def simulate(
     count = np.array([math.ceil(length / longest - 1e-9) for length in lengths], dtype=np.int64)
     steps = np.array([length / c if c else 0.0 for length, c in zip(lengths, count, strict=True)])
     check_step(platform, float(steps.max()), free)
+    check_elements(platform, float(steps.max()), free)
 
     sensed = np.array([platform.gimbal(s.gimbal) for s in platform.pickoffs], dtype=np.int64)
     rms = np.array([s.sampled_noise(period) if noise else 0.0 for s in platform.pickoffs])
@@ -301,6 +303,8 @@ def _packed_profile(profile: HalfCosine | None) -> FloatArray:
     packed = np.zeros(5)
     if profile is None:
         return packed
+    if not isinstance(profile, HalfCosine):
+        raise ArgumentError(f"Omega_profile: given {profile!r}; expected a HalfCosine")
     if profile.axis not in (1, 2, 3):
         raise ArgumentError(f"Omega_profile: axis is {profile.axis!r}; expected 1, 2 or 3")
     if not math.isfinite(profile.rate):
@@ -313,7 +317,7 @@ def _packed_profile(profile: HalfCosine | None) -> FloatArray:
 
 def _merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, free: bool) -> Merged:
     """One state space from all pick-offs to all torquers."""
-    K = joined(controllers, [s.name for s in platform.pickoffs], [t.name for t in platform.torquers], period)
+    K = joined_arrays(controllers, [s.name for s in platform.pickoffs], [t.name for t in platform.torquers], period)
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     for k, system in enumerate(controllers):
         acting = [name for name in system.output_labels if name in roots]

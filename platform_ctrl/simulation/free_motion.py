@@ -16,6 +16,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.simulation.plant import pack, unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
+from platform_ctrl.simulation.step_limit import check_elements
 
 
 @value
@@ -87,8 +88,8 @@ def rollout(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape, is not finite or is out of range; if the step is too long for the speed loop
-        of a servo rotor.
+        If an argument has the wrong shape, is not finite or is out of range; if the step is too long for a speed loop,
+        a spring, a cage or friction.
     """
     n = len(platform.gimbals)
     try:
@@ -103,9 +104,10 @@ def rollout(
     steps = _count("steps", steps, 0)
     every = None if every is None else _count("every", every, 1)
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = min(processors, 1 + runs // 4) if threads is None else _count("threads", threads, 1)
+    threads = min(processors, 1 + runs // 4) if threads is None else min(_count("threads", threads, 1), runs)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step(platform, step, free=True)
+    check_elements(platform, step, free=True)
 
     from platform_ctrl.simulation import kernel
 
