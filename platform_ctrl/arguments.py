@@ -42,7 +42,7 @@ def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], defau
             raise TypeError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {_short(given)}; expected real numbers of shape {shape}") from None
+        raise ArgumentError(f"{name}: given {short(given)}; expected real numbers of shape {shape}") from None
     if array.shape != shape:
         raise ArgumentError(f"{name}: given shape {array.shape}; expected {shape}")
     if not np.all(np.isfinite(array)):
@@ -61,7 +61,7 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     try:
         number = float(given)
     except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {_short(given)}; expected a number") from None
+        raise ArgumentError(f"{name}: given {short(given)}; expected a number") from None
     except OverflowError:
         raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
     if not np.isfinite(number) or number < 0.0 or (number == 0.0 and not zero):
@@ -79,7 +79,7 @@ def one_of(name: str, given: object, options: Sequence[str]) -> None:
     """
     if not isinstance(given, str) or given not in options:
         *first, last = map(repr, options)
-        raise ArgumentError(f"{name}: given {_short(given)}; expected {', '.join(first)} or {last}")
+        raise ArgumentError(f"{name}: given {short(given)}; expected {', '.join(first)} or {last}")
 
 
 def known_name(kind: str, given: str, known: Sequence[str]) -> int:
@@ -124,6 +124,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return by_lower[close[0]] if close else None
 
 
-def _short(given: object) -> str:
+def short(given: object) -> str:
+    """Return what was given as a line that fits a message."""
     text = " ".join(repr(given).split())
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

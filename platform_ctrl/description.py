@@ -8,7 +8,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import known_name
+from platform_ctrl.arguments import known_name, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import FloatArray, read_only, value
@@ -244,6 +244,18 @@ class Platform:
             It has none.
         """
         return _on(gimbal, self.pickoffs, "pick-off")
+
+
+def expect_platform(given: object) -> None:
+    """Judge an argument that has to be a platform.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else, for example its name.
+    """
+    if not isinstance(given, Platform):
+        raise ArgumentError(f"platform: given {short(given)}; expected a Platform, for example from read_platform")
 
 
 Part = TypeVar("Part", Torquer, PickOff)

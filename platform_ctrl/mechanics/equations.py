@@ -38,7 +38,7 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     -----
     Equal to A* u̇ + (G_A + G_R + G_root) u of `matrices`, eq. (11).
     """
-    n = len(platform.gimbals)
+    n = len(topology(platform).parents)
     angles = real_array("q", q, (n,))
     u = real_array("velocity", velocity, (3 + n,))
     u_dot = real_array("acceleration", acceleration, (3 + n,))
@@ -65,7 +65,7 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     MechanicsError
         A* is singular at these angles (gimbal lock, or a gimbal that moves no inertia).
     """
-    n = len(platform.gimbals)
+    n = len(topology(platform).parents)
     angles = real_array("q", q, (n,))
     u = real_array("velocity", velocity, (3 + n,))
     torque = real_array("force", force, (3 + n,))

@@ -57,7 +57,7 @@ def element_forces(
     ArgumentError
         Wrong shape or not finite.
     """
-    n = len(platform.gimbals)
+    n = len(topology(platform).parents)
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))

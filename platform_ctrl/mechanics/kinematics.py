@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -55,15 +55,20 @@ class Topology:
     regulated: NDArray[np.bool_]
 
 
-@lru_cache(maxsize=256)
 def topology(platform: Platform) -> Topology:
     """Return the tree of `platform` as arrays (kept for the platforms used last).
 
     Raises
     ------
     ArgumentError
-        The gimbals carry each other in a ring.
+        Not a platform, or the gimbals carry each other in a ring.
     """
+    expect_platform(platform)
+    return _topology(platform)
+
+
+@lru_cache(maxsize=256)
+def _topology(platform: Platform) -> Topology:
     parents = platform.parents
     n = len(parents)
     order: list[int] = []

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Gimbal, Platform, RotorControl
+from platform_ctrl.description import Gimbal, Platform, RotorControl, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.kinematics import kinematics, topology
@@ -110,6 +110,7 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
     ArgumentError
         A gimbal or an angle bears such a name already.
     """
+    expect_platform(platform)
     added = []
     for rotor in platform.rotors:
         name, angle = f"rotor {rotor.name}", f"phi {rotor.name}"

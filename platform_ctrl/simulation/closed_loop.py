@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Mode
@@ -188,6 +188,7 @@ def simulate(
         If an argument has the wrong shape, is out of range, or names something that the plant does not have; if the
         step is too long for a speed loop, a spring, a cage or friction.
     """
+    expect_platform(platform)
     n = len(platform.gimbals)
     period = positive("period", period)
     delay = positive("delay", delay, zero=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.simulation.plant import pack, unit_quaternions
@@ -91,6 +91,7 @@ def rollout(
         If an argument has the wrong shape, is not finite or is out of range; if the step is too long for a speed loop,
         a spring, a cage or friction.
     """
+    expect_platform(platform)
     n = len(platform.gimbals)
     try:
         runs = len(np.atleast_2d(np.asarray(q)))

@@ -11,9 +11,9 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
 
-# The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an oscillation
-# that is too fast to matter. A contact that is met and left again needs more: at 0.3 rad per step a hundred bounces
-# cost a few per cent of the energy, at 1 rad nine tenths of it.
+# The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an
+# oscillation that is too fast to matter. A contact that is met and left again needs more: at 0.3 rad per step a hundred
+# bounces cost a few per cent of the energy, at 1 rad nine tenths of it.
 _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 
 
