@@ -110,3 +110,8 @@ def test_a_mistake_is_one_line_that_names_place_and_cure(case):
     assert "\n" not in message
     for word in words:
         assert word in message, message
+
+
+def test_a_job_file_in_place_of_a_plant_is_recognised():
+    with pytest.raises(InputError, match=r'is a job file; expected a plant: its own is "three_gyro_platform"'):
+        read_platform("examples/three_gyro_platform.toml")

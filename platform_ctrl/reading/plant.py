@@ -14,7 +14,7 @@ from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, RotorCon
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import read_only
 from platform_ctrl.reading import fields
-from platform_ctrl.reading.mistakes import Mistake, report
+from platform_ctrl.reading.mistakes import Mistake, given, report
 from platform_ctrl.reading.plant_checks import default_angle, default_torquer, plant_mistakes
 from platform_ctrl.reading.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.reading.structure import Table, structure
@@ -181,6 +181,9 @@ def open_plant(source: object, folder: Path) -> Document:
 
 def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform that a document describes, or None and its mistakes."""
+    if "root" not in document.data and {"plant", "loop"} <= set(document.data):
+        its_plant = given(document.data["plant"])
+        return None, [Mistake((), f"is a job file; expected a plant: its own is {its_plant}")]
     file, wrong = structure(PlantFile, document.data)
     mistakes = [*document.mistakes, *plant_mistakes(document.data), *wrong]
     return (None, mistakes) if mistakes or file is None else (_platform(file), [])
