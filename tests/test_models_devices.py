@@ -1,12 +1,8 @@
-"""Real devices: every model reads and works, its script's theory holds, and published equations are met."""
+"""Real devices: every model reads and works, and published equations are met."""
 
 from __future__ import annotations
 
-import re
-import runpy
-import sys
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +11,6 @@ from scipy.integrate import solve_ivp
 import platform_ctrl as pc
 from platform_ctrl.reading import platform_source, shipped_models
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 DEVICES = ("ae353_cmg", "double_gimbal_cmg", "ecp_750", "quanser_3dof_gyroscope", "vscmg_pyramid")
 
 
@@ -39,22 +34,6 @@ def test_a_device_reads_and_serves_every_analysis(name: str) -> None:
     run = pc.simulation.rollout(platform, q, velocity, step=1e-4, steps=20)
     assert np.all(np.isfinite(run.velocity))
     assert np.allclose(run.q, q + 2e-3 * velocity[:, 3:], rtol=0.0, atol=2e-3)
-
-
-@pytest.mark.parametrize("name", DEVICES)
-def test_what_a_script_computes_is_what_theory_says(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setattr(sys, "argv", [f"{name}.py", "-o", str(tmp_path / "figure.png")])
-    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
-    header, *lines = capsys.readouterr().out.splitlines()
-    assert header.split() == ["quantity", "theory", "computed"]
-    rows = [found for line in lines if (found := re.fullmatch(r"(.+?)\s+([-\d.e+]+)\s+([-\d.e+]+)", line))]
-    assert len(rows) >= 6
-    for quantity, theory, computed in (row.groups() for row in rows):
-        assert float(computed) == pytest.approx(float(theory), rel=2e-3, abs=1e-9), quantity
 
 
 # ECP 750
