@@ -5,21 +5,23 @@ import json
 import re
 import subprocess
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
 import sympy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.description import Platform, Rotor
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.linearisation import linearise
+from platform_ctrl.linearisation import Terms, linearise
 from platform_ctrl.mechanics import matrices
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import derivatives
 from platform_ctrl.reading import read_platform, shipped_models
-from platform_ctrl.symbolic import equations
+from platform_ctrl.state_space import subsystems
+from platform_ctrl.symbolic import TERMS, equations
 from tree_cases import platforms
 
 quick = settings(max_examples=8, deadline=None)
@@ -333,6 +335,18 @@ def test_without_truncation_the_matrices_are_exact_everywhere(platform, seed):
             assert_close(found.evaluate(getattr(found, name), q, velocity), getattr(at, name))
 
 
+@quick
+@example(GYROS, 1)
+@example(GYROS, None)
+@given(platforms(max_gimbals=3), st.sampled_from([0, 1, None]))
+def test_17_B0_is_B_at_zero_angles_and_B_A_vanishes_there(platform, order):
+    found = equations(platform, "sympy", order=order)
+    assert not found.B0.free_symbols
+    at = matrices(platform).B
+    assert_close(found.evaluate(found.B0), at)
+    assert_close(found.evaluate(found.B_A), np.zeros_like(at), 1.0)
+
+
 def test_every_order_leaves_an_error_of_the_next():
     rng = np.random.default_rng(5)
     direction, velocity = rng.normal(size=5), rng.normal(size=8)
@@ -345,6 +359,15 @@ def test_every_order_leaves_an_error_of_the_next():
                 truth = at.B.T @ at.A_R @ at.B if name == "BtA_RB" else getattr(at, name)
                 errors.append(np.abs(found.evaluate(getattr(found, name), size * direction, velocity) - truth).max())
             assert errors[1] < 0.6 * errors[0] * 0.5 ** (order + (name == "B")), (order, name)
+
+
+@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("terms", TERMS)
+def test_subsystems_are_those_of_the_state_space_model(name, terms):
+    """About a rate without a zero: in symbols no component of Omega vanishes."""
+    platform = read_platform(name)
+    model = linearise(platform, Omega=[0.7, -0.4, 0.9], terms=terms)
+    assert equations(platform, "sympy", terms=terms).groups == subsystems(model)
 
 
 # Force elements
@@ -583,8 +606,11 @@ def test_every_shipped_platform_has_its_equations(name):
     [
         ({"form": "html"}, "form: given 'html'"),
         ({"terms": "all"}, "terms: given 'all'"),
+        ({"terms": ["exact"]}, "terms: given ['exact']"),
         ({"order": 4}, "order: given 4"),
+        ({"order": np.int64(-1)}, "order: given np.int64(-1)"),
         ({"order": True}, "order: given True"),
+        ({"order": np.True_}, "order: given np.True_"),
         ({"order": 1.0}, "order: given 1.0"),
     ],
 )
@@ -592,6 +618,15 @@ def test_wrong_options_are_refused_in_one_line(options, message):
     with pytest.raises(ArgumentError, match=re.escape(message)) as caught:
         equations(GYROS, **options)
     assert "\n" not in str(caught.value)
+
+
+def test_any_integer_is_an_order():
+    found = equations(GYROS, "json", order=np.int64(2))
+    assert json.loads(json.dumps(found)) == equations(GYROS, "json", order=2)
+
+
+def test_terms_are_those_of_the_linear_model():
+    assert set(TERMS) == set(get_args(Terms))
 
 
 def test_exact_form_of_a_deep_tree_is_refused():

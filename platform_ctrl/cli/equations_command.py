@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
 from platform_ctrl.errors import InputError
+from platform_ctrl.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
-FORMATS = ("text", "latex", "json")
-TERMS = ("paper", "exact")
 EXACT = "exact"
+ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)
+
+Word = TypeVar("Word", bound=str)
 
 
 def equations(
@@ -18,13 +20,14 @@ def equations(
         str, typer.Argument(metavar="PLANT", help="A shipped plant's name, or a plant file (TOML).", show_default=False)
     ],
     form: Annotated[
-        str, typer.Option("--format", metavar="|".join(FORMATS), help="latex: a fragment that needs amsmath.")
+        str, typer.Option("--format", metavar="|".join(WRITTEN), help="latex: a fragment that needs amsmath.")
     ] = "text",
     order: Annotated[
         str,
         typer.Option(
             metavar="N",
-            help="Matrices to order 0, 1, 2 or 3 in the angles, or exact: in sines and cosines, for small trees.",
+            help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
+            "trees.",
         ),
     ] = "1",
     terms: Annotated[
@@ -46,20 +49,23 @@ def equations(
     platform-ctrl equations plant.toml --format latex > equations.tex
     platform-ctrl equations plant.toml --terms exact --order 2 --json
     """  # noqa: D301
-    for option, given, known in (("--format", form, FORMATS), ("--terms", terms, TERMS)):
-        if given not in known:
-            raise InputError(f"{option}: given {given!r}; expected {', '.join(known[:-1])} or {known[-1]}")
-    if order not in ("0", "1", "2", "3", EXACT):
-        raise InputError(f"--order: given {order!r}; expected 0, 1, 2, 3 or {EXACT}")
+    chosen_form, chosen_terms = _one_of("--format", form, WRITTEN), _one_of("--terms", terms, TERMS)
+    chosen_order = None if _one_of("--order", order, ORDERS) == EXACT else int(order)
     from platform_ctrl.reading import read_platform
     from platform_ctrl.symbolic import equations as found
 
-    platform, to = read_platform(plant), None if order == EXACT else int(order)
-    if as_json or form == "json":
+    platform = read_platform(plant)
+    if as_json or chosen_form == "json":
         import json
 
-        record = found(platform, "json", order=to, terms="exact" if terms == "exact" else "paper")
+        record = found(platform, "json", chosen_order, chosen_terms)
         typer.echo(json.dumps(record, indent=2))
         return
-    shown = found(platform, "latex" if form == "latex" else "text", to, "exact" if terms == "exact" else "paper")
-    typer.echo(shown, nl=False)
+    typer.echo(found(platform, chosen_form, chosen_order, chosen_terms), nl=False)
+
+
+def _one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:
+    for word in known:
+        if word == given:
+            return word
+    raise InputError(f"{option}: given {given!r}; expected {', '.join(known[:-1])} or {known[-1]}")

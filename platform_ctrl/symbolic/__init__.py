@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.symbolic.options import FORMS, HIGHEST_ORDER, TERMS, Form, Terms
 
 if TYPE_CHECKING:
+    from platform_ctrl.description import Platform
     from platform_ctrl.symbolic.result import Equations
 
-__all__ = ["FORMS", "HIGHEST_ORDER", "equations"]
-
-FORMS = ("text", "latex", "sympy", "json")
-HIGHEST_ORDER = 3
-
-Terms = Literal["paper", "exact"]
+__all__ = ["FORMS", "HIGHEST_ORDER", "TERMS", "equations"]
 
 
 @overload
@@ -30,7 +27,7 @@ def equations(
 ) -> dict[str, Any]: ...
 def equations(
     platform: Platform,
-    form: Literal["text", "latex", "sympy", "json"] = "text",
+    form: Form = "text",
     order: int | None = 1,
     terms: Terms = "paper",
 ) -> str | dict[str, Any] | Equations:
@@ -54,12 +51,16 @@ def equations(
     ArgumentError
         Unknown `form` or `terms`, `order` out of range, or None for a large tree.
     """
-    if form not in FORMS:
-        raise ArgumentError(f"form: given {form!r}; expected one of {', '.join(map(repr, FORMS))}")
-    if terms not in ("paper", "exact"):
-        raise ArgumentError(f"terms: given {terms!r}; expected 'paper' or 'exact'")
-    if order is not None and (type(order) is not int or not 0 <= order <= HIGHEST_ORDER):
-        raise ArgumentError(f"order: given {order!r}; expected 0 to {HIGHEST_ORDER}, or None for the exact matrices")
+    from platform_ctrl.arguments import one_of, short
+
+    one_of("form", form, FORMS)
+    one_of("terms", terms, TERMS)
+    if order is not None:
+        if not isinstance(order, Integral) or isinstance(order, bool) or not 0 <= order <= HIGHEST_ORDER:
+            raise ArgumentError(
+                f"order: given {short(order)}; expected 0 to {HIGHEST_ORDER}, or None for the exact matrices"
+            )
+        order = int(order)
     from platform_ctrl.symbolic.derivation import derived
 
     found = derived(platform, order, terms)

@@ -14,12 +14,11 @@ from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.symbolic import rows as row_algebra
 from platform_ctrl.symbolic.expressions import Expression, Writer
 from platform_ctrl.symbolic.names import NamedSymbol, Names
+from platform_ctrl.symbolic.options import HIGHEST_ORDER, Terms
 from platform_ctrl.symbolic.parameters import Motion, Parameters, motion_symbols, parameters, symbol_table
-from platform_ctrl.symbolic.result import LINEAR, PARTIALLY_LINEAR, PRECESSION, Equations, RowTerms, Terms
+from platform_ctrl.symbolic.result import LINEAR, PARTIALLY_LINEAR, PRECESSION, Equations, RowTerms
 from platform_ctrl.symbolic.series import ONE, Algebra, Series, Taylor, Trigonometric, add, apply, derivative, up_to
 from platform_ctrl.symbolic.tree import axial, directions, mass, spin_momenta
-
-HIGHEST_ORDER = 3
 
 # Trees whose exact trigonometric form can still be read.
 _MOST_GIMBALS, _DEEPEST = 5, 3
@@ -124,7 +123,7 @@ def _matrices(
         "BtA_RB": BtA_RB,
         "A_star": writer.matrix(up_to(core.A_star, order), square),
         "G_A": _coriolis(core.algebra, in_G_A, writer, velocity, order),
-        "G_R": writer.matrix(up_to(_gyroscopic(core.algebra, core.BtL), order), square),
+        "G_R": writer.matrix(up_to(_gyroscopic(core.algebra, core.BtL, n), order), square),
         "G_root": _root_turning(core, writer, velocity, order, terms),
     }
 
@@ -137,17 +136,14 @@ def _at_zero(series: Series, order: int | None) -> FloatArray | None:
     return sum(kept[1:], kept[0]) if kept else None
 
 
-def _gyroscopic(algebra: Algebra, BtL: Series) -> Series:
-    """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero."""
+def _gyroscopic(algebra: Algebra, BtL: Series, n: int) -> Series:
+    """N − Nᵀ with N = ∂(BᵀL)/∂q (14), root columns zero, for n gimbals."""
     out: Series = {}
-    for coefficient in BtL.values():
-        size = coefficient.shape[1]
-        for j in range(size - 3):
-            for monomial, c in derivative(algebra, BtL, j).items():
-                into = out.setdefault(monomial, np.zeros((len(c), size, size)))
-                into[:, :, 3 + j] += c
-                into[:, 3 + j, :] -= c
-        break
+    for j in range(n):
+        for monomial, c in derivative(algebra, BtL, j).items():
+            into = out.setdefault(monomial, np.zeros((len(c), 3 + n, 3 + n)))
+            into[:, :, 3 + j] += c
+            into[:, 3 + j, :] -= c
     return out
 
 
@@ -270,9 +266,10 @@ def _singular(
 ) -> tuple[str, ...]:
     """Say where G_R of a subsystem cannot be inverted, so that (15) does not determine its rates."""
     numbers = np.array([s.value for s in known.symbols], dtype=np.float64)
-    zero = np.zeros((len(numbers), 3 + len(platform.gimbals), 3 + len(platform.gimbals)))
-    G_R = np.tensordot(numbers, _gyroscopic(core.algebra, core.BtL).get(ONE, zero), axes=1)
-    damping = np.zeros(len(platform.gimbals))
+    n = len(platform.gimbals)
+    zero = np.zeros((len(numbers), 3 + n, 3 + n))
+    G_R = np.tensordot(numbers, _gyroscopic(core.algebra, core.BtL, n).get(ONE, zero), axes=1)
+    damping = np.zeros(n)
     for term in known.element_terms:
         if term.variable == "rate":
             damping[term.row] += term.coefficient * numbers[term.position]

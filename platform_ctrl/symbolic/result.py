@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import sympy
@@ -15,8 +15,8 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.symbolic.expressions import Expression
 from platform_ctrl.symbolic.names import NamedSymbol
+from platform_ctrl.symbolic.options import Terms
 
-Terms = Literal["paper", "exact"]
 RowTerms = tuple[tuple[Expression, Expression], ...]
 
 # Keys of `Equations.rows`, with the paper's numbers.
