@@ -1,11 +1,15 @@
 """State-space models: signals, physics of section 4 of the paper, and agreement with the second-order equations."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.force_elements import Unbalance
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import inverse_dynamics
 from platform_ctrl.reading import read_platform
@@ -34,6 +38,61 @@ def test_signal_names_and_order(platform):
 @pytest.mark.parametrize("terms", ["exact", "paper"])
 def test_the_gimbals_fall_apart_into_4_5_7_and_9_10(platform, Omega, terms):
     assert subsystems(linearise(platform, Omega=Omega, terms=terms)) == (("4", "5", "7"), ("9", "10"))
+
+
+def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fast():
+    """A free rotor's L pushes about no axis that is its own; what rounding leaves of it is no coupling."""
+    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    across = np.array([3.0, 0.0, -1.0]) / np.sqrt(10.0)
+    plate = np.outer(axis, axis) + np.eye(3)
+    bodies = [("outer", "base", across), ("inner", "outer", axis)]
+    platform = Platform(
+        name="ring in ring",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(name=name, parent=parent, axis=along, inertia=1e-4 * plate, angle=f"q_{name}")
+            for name, parent, along in bodies
+        ),
+        rotors=(
+            Rotor(
+                name="wheel",
+                carrier="inner",
+                axis=axis,
+                axial_inertia=1e-3,
+                transverse_inertia=6e-4,
+                angular_momentum=1e3,
+                control="free",
+            ),
+        ),
+    )
+    assert subsystems(linearise(platform, terms="paper")) == (("outer",), ("inner",))
+
+
+@pytest.mark.parametrize(
+    ("along", "given_here"), [((0.7, 0.5, 0.3), True), ((0.7, 0.5, 0.3), False), ((0, 0, 1), False)]
+)
+def test_rounding_of_unbalance_couples_nothing(along, given_here):
+    """A mass moment along the inner axis makes no stiffness across the axes, however large, but for rounding."""
+    turn, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
+    f = 9.81 * np.array(along) @ turn  # (0, 0, 1): at right angles to both axes
+    platform = Platform(
+        name="gimbals",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(name=name, parent=parent, axis=turn[k], inertia=1e-4 * np.eye(3), angle=f"q_{name}")
+            for k, (name, parent) in enumerate([("outer", "base"), ("inner", "outer")])
+        ),
+        unbalances=(Unbalance(body="inner", moment=1e3 * turn[1]),),
+        specific_force=np.zeros(3) if given_here else f,
+    )
+    model = linearise(platform, terms="paper", specific_force=f)
+    assert subsystems(model) == (("outer",), ("inner",))
+    askew = dataclasses.replace(
+        platform, unbalances=(Unbalance(body="inner", moment=1e3 * turn[1] + 1e-8 * (turn[0] + turn[2])),)
+    )
+    assert subsystems(linearise(askew, terms="paper", specific_force=f + turn[1])) == (("outer", "inner"),)
 
 
 def test_nutation_frequencies(platform):

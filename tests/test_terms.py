@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import element_forces, inverse_dynamics
 from platform_ctrl.parameter_varying import parameter_varying
 from platform_ctrl.reading import read_platform
+from platform_ctrl.state_space import subsystems
 from platform_ctrl.terms import terms
 from platform_ctrl.terms.labels import combination, coordinate, rates
 from platform_ctrl.terms.poles import pole_change, poles
@@ -237,6 +239,25 @@ def test_elements_are_terms_too(platform):
     assert all(term.kept for term in table.terms if term.kind in ("spring", "friction", "unbalance"))
     still = terms(dataclasses.replace(platform, frictions=(dry,)), (1, 0, 0), np.zeros(5))
     assert all(term.size == 0.0 for term in still.of("10") if term.derivative is not None)
+
+
+def test_a_weak_coupling_counts_beside_a_stiff_cage(platform):
+    """The erection on 4 follows 10: however stiff the cage of another gimbal, their poles belong together."""
+    across = Erection(gimbal="4", senses="10", axis=np.array([0.0, 0.0, 1.0]), gain=1e-7)
+    platform = dataclasses.replace(
+        platform,
+        erections=(across,),
+        specific_force=np.array([0.0, 9.81, 0.0]),
+        cages=(Cage(gimbal="9", stiffness=1e6),),
+    )
+    table = terms(platform, (0.5, 0.0, 0.0), np.full(5, 0.1))
+    (coupling,) = [term for term in table.of("4") if term.kind == "erection"]
+    assert (coupling.column, abs(coupling.factor)) == ("10", pytest.approx(1e-7))
+    assert coupling.poles_lost == 0
+    model = linearise(platform, (0.5, 0.0, 0.0))
+    assert subsystems(model) == (platform.gimbal_names,)
+    # The poles that a nutation's loss is measured against are those of all five.
+    assert one(table, "9", "J9 α̈9").poles_lost == 2
 
 
 def test_labels_are_those_of_the_field():

@@ -15,11 +15,8 @@ import numpy as np
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, Terms, linearise
-from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial, polynomial
-
-# Rounding of a sum over the tree, against the sum of what it adds up.
-_ROUNDING = 64 * np.finfo(float).eps
+from platform_ctrl.state_space import inertia_rounding, momentum_rounding
 
 
 @value
@@ -40,9 +37,7 @@ def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     """Return what L does about the angles q (n,): gyroscopic action, restraint and disturbance."""
     n = len(q)
     at = [linearise(bare(platform), rate, "paper", q) for rate in np.eye(3)]
-    tree = topology(platform)
-    on_path = tree.on_path[tree.carriers].astype(np.float64)
-    shared = _ROUNDING * np.einsum("ri,rj,r->ij", on_path, on_path, np.abs(tree.L))
+    shared = momentum_rounding(platform)
     G = {"1": clean(at[0].G, shared)}
     K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
     Q0 = {name: clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
@@ -80,15 +75,6 @@ def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> Matrix
     return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
 
 
-def inertia_rounding(platform: Platform) -> FloatArray:
-    """Return the rounding to expect in the entry of gimbals i and j, (n, n): only what both carry enters it."""
-    tree = topology(platform)
-    size = np.trace(tree.inertias, axis1=1, axis2=2)
-    np.add.at(size, tree.carriers, tree.C * tree.regulated)
-    on_path = tree.on_path.astype(np.float64)
-    return np.asarray(_ROUNDING * np.einsum("bi,bj,b->ij", on_path, on_path, size))
-
-
 def clean(array: FloatArray, rounding: FloatArray) -> FloatArray:
     """Return the array without the entries that are rounding alone."""
-    return np.where(np.abs(array) > 4.0 * rounding, array, 0.0)
+    return np.where(np.abs(array) > rounding, array, 0.0)

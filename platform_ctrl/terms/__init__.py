@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import linearise
 from platform_ctrl.parameter_varying.polynomial import monomial_values
-from platform_ctrl.state_space import subsystems
+from platform_ctrl.state_space import connected
 from platform_ctrl.terms.labels import coordinate, product
 from platform_ctrl.terms.labels import rates as rate_names
 from platform_ctrl.terms.parts import Part, parts
@@ -69,10 +68,11 @@ def terms(
 
     Notes
     -----
-    Poles are those of the subsystem with Omega and Omega' held; dropped is one term of one equation, so that a
-    gyroscopic action loses its counterpart. Their change is relative to the pole's size, but at least to 1 % of
-    `frequency`: slower poles stand still for this motion.
+    Poles are those of the gimbals whose equations share terms, also such that are zero at this Omega; Omega and Omega'
+    are held. Dropped is one term of one equation, so that a gyroscopic action loses its counterpart. The change is
+    relative to the pole's size, but at least to 1 % of `frequency`: slower poles stand still for this motion.
     """
+    expect_platform(platform)
     n = len(platform.gimbals)
     frequency = positive("frequency", frequency)
     rate = real_array("Omega", Omega, (3,))
@@ -88,9 +88,11 @@ def terms(
     # A gimbal that stands still takes nothing out of dry friction: its describing function has no slope.
     still = np.where(motion > 0.0, motion, 1.0 / np.finfo(float).tiny)
     found = [entry for part in parts(platform, about, f, still) for entry in _entries(part, rate, change, amplitudes)]
-    groups = subsystems(linearise(platform, rate, q=about, specific_force=f))
-    index = {name: k for k, name in enumerate(platform.gimbal_names)}
-    costs = _costs(found, [[index[name] for name in group] for group in groups], _SLOWEST * frequency)
+    coupled = np.zeros((n, n), dtype=bool)
+    for entry in found:
+        if entry.part.derivative is not None:
+            coupled[entry.place] = True
+    costs = _costs(found, connected(coupled), _SLOWEST * frequency)
     return TermTable(
         platform=platform,
         Omega=rate,

@@ -17,10 +17,10 @@ from platform_ctrl.parameter_varying.coefficients import (
     bare,
     clean,
     inertia_part,
-    inertia_rounding,
     rotor_part,
 )
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial
+from platform_ctrl.state_space import force_rounding, inertia_rounding
 from platform_ctrl.terms.labels import combination, symbol
 from platform_ctrl.terms.table import Kind
 
@@ -155,10 +155,10 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
 
             slopes = force_slopes(alone, q, specific_force, amplitude)
             force = element_forces(alone, q, specific_force=specific_force)[3:]
-            for derivative, torque in ((0, slopes.angle[3:]), (1, slopes.rate), (None, force)):
-                rounding = 1e-14 * np.abs(torque).max(initial=0.0)
-                left = clean(-torque, np.full(torque.shape, rounding))
-                yield _part(kind, derivative, "1", left, name)
+            rounding = force_rounding(alone, float(np.linalg.norm(specific_force)))
+            yield _part(kind, 0, "1", clean(-slopes.angle[3:], rounding), name)
+            yield _part(kind, 1, "1", -slopes.rate, name)
+            yield _part(kind, None, "1", clean(-force, rounding.max(axis=1, initial=0.0)), name)
 
 
 def _part(
