@@ -81,7 +81,7 @@ class Reduction:
 
 
 @value
-class Equations:
+class ReducedEquations:
     """ξ' = A ξ + B f + E ω and x = C ξ + F f + J ω, with ξ = [y, Nᵀ x, π] or, where H is held, ξ = Uᵀ x."""
 
     A: FloatArray
@@ -121,7 +121,7 @@ def full_poles(at: Scaled) -> ComplexArray:
     return roots(at, Reduction(N=np.eye(n), H=np.zeros((n, 0))))[0]
 
 
-def reduced_equations(at: Scaled, kept: Reduction) -> Equations:
+def reduced_equations(at: Scaled, kept: Reduction) -> ReducedEquations:
     """Return the state equations of a reduction; H and N are not both there, and D is regular on U."""
     n = len(at.D)
     U, N, H = kept.U, kept.N, kept.H
@@ -133,7 +133,7 @@ def reduced_equations(at: Scaled, kept: Reduction) -> Equations:
         give = hold @ (np.eye(n) - at.D @ U @ y_dot)
         S_U = at.S @ U
         J = -give @ at.g
-        return Equations(A=_clean(-y_dot @ S_U), B=_clean(y_dot), E=-y_dot @ at.g, C=U - give @ S_U, F=give, J=J)
+        return ReducedEquations(A=_clean(-y_dot @ S_U), B=_clean(y_dot), E=-y_dot @ at.g, C=U - give @ S_U, F=give, J=J)
     k = N.shape[1]
     # Columns of everything below: [x, π, f, ω].
     force = np.hstack([-at.S, np.zeros((n, k)), np.eye(n), -at.g])
@@ -141,7 +141,7 @@ def reduced_equations(at: Scaled, kept: Reduction) -> Equations:
     y_dot = np.linalg.solve(U.T @ at.D @ U, U.T @ (force - at.D @ N @ z_dot))
     x_dot = U @ y_dot + N @ z_dot
     both = np.vstack([x_dot, N.T @ (force - at.D @ x_dot)])
-    return Equations(
+    return ReducedEquations(
         A=_clean(both[:, : n + k]),
         B=_clean(both[:, n + k : 2 * n + k]),
         E=_clean(both[:, 2 * n + k :]),
