@@ -469,6 +469,7 @@ def test_a_single_gimbal_has_no_gyroscopic_pair(platform):
     whole = precession(linearise(gyro))
     assert whole.reasons == ("9: G_R is 1 x 1 and skew, so its determinant is 0: alpha9 has no gyroscopic stiffness",)
     assert whole.cures[1] == "9: or restrain alpha9 and give loop_frequency"
+    assert whole.summary().splitlines()[0] == "9: precession theory not admissible; no loop frequency given"
     assert precession(linearise(gyro), loop_frequency=5.0).admissible
 
 

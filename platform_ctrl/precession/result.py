@@ -132,7 +132,8 @@ class Precession:
         for part in self.parts:
             verdict = "admissible" if part.admissible else "not admissible"
             figures = f"nutation from {part.nutation.min():.4g} rad/s, " if part.nutation.size else ""
-            figures += f"judged for a loop at {part.loop_frequency:.4g} rad/s"
+            loop = f"judged for a loop at {part.loop_frequency:.4g} rad/s"
+            figures += loop if part.loop_frequency > 0.0 else "no loop frequency given"
             lines.append(f"{part.name}: precession theory {verdict}; {figures}")
             lines += [f"  {line}" for line in (*part.reasons, *part.cures)]
         return "\n".join(lines)
