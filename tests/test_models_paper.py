@@ -302,6 +302,7 @@ def test_damped_gimbals_leave_it_stable_only_where_its_energy_is_least(
     energy = [[[H * H / J - Omega0 * H, -H * h / J], [-H * h / J, h * h / J + h * Omega0 + k]] for J in (J1, J3)]
     least = np.linalg.eigvalsh(np.array(energy))[:, 0]
     assume(np.abs(least).min() > 1e-2)
+    assume(abs(h) > 0.1)  # without momentum the wheel hardly moves its gimbals, and the dampers take no energy
     assert bool(growth_of(platform, Omega0) < 0.0) is bool(np.all(least > 0.0))
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics import inverse_dynamics, matrices
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.plant import pack
 
@@ -58,13 +59,13 @@ def some_free(platform: Platform) -> Platform:
     return dataclasses.replace(platform, rotors=tuple(rotors))
 
 
-def derivative(platform, q, velocity, force, free=True):
+def derivative(platform, q, velocity, force, free=True, held=()):
     from platform_ctrl.simulation import kernel
 
     n = len(platform.gimbals)
     y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
     dy = np.zeros_like(y)
-    locked = np.zeros(n, dtype=bool)
+    locked = np.isin(np.arange(n), held)
     forces = np.array([force], dtype=float)
     kernel.derivative(*pack(platform), free, locked, y, forces, 0, *kernel.workspace(n), dy)
     return dy[:n], dy[n : 2 * n + 3]
@@ -123,6 +124,25 @@ def random_state(platform, seed, size=1.0):
 def reordered(platform):
     """The same platform with its gimbals listed backwards: children before their parents."""
     return dataclasses.replace(platform, gimbals=platform.gimbals[::-1])
+
+
+@pytest.mark.parametrize("k", range(5))
+def test_a_locked_gimbal_stays_where_it_is_and_the_others_move_as_if_it_were_no_joint(k):
+    q, velocity, force = random_state(THREE_GYROS, 7)
+    moving = np.delete(np.arange(8), 3 + k)
+    mass = matrices(THREE_GYROS, q).A_star[np.ix_(moving, moving)]
+    # Free root: a rate that is left to the gimbal stays in v, and does not turn it.
+    rates, acceleration = derivative(THREE_GYROS, q, velocity, force, held=[k])
+    needed = force - inverse_dynamics(THREE_GYROS, q, velocity, np.zeros(8))
+    assert acceleration[moving] == pytest.approx(np.linalg.solve(mass, needed[moving]), rel=1e-9, abs=1e-10)
+    assert (rates[k], acceleration[3 + k]) == (0.0, 0.0)
+    assert np.delete(rates, k) == pytest.approx(np.delete(velocity[3:], k))
+    # Prescribed Omega: the others' rates follow from their momenta alone.
+    velocity[3 + k] = 0.0
+    p = joint_momenta(THREE_GYROS, q, velocity)
+    p[k] = 1e3
+    rates, _ = derivative(THREE_GYROS, q, np.concatenate([velocity[:3], p]), force, free=False, held=[k])
+    assert rates == pytest.approx(velocity[3:], rel=1e-9, abs=1e-10)
 
 
 @pytest.mark.parametrize("group", CASES, ids=lambda group: group["tree"]["name"])

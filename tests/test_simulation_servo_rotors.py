@@ -273,6 +273,26 @@ def test_a_limited_motor_holds_its_limit_where_the_load_is_too_large_and_recover
     assert out.rotor_spin[-1, 0] == pytest.approx(spin, abs=1e-6)
 
 
+def test_an_integral_at_the_limit_unwinds_as_soon_as_the_error_changes_its_sign():
+    # Without a gain a held wheel swings: sqrt(integral/C) = 20 rad/s. It starts with more than the limit can turn.
+    limit, swing, start = 1.5, 20.0, 2.0
+    platform = dataclasses.replace(gyro_on_a_block(speed_integral=swing**2 * C, torque_limit=limit), gimbals=())
+    platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
+    spin = platform.rotors[0].spin
+    out = simulate(
+        platform, [], period=0.001, delay=0.0, duration=2.0, mode="caged", spin=[spin + start], step=2e-5
+    )  # fmt: skip
+    error, largest = out.rotor_spin[:, 0] - spin, limit / (C * swing)
+    reached = np.arcsin(largest / start) / swing
+    back = reached + start * np.cos(swing * reached) / (limit / C)  # the limit brakes it to zero error
+    limited = (out.t > reached) & (out.t < back)
+    assert limited.sum() > 100
+    assert out.rotor_torque[limited, 0] == pytest.approx(-limit, abs=1e-12)
+    # From then on the integral gives back what it took, and the swing is as large as the limit.
+    after = out.t > back
+    assert error[after] == pytest.approx(-largest * np.sin(swing * (out.t[after] - back)), abs=5e-3 * largest)
+
+
 @pytest.mark.parametrize("mode", ["caged", "stabilised"])
 def test_a_stop_that_catches_the_gimbal_leaves_the_rotors_momentum_alone(mode):
     # Rotor and gimbal about one axis, a motor without gains; a spring presses the gimbal on when it has arrived.
@@ -302,6 +322,23 @@ def test_a_step_too_long_for_a_speed_loop_is_refused_with_the_one_that_would_do(
     with pytest.raises(ArgumentError, match=message):
         simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
     simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged", step=0.99 * enough)
+
+
+def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
+    # A root as light as the wheel doubles the pole; a prescribed root does not give way.
+    gain = 30.0
+    wheel = dataclasses.replace(gyro_on_a_block(speed_gain=gain).rotors[1], axis=np.array([0.0, 0.0, 1.0]))
+    platform = dataclasses.replace(
+        gyro_on_a_block(), root_inertia=np.diag([C, C, C]), gimbals=(), rotors=(wheel,)
+    )  # fmt: skip
+    common = {"period": 0.1, "delay": 0.0, "duration": 2.0, "spin": [wheel.spin + 1.0]}
+    step = 2.0 * C / gain
+    out = simulate(platform, [], mode="caged", step=step, **common)
+    assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-6)
+    with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; expected at most 0.0135 s$"):
+        simulate(platform, [], mode="stabilised", step=step, **common)
+    with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; expected at most 0.027 s$"):
+        simulate(platform, [], mode="caged", step=2.5 * step, **common)
 
 
 @pytest.mark.parametrize("spin", [[20.0], [20.0, np.nan], "fast", [[20.0, 1.0]]])
