@@ -183,7 +183,7 @@ def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
     """Return the platform that a document describes, or None and its mistakes."""
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
-        return None, [Mistake((), f"is a job file; expected a plant: its own is {its_plant}")]
+        return None, [Mistake(("plant",), f"is a job file; expected a plant: its own is {its_plant}")]
     file, wrong = structure(PlantFile, document.data)
     mistakes = [*document.mistakes, *plant_mistakes(document.data), *wrong]
     return (None, mistakes) if mistakes or file is None else (_platform(file), [])
