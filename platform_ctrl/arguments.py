@@ -105,13 +105,20 @@ def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[i
     Raises
     ------
     ArgumentError
-        A string in place of a sequence, or a name that is not among `known`.
+        A string or something else in place of a sequence, or a name that is not among `known`.
     """
     if isinstance(given, str):
         raise ArgumentError(
             f"{kind}: given the string {given!r}; expected a sequence of names, for example ({given!r},)"
         )
-    return sorted({known_name(kind, name, known) for name in given})
+    try:
+        names = list(given)
+    except TypeError:
+        raise ArgumentError(f"{kind}: given {short(given)}; expected a sequence of names, which are strings") from None
+    for name in names:
+        if not isinstance(name, str):
+            raise ArgumentError(f"{kind}: given {short(name)} among the names; expected strings, such as {known[:1]}")
+    return sorted({known_name(kind, name, known) for name in names})
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

@@ -313,6 +313,42 @@ def test_a_grid_holds_the_frozen_systems(platform):
     assert len(model.grid((1, 3, 1), (1, 1, 1), (1, 1, 1))) == 3
 
 
+@pytest.mark.parametrize(
+    "points", [np.int64(3), np.array(3), np.array([3, 3, 1]), [3, np.int32(3), 1], (3, 3, 1, 1, 1, 1)]
+)
+def test_whole_numbers_of_any_type_count_points(platform, points):
+    model = parameter_varying(platform, gimbals=("9", "10"))
+    expected = model.grid(3, (1.0, 2.0, 0.0))
+    for got, point in zip(model.grid(points, (1.0, 2.0, 0.0)), expected, strict=True):
+        np.testing.assert_array_equal(got.Omega, point.Omega)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        2.5,
+        None,
+        True,
+        np.True_,
+        0,
+        -1,
+        "3",
+        (3, 3),
+        (3, True, 3),
+        (3, 2.0, 3),
+        np.ones((3, 3), int),
+        np.ones(3),
+        [[3]] * 3,
+    ],
+)
+def test_what_counts_no_points_is_one_line(platform, points):
+    with pytest.raises(
+        ArgumentError, match=r"points: given .*; expected a whole number >= 1, or three, or six"
+    ) as told:
+        parameter_varying(platform, gimbals=("9", "10")).grid(points, (1.0, 1.0, 1.0))
+    assert "\n" not in str(told.value)
+
+
 def test_two_torquers_on_one_gimbal_are_two_inputs(platform):
     platform = dataclasses.replace(platform, torquers=(*platform.torquers, Torquer(name="spare", gimbal="9")))
     affine = parameter_varying(platform, gimbals=("9",)).affine()
@@ -347,6 +383,12 @@ def test_mistakes_are_one_line(platform):
         parameter_varying(platform, form="p")
     with pytest.raises(ArgumentError, match="expected a sequence of names"):
         parameter_varying(platform, gimbals="9")
+    with pytest.raises(ArgumentError, match="gimbals: given 9; expected a sequence of names"):
+        parameter_varying(platform, gimbals=9)
+    with pytest.raises(ArgumentError, match=r"gimbals: given 9 among the names; expected strings, such as .'4'"):
+        parameter_varying(platform, gimbals=(9, "10"))
+    with pytest.raises(ArgumentError, match=r"gimbals: given array\(.* among the names"):
+        parameter_varying(platform, gimbals=np.array([["9", "10"]]))
     with pytest.raises(ArgumentError, match="expected at least one"):
         parameter_varying(platform, gimbals=())
     with pytest.raises(ArgumentError, match="has none; expected at least one"):

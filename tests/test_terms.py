@@ -313,8 +313,13 @@ def test_mistakes_are_one_line(platform, table):
         terms(platform, (1, 0, 0), np.ones(4))
     with pytest.raises(ArgumentError, match="gimbal: given '6'"):
         table.of("6")
-    with pytest.raises(ArgumentError, match="gimbal: given '6'"):
+    with pytest.raises(ArgumentError, match="gimbals: given '6'"):
         table.text(gimbals=("6",))
+    for string in ("9", "10"):
+        with pytest.raises(ArgumentError, match=f"gimbals: given the string '{string}'; expected a sequence"):
+            table.text(gimbals=string)
+    with pytest.raises(ArgumentError, match="gimbals: given 9; expected a sequence"):
+        table.text(gimbals=9)
 
 
 def test_the_page_shows_what_is_printed(table):

@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import numbers
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.arguments import real_array
+from platform_ctrl.arguments import real_array, short
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -251,7 +252,10 @@ class ParameterVaryingModel:
         return [FrozenSystem(parameters=corner, system=affine.system(corner)) for corner in corners]
 
     def grid(
-        self, points: int | Sequence[int], Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None
+        self,
+        points: int | Sequence[int] | NDArray[np.integer[Any]],
+        Omega_max: ArrayLike,
+        Omega_dot_max: ArrayLike | None = None,
     ) -> list[FrozenSystem]:
         """Return the model frozen on a regular grid of |Omega_a| <= max (and |Omega'_a| <= max).
 
@@ -266,21 +270,21 @@ class ParameterVaryingModel:
         Raises
         ------
         ArgumentError
-            Wrong shape, not finite, negative, or more than 2^14 points.
+            Wrong shape, not finite, negative, `points` that are no whole numbers >= 1, or more than 2^14 in all.
         MechanicsError
             M is singular.
         """
         affine = _affine(self)
         limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
-        numbers = np.where(limits > 0.0, _points(points), 1)
-        if (count := math.prod(numbers.tolist())) > _MOST_POINTS:
+        counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
+        if (count := math.prod(counts)) > _MOST_POINTS:
             raise ArgumentError(
-                f"points: given {points!r}, {count} in all; expected at most {_MOST_POINTS}: take fewer, or a "
+                f"points: given {short(points)}, {count} in all; expected at most {_MOST_POINTS}: take fewer, or a "
                 "limit of zero for an axis that hardly turns"
             )
         axes = [
             np.linspace(-end, end, number) if number > 1 else np.zeros(1)
-            for end, number in zip(limits, numbers, strict=True)
+            for end, number in zip(limits, counts, strict=True)
         ]
         out = []
         for point in itertools.product(*axes):
@@ -353,10 +357,18 @@ def _limits(name: str, given: ArrayLike | None) -> FloatArray:
     return limits
 
 
-def _points(points: int | Sequence[int]) -> list[int]:
-    given = [points] * 6 if isinstance(points, int) else list(points)
+def _points(points: int | Sequence[int] | NDArray[np.integer[Any]]) -> list[int]:
+    try:
+        given = list(points)  # type: ignore[arg-type]
+    except TypeError:
+        # A number, or an array that is one.
+        given = [points.item() if isinstance(points, np.ndarray) else points] * 6
     if len(given) == 3:
         given += [1] * 3
-    if len(given) != 6 or not all(isinstance(number, int) and number >= 1 for number in given):
-        raise ArgumentError(f"points: given {points!r}; expected a whole number >= 1, or three, or six of them")
-    return given
+    if len(given) != 6 or not all(_is_count(number) for number in given):
+        raise ArgumentError(f"points: given {short(points)}; expected a whole number >= 1, or three, or six of them")
+    return [int(number) for number in given]
+
+
+def _is_count(number: object) -> bool:
+    return isinstance(number, numbers.Integral) and not isinstance(number, bool) and int(number) >= 1

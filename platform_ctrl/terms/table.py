@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Sequence
 from typing import Literal
 
-from platform_ctrl.arguments import known_name
+from platform_ctrl.arguments import known_name, known_names
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
 
@@ -155,7 +155,7 @@ class TermTable:
         Parameters
         ----------
         gimbals
-            Names of those whose equations are wanted; default all.
+            Names of those whose equations are wanted, shown in the file's order; default all.
         smallest
             Terms whose share of the largest of their equation is not above this are left out; by default those that
             are zero at the operating point.
@@ -163,11 +163,12 @@ class TermTable:
         Raises
         ------
         ArgumentError
-            There is no such gimbal.
+            A string in place of a sequence, or there is no such gimbal.
         """
+        names = self.platform.gimbal_names
         lines = []
-        for gimbal in self.platform.gimbal_names if gimbals is None else gimbals:
-            terms = self.of(gimbal)
+        for k in known_names("gimbals", names if gimbals is None else gimbals, names):
+            gimbal, terms = names[k], self.of(names[k])
             shown = [term for term in terms if term.share > smallest]
             lines.append(f"gimbal {gimbal}: {len(shown)} of {len(terms)} terms")
             head = ("", "term", "kind", "N m", "share", "poles", "paper", "")
