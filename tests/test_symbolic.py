@@ -13,6 +13,7 @@ import sympy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+import three_gyro_paper
 from platform_ctrl.description import Platform, Rotor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.linearisation import Terms, linearise
@@ -22,21 +23,13 @@ from platform_ctrl.mechanics.matrices import derivatives
 from platform_ctrl.reading import read_platform, shipped_models
 from platform_ctrl.state_space import subsystems
 from platform_ctrl.symbolic import TERMS, equations
+from three_gyro_paper import C6, C8, C11, J4, J5, J7, J9, J10, L6, L8, L11
 from tree_cases import platforms
 
 quick = settings(max_examples=8, deadline=None)
 GYROS = read_platform("three_gyro_platform")
 
 S = sympy.Symbol
-J1, J2, J3, J12, J13, J23, J4, J5, J7, J9, J10 = sympy.symbols("J1 J2 J3 J12 J13 J23 J4 J5 J7 J9 J10")
-C6, C8, C11, L6, L8, L11 = sympy.symbols("C6 C8 C11 L6 L8 L11")
-a4, b5, b7, a9, b10 = sympy.symbols("alpha4 beta5 beta7 alpha9 beta10")
-a4d, b5d, b7d, a9d, b10d = sympy.symbols("alpha4_dot beta5_dot beta7_dot alpha9_dot beta10_dot")
-a4dd, b5dd, b7dd, a9dd, b10dd = sympy.symbols("alpha4_ddot beta5_ddot beta7_ddot alpha9_ddot beta10_ddot")
-W1, W2, W3 = sympy.symbols("Omega1:4")
-D1, D2, D3 = sympy.symbols("Omega1_dot Omega2_dot Omega3_dot")
-Q4, Q5, Q7, Q9, Q10 = sympy.symbols("Q4 Q5 Q7 Q9 Q10")
-half = sympy.Rational(1, 2)
 
 
 def assert_same(found, expected):
@@ -57,123 +50,53 @@ def exact():
 # The three-gyro platform
 
 
+def test_velocities_are_20_and_momenta_22(paper):
+    assert_same(paper.velocity, three_gyro_paper.VELOCITY)
+    assert_same(paper.L, three_gyro_paper.MOMENTA)
+    assert_close(paper.evaluate(paper.L)[:, 0], matrices(GYROS).L)
+
+
 def test_directions_are_21_with_the_sign_of_row_2_corrected(paper):
-    assert_same(paper.B0, [[1, 0, 0, 0, 0, 0, 0, 0], [-1, 0, 0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0, 0, 0]])
-    assert_same(
-        paper.B_A,
-        [
-            [-half * (a4**2 + b5**2), b5, -a4, b5, 0, 0, 0, 0],
-            [+half * (a4**2 + b7**2), b7, a4, b7, 0, 0, 0, 0],
-            [-a9, -half * (a9**2 + b10**2), b10, 0, 0, 0, b10, 0],
-        ],
-    )
+    assert_same(paper.B0, three_gyro_paper.B0)
+    assert_same(paper.B_A, three_gyro_paper.B_A)
 
 
 def test_mass_matrix_is_23_with_eight_rows(paper):
-    assert_same(
-        paper.A,
-        [
-            [J1, J12, J13, 0, 0, 0, 0, J10],
-            [J12, J2, J23, J4, 0, 0, 0, 0],
-            [J13, J23, J3, 0, J5, -J7, J9, 0],
-            [0, J4, 0, J4, 0, 0, 0, 0],
-            [0, 0, J5, 0, J5, 0, 0, 0],
-            [0, 0, -J7, 0, 0, J7, 0, 0],
-            [0, 0, J9, 0, 0, 0, J9, 0],
-            [J10, 0, 0, 0, 0, 0, 0, J10],
-        ],
-    )
+    assert_same(paper.A, three_gyro_paper.A)
 
 
 def test_additional_mass_matrix_24_is_the_one_that_the_scan_lost(paper):
-    expected = sympy.zeros(8, 8)
-    for i, j, entry in (
-        (0, 0, C6 + C8),
-        (0, 1, C6 * b5 - C8 * b7 - C11 * a9),
-        (0, 2, -(C6 + C8) * a4),
-        (0, 3, C6 * b5 - C8 * b7),
-        (1, 1, C11),
-        (1, 2, C11 * b10),
-        (1, 6, C11 * b10),
-    ):
-        expected[i, j] = expected[j, i] = entry
-    assert_same(paper.BtA_RB, expected)
-    assert_same(paper.A_star, paper.A + expected)
+    assert_same(paper.BtA_RB, three_gyro_paper.BTA_RB)
+    assert_same(paper.A_star, three_gyro_paper.A + three_gyro_paper.BTA_RB)
 
 
 def test_coriolis_matrix_25_is_the_one_that_the_scan_lost(paper):
-    N = sympy.zeros(8, 8)
-    for i, j, entry in (
-        (0, 3, -(C6 + C8) * W3),
-        (2, 3, -(C6 + C8) * W1),
-        (0, 4, C6 * (W2 + a4d)),
-        (1, 4, C6 * W1),
-        (3, 4, C6 * W1),
-        (0, 5, -C8 * (W2 + a4d)),
-        (1, 5, -C8 * W1),
-        (3, 5, -C8 * W1),
-        (0, 6, -C11 * W2),
-        (1, 6, -C11 * W1),
-        (1, 7, C11 * (W3 + a9d)),
-        (2, 7, C11 * W2),
-        (6, 7, C11 * W2),
-    ):
-        N[i, j] = entry
-    assert_same(paper.G_A, N - half * N.T)
+    assert_same(paper.G_A, three_gyro_paper.G_A)
 
 
 def test_gyroscopic_matrix_is_26_and_the_root_block_stands_apart(paper):
-    upper = sympy.zeros(8, 8)
-    for i, j, entry in (
-        (0, 3, (L8 - L6) * a4),
-        (0, 4, -L6 * b5),
-        (0, 5, L8 * b7),
-        (0, 6, -L11),
-        (1, 4, L6),
-        (1, 5, L8),
-        (1, 6, -L11 * a9),
-        (1, 7, -L11 * b10),
-        (2, 3, L8 - L6),
-        (2, 7, L11),
-        (3, 4, L6),
-        (3, 5, L8),
-        (6, 7, L11),
-    ):
-        upper[i, j] = entry
-    assert_same(paper.G_R, upper - upper.T)
+    assert_same(paper.G_R, three_gyro_paper.G_R)
     at_rest = paper.G_root.subs(dict.fromkeys(paper.q, 0))
     assert_same(at_rest[:3, :3], [[0, 0, -L11], [0, 0, L6 - L8], [L11, L8 - L6, 0]])
     assert at_rest[3:, :] == sympy.zeros(5, 8)
 
 
-PAPER_27 = {
-    "4": (
-        J4 * a4dd + L6 * b5d + L8 * b7d + (L6 - L8) * W1 * a4 + C6 * D1 * b5 - C8 * D1 * b7,
-        Q4 - J4 * D2 - (L6 - L8) * W3,
-    ),
-    "5": (J5 * b5dd - L6 * a4d + L6 * W1 * b5, Q5 - J5 * D3 + L6 * W2),
-    "7": (J7 * b7dd - L8 * a4d - L8 * W1 * b7, Q7 + J7 * D3 + L8 * W2),
-    "9": (J9 * a9dd + L11 * b10d + L11 * W2 * a9 + C11 * D2 * b10, Q9 - J9 * D3 - L11 * W1),
-    "10": (J10 * b10dd - L11 * a9d + L11 * W2 * b10, Q10 - J10 * D1 + L11 * W3),
-}
-
-
 def test_gimbal_equations_are_27_as_the_paper_means_them(paper):
-    for equation, (left, right) in zip(paper.partially_linear, PAPER_27.values(), strict=True):
+    for equation, (left, right) in zip(paper.partially_linear, three_gyro_paper.ROWS.values(), strict=True):
         assert sympy.expand(equation.lhs - left) == 0
         assert sympy.expand(equation.rhs - right) == 0
 
 
 def test_small_oscillations_19_are_27_without_products(paper):
     zero = dict.fromkeys([*paper.q, *paper.Omega_dot], 0)
-    for equation, (left, right) in zip(paper.linear, PAPER_27.values(), strict=True):
+    for equation, (left, right) in zip(paper.linear, three_gyro_paper.ROWS.values(), strict=True):
         assert sympy.expand(equation.lhs - left.subs(zero)) == 0
         assert sympy.expand(equation.rhs - right) == 0
 
 
 def test_precession_15_is_27_without_inertia(paper):
     massless = dict.fromkeys([J4, J5, J7, J9, J10, C6, C8, C11], 0)
-    for equation, (left, right) in zip(paper.precession, PAPER_27.values(), strict=True):
+    for equation, (left, right) in zip(paper.precession, three_gyro_paper.ROWS.values(), strict=True):
         assert sympy.expand(equation.lhs - left.subs(massless)) == 0
         assert sympy.expand(equation.rhs - right.subs(massless)) == 0
 
@@ -186,52 +109,7 @@ def test_precession_is_refused_for_the_odd_subsystem_alone(paper):
 
 
 def test_exact_equations_hold_every_term_for_any_rate(exact):
-    """The time-varying equations derived from the kinetic energy; K, S and N are inertias with C."""
-    K5 = (S("J5_1") + C6, S("J5_2"), J5)
-    K7 = (S("J7_1") + C8, S("J7_2"), J7)
-    K10 = (J10, S("J10_2") + C11, S("J10_3"))
-    T = (S("J4_1") + C6 + C8, J4, S("J4_3"))
-    N = (S("J9_1"), S("J9_2") + C11, J9)
-    expected = {
-        "4": {
-            1: T[1] * D2 + (L6 - L8) * W3 + (T[0] - T[2]) * W1 * W3,
-            a4dd: T[1],
-            b5d: L6 + (K5[0] - K5[1] - K5[2]) * W1,
-            b7d: L8 + (-K7[0] + K7[1] + K7[2]) * W1,
-            a4: (L6 - L8) * W1 + (T[0] - T[2]) * (W1**2 - W3**2),
-            b5: (K5[0] - K5[1]) * (D1 + W2 * W3),
-            b7: (-K7[0] + K7[1]) * (D1 + W2 * W3),
-        },
-        "5": {
-            1: K5[2] * D3 - L6 * W2 + (-K5[0] + K5[1]) * W1 * W2,
-            b5dd: K5[2],
-            a4d: -L6 + (-K5[0] + K5[1] + K5[2]) * W1,
-            a4: K5[2] * D1 + (K5[0] - K5[1]) * W2 * W3,
-            b5: L6 * W1 + (K5[0] - K5[1]) * (W1**2 - W2**2),
-        },
-        "7": {
-            1: -K7[2] * D3 - L8 * W2 + (K7[0] - K7[1]) * W1 * W2,
-            b7dd: K7[2],
-            a4d: -L8 + (K7[0] - K7[1] - K7[2]) * W1,
-            a4: -K7[2] * D1 + (-K7[0] + K7[1]) * W2 * W3,
-            b7: -L8 * W1 + (K7[0] - K7[1]) * (W1**2 - W2**2),
-        },
-        "9": {
-            1: N[2] * D3 + L11 * W1 + (-N[0] + N[1]) * W1 * W2,
-            a9dd: N[2],
-            b10d: L11 + (-K10[0] + K10[1] - K10[2]) * W2,
-            a9: L11 * W2 + (N[0] - N[1]) * (W1**2 - W2**2),
-            b10: (K10[1] - K10[2]) * (D2 + W1 * W3),
-        },
-        "10": {
-            1: K10[0] * D1 - L11 * W3 + (-K10[1] + K10[2]) * W2 * W3,
-            b10dd: K10[0],
-            a9d: -L11 + (K10[0] - K10[1] + K10[2]) * W2,
-            a9: K10[0] * D2 + (K10[1] - K10[2]) * W1 * W3,
-            b10: L11 * W2 + (K10[1] - K10[2]) * (W2**2 - W3**2),
-        },
-    }
-    for gimbal, terms in expected.items():
+    for gimbal, terms in three_gyro_paper.EXACT_ROWS.items():
         found = {variable: coefficient for coefficient, variable in exact.row_terms(gimbal)}
         assert set(found) == set(terms), gimbal
         for variable, coefficient in terms.items():
@@ -252,6 +130,7 @@ def test_symbols_carry_the_platforms_numbers(paper):
 def test_without_truncation_the_directions_are_those_of_the_tree():
     found = equations(GYROS, "sympy", order=None)
     sin, cos = sympy.sin, sympy.cos
+    a4, b5, b7, a9, b10 = three_gyro_paper.ANGLES
     assert_same(
         found.B,
         [
@@ -645,8 +524,8 @@ def test_rows_and_points_that_do_not_exist_are_refused(paper):
     for call in (
         lambda: paper.row_terms("6"),
         lambda: paper.row_terms("4", "(27)"),
-        lambda: paper.evaluate(Q4),
-        lambda: paper.evaluate(a4, q=[0.0]),
+        lambda: paper.evaluate(paper.forces),
+        lambda: paper.evaluate(paper.q, q=[0.0]),
     ):
         with pytest.raises(ArgumentError):
             call()

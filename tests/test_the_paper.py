@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
+import three_gyro_paper
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import inverse_dynamics, matrices, rotor_momenta, with_rotors_as_gimbals
 from platform_ctrl.mechanics.kinematics import kinematics, topology
@@ -17,6 +18,7 @@ from three_gyro_energy import (
     HALF,
     MOMENTA,
     NAMES,
+    OMEGA,
     OMEGA_ROTORS,
     RATES,
     SPINS,
@@ -31,6 +33,8 @@ from three_gyro_energy import (
     gimbal_row,
     kept,
     mass_matrix,
+    polynomial,
+    polynomials,
     root_rows,
     times,
 )
@@ -230,16 +234,12 @@ def test_19_the_linear_equations_need_only_A0_B0_and_the_linear_part_of_B(platfo
 # Section 4: the platform of nine bodies, from its energy.
 
 L6, L8, L11 = (S[name] for name in MOMENTA)
-C6, C8, C11 = (S[name] for name in AXIAL)
-a4, b5, b7, a9, b10 = (S[name] for name in ANGLES)
-O1, O2, O3, a4d, b5d, b7d, a9d, b10d = (S[name] for name in RATES)
-O1d, O2d, O3d, a4dd, b5dd, b7dd, a9dd, b10dd = (S[name] for name in ACCELERATIONS)
-J4 = S["I4_2"] + S["I5_2"] + S["A6"] + S["I7_2"] + S["A8"]
-J5, J7 = S["I5_3"] + S["A6"], S["I7_3"] + S["A8"]
-J9, J10 = S["I9_3"] + S["I10_3"] + S["A11"], S["I10_1"] + S["A11"]
+C6 = S["C6"]
+W1, W2, W3 = (S[name] for name in OMEGA)
 
 
 def test_04_and_22_momenta_are_those_of_the_energy():
+    assert [S[name] for name in MOMENTA] == [polynomial(x) for x in three_gyro_paper.MOMENTA]
     for spin, axial, rate in zip(SPINS, AXIAL, OMEGA_ROTORS, strict=True):
         assert T.diff(S[spin]) == S[axial] * rate  # (4)
     with_spins = T1.compose([(S[name], S[c] * S[f]) for name, c, f in zip(MOMENTA, AXIAL, SPINS, strict=True)])
@@ -249,32 +249,12 @@ def test_04_and_22_momenta_are_those_of_the_energy():
 
 def test_20_and_21_velocities_and_B_to_second_order():
     """With + in row 2, column 1, where the scan prints −."""
-    two = direction_matrix(2)
-    B0 = [[1, 0, 0, 0, 0, 0, 0, 0], [-1, 0, 0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0, 0, 0]]
-    B_A = [
-        [-HALF * (a4**2 + b5**2), b5, -a4, b5, 0, 0, 0, 0],
-        [HALF * (a4**2 + b7**2), b7, a4, b7, 0, 0, 0, 0],
-        [-a9, -HALF * (a9**2 + b10**2), b10, 0, 0, 0, b10, 0],
-    ]
-    assert two == [[R(x) + R(y) for x, y in zip(*rows, strict=True)] for rows in zip(B0, B_A, strict=True)]
+    assert [S[name] for name in RATES] == [polynomial(x) for x in three_gyro_paper.VELOCITY]
+    assert direction_matrix(2) == polynomials(three_gyro_paper.B0 + three_gyro_paper.B_A)
 
 
 def test_23_mass_matrix_has_eight_rows():
-    J1 = S["P1"] + sum(S[f"I{k}_1"] for k in (4, 5, 7, 9, 10)) + S["A11"]
-    J2 = S["P2"] + sum(S[f"I{k}_2"] for k in (4, 5, 7, 9, 10)) + S["A6"] + S["A8"]
-    J3 = S["P3"] + sum(S[f"I{k}_3"] for k in (4, 5, 7, 9, 10)) + S["A6"] + S["A8"] + S["A11"]
-    J12, J13, J23 = S["P12"], S["P13"], S["P23"]
-    expected = [
-        [J1, J12, J13, 0, 0, 0, 0, J10],
-        [J12, J2, J23, J4, 0, 0, 0, 0],
-        [J13, J23, J3, 0, J5, -J7, J9, 0],
-        [0, J4, 0, J4, 0, 0, 0, 0],
-        [0, 0, J5, 0, J5, 0, 0, 0],
-        [0, 0, -J7, 0, 0, J7, 0, 0],
-        [0, 0, J9, 0, 0, 0, J9, 0],
-        [J10, 0, 0, 0, 0, 0, 0, J10],
-    ]
-    assert mass_matrix(T_A, 0) == [[R(x) for x in row] for row in expected]
+    assert mass_matrix(T_A, 0) == polynomials(three_gyro_paper.A)
 
 
 def axial_matrix(order):
@@ -289,18 +269,7 @@ def axial_matrix(order):
 
 def test_24_the_additional_mass_matrix_to_first_order():
     """The matrix that the scan lost."""
-    expected = [[R.zero] * 8 for _ in range(8)]
-    entries = {
-        (0, 0): C6 + C8,
-        (0, 1): C6 * b5 - C8 * b7 - C11 * a9,
-        (0, 2): -(C6 + C8) * a4,
-        (0, 3): C6 * b5 - C8 * b7,
-        (1, 1): C11,
-        (1, 2): C11 * b10,
-        (1, 6): C11 * b10,
-    }
-    for (i, j), entry in entries.items():
-        expected[i][j] = expected[j][i] = entry
+    expected = polynomials(three_gyro_paper.BTA_RB)
     assert axial_matrix(1) == expected
     assert kept_all(mass_matrix(T2 - T_A, 1)) == expected
 
@@ -318,20 +287,8 @@ def coriolis(mass):
 
 
 def test_25_coriolis_matrix_with_A_constant():
-    """The other matrix that the scan lost, with N as docs/theory.md prints it."""
-    N = [[R.zero] * 8 for _ in range(8)]
-    columns = {
-        3: {0: -(C6 + C8) * O3, 2: -(C6 + C8) * O1},
-        4: {0: C6 * (O2 + a4d), 1: C6 * O1, 3: C6 * O1},
-        5: {0: -C8 * (O2 + a4d), 1: -C8 * O1, 3: -C8 * O1},
-        6: {0: -C11 * O2, 1: -C11 * O1},
-        7: {1: C11 * (O3 + a9d), 2: C11 * O2, 6: C11 * O2},
-    }
-    for column, rows in columns.items():
-        for row, entry in rows.items():
-            N[row][column] = entry
-    expected = [[N[i][j] - HALF * N[j][i] for j in range(8)] for i in range(8)]
-    assert coriolis(axial_matrix(1)) == expected
+    """The other matrix that the scan lost."""
+    assert coriolis(axial_matrix(1)) == polynomials(three_gyro_paper.G_A)
 
 
 def test_26_gyroscopic_matrix_to_first_order():
@@ -340,17 +297,7 @@ def test_26_gyroscopic_matrix_to_first_order():
     momenta = [sum(S[m] * B[r][i] for r, m in enumerate(MOMENTA)) for i in range(8)]
     slopes = [[R.zero] * 3 + [kept(momentum.diff(S[angle]), 1) for angle in ANGLES] for momentum in momenta]
     ours = [[slopes[i][j] - slopes[j][i] for j in range(8)] for i in range(8)]
-    expected = [
-        [0, 0, 0, (L8 - L6) * a4, -L6 * b5, L8 * b7, -L11, 0],
-        [0, 0, 0, 0, L6, L8, -L11 * a9, -L11 * b10],
-        [0, 0, 0, L8 - L6, 0, 0, 0, L11],
-        [(L6 - L8) * a4, 0, L6 - L8, 0, L6, L8, 0, 0],
-        [L6 * b5, -L6, 0, -L6, 0, 0, 0, 0],
-        [-L8 * b7, -L8, 0, -L8, 0, 0, 0, 0],
-        [L11, L11 * a9, 0, 0, 0, 0, 0, L11],
-        [0, L11 * b10, -L11, 0, 0, 0, -L11, 0],
-    ]
-    assert ours == [[R(x) for x in row] for row in expected]
+    assert ours == polynomials(three_gyro_paper.G_R)
 
 
 def linear(row):
@@ -358,21 +305,13 @@ def linear(row):
     return kept(row, 1, (*ANGLES, *RATES[3:], *ACCELERATIONS[3:]))
 
 
-PAPER = [
-    J4 * a4dd + L6 * b5d + L8 * b7d + (L6 - L8) * O1 * a4 + C6 * O1d * b5 - C8 * O1d * b7 + J4 * O2d + (L6 - L8) * O3,
-    J5 * b5dd - L6 * a4d + L6 * O1 * b5 + J5 * O3d - L6 * O2,
-    J7 * b7dd - L8 * a4d - L8 * O1 * b7 - J7 * O3d - L8 * O2,
-    J9 * a9dd + L11 * b10d + L11 * O2 * a9 + C11 * O2d * b10 + J9 * O3d + L11 * O1,
-    J10 * b10dd - L11 * a9d + L11 * O2 * b10 + J10 * O1d - L11 * O3,
-]
-
-
 @pytest.mark.parametrize("k", range(5))
 def test_27_differs_from_the_energys_rows_by_inertia_terms_in_Omega_alone(k):
     """No L, no q'', no forcing Omega' is missing: only J Omega q', J Omega² q, J Omega' q and J Omega Omega."""
-    left = linear(gimbal_row(k, T2 + T1)) - PAPER[k]
-    assert left != 0
-    for monomial in left:
+    on_the_left, on_the_right = list(three_gyro_paper.ROWS.values())[k]
+    missing = linear(gimbal_row(k, T2 + T1)) - polynomial(on_the_left - on_the_right + three_gyro_paper.TORQUES[k])
+    assert missing != 0
+    for monomial in missing:
         assert degree(monomial, MOMENTA) == 0
         assert degree(monomial, ACCELERATIONS[3:]) == 0
         rates, changes = degree(monomial, RATES[:3]), degree(monomial, ACCELERATIONS[:3])
@@ -380,25 +319,34 @@ def test_27_differs_from_the_energys_rows_by_inertia_terms_in_Omega_alone(k):
         assert (rates, changes, angles, gimbals) in {(1, 0, 0, 1), (2, 0, 1, 0), (0, 1, 1, 0), (2, 0, 0, 0)}
 
 
+@pytest.mark.parametrize("k", range(5))
+def test_exact_gimbal_rows_are_those_of_the_energy(k):
+    terms = list(three_gyro_paper.EXACT_ROWS.values())[k]
+    assert linear(gimbal_row(k, T2 + T1)) == polynomial(sum(variable * c for variable, c in terms.items()))
+
+
 def test_27_drops_terms_as_large_as_the_C_terms_that_it_keeps():
     """J5 Omega1' alpha4, −J7 Omega1' alpha4, J10 Omega2' alpha9; and I5_1 − I5_2 beside C6."""
     rows = [linear(gimbal_row(k, T2 + T1)) for k in range(5)]
-    assert [rows[1].coeff(S["I5_3"] * O1d * a4), rows[2].coeff(S["I7_3"] * O1d * a4)] == [1, -1]
-    assert rows[4].coeff(S["I10_1"] * O2d * a9) == 1
-    assert rows[0].diff(O1d).diff(b5) == C6 + S["I5_1"] - S["I5_2"] - S["A6"]
+    assert [
+        rows[1].coeff(S["I5_3"] * S["Omega1_dot"] * S["alpha4"]),
+        rows[2].coeff(S["I7_3"] * S["Omega1_dot"] * S["alpha4"]),
+    ] == [1, -1]
+    assert rows[4].coeff(S["I10_1"] * S["Omega2_dot"] * S["alpha9"]) == 1
+    assert rows[0].diff(S["Omega1_dot"]).diff(S["beta5"]) == C6 + S["I5_1"] - S["I5_2"] - S["A6"]
 
 
 def test_the_scans_signs_are_refuted_by_the_energy():
     """(27) row 5 with −L6 Omega2 on the right; (21) row 2 with −½: neither follows from the bodies."""
     row = linear(gimbal_row(1, T2 + T1))
-    assert row.coeff(L6 * O2) == -1  # on the left: + on the right
-    assert CARRIED[1].diff(O1).coeff(a4**2) == HALF
+    assert row.coeff(L6 * W2) == -1  # on the left: + on the right
+    assert CARRIED[1].diff(W1).coeff(S["alpha4"] ** 2) == HALF
 
 
 def test_the_root_precesses_under_its_rotors_although_26_has_a_zero_block():
     """−[h0]× with h0 = (L6 − L8, L11, 0): quasi-velocities."""
     rows = [kept(row, 0, (*ANGLES, *RATES[3:], *ACCELERATIONS)) for row in root_rows(T1)]
-    assert rows == [-L11 * O3, (L6 - L8) * O3, L11 * O1 - (L6 - L8) * O2]
+    assert rows == [-L11 * W3, (L6 - L8) * W3, L11 * W1 - (L6 - L8) * W2]
 
 
 def test_the_package_gives_the_energys_rows():
@@ -448,13 +396,10 @@ def test_the_package_gives_the_energys_rows():
     u = np.array([numbers[name] for name in RATES])
     u_dot = np.array([numbers[name] for name in ACCELERATIONS])
 
-    def value(polynomial, angles):
+    def value(row, angles):
         at = numbers | dict(zip(ANGLES, angles, strict=True))
         return float(
-            sum(
-                float(c) * np.prod([at[x] ** p for x, p in zip(NAMES, m, strict=True) if p])
-                for m, c in polynomial.items()
-            )
+            sum(float(c) * np.prod([at[x] ** p for x, p in zip(NAMES, m, strict=True) if p]) for m, c in row.items())
         )
 
     rows = root_rows(T2 + T1) + [gimbal_row(k, T2 + T1) for k in range(5)]

@@ -1,13 +1,15 @@
 """The kinetic energy of Magnus's platform, body by body from rotation matrices, to second order in the angles.
 
-Nothing of the package is used: this is the ground on which the paper's equations and ours are judged.
+Nothing of the package is used: this is the ground on which the paper's equations and ours are judged. What moves has
+the names of tests/three_gyro_paper.py; every body has inertias of its own, of which the paper's J are sums.
 """
 
-from sympy import QQ, ring
+from sympy import QQ, ring, sympify
 
-ANGLES = ("a4", "b5", "b7", "a9", "b10")
-RATES = ("O1", "O2", "O3", "a4d", "b5d", "b7d", "a9d", "b10d")
-ACCELERATIONS = ("O1d", "O2d", "O3d", "a4dd", "b5dd", "b7dd", "a9dd", "b10dd")
+ANGLES = ("alpha4", "beta5", "beta7", "alpha9", "beta10")
+OMEGA = ("Omega1", "Omega2", "Omega3")
+RATES = (*OMEGA, *(f"{name}_dot" for name in ANGLES))
+ACCELERATIONS = (*(f"{name}_dot" for name in OMEGA), *(f"{name}_ddot" for name in ANGLES))
 SPINS = ("f6", "f8", "f11")
 MOMENTA = ("L6", "L8", "L11")
 AXIAL = ("C6", "C8", "C11")
@@ -25,9 +27,9 @@ def degree(monomial, names=ANGLES):
     return sum(monomial[NAMES.index(name)] for name in names)
 
 
-def kept(polynomial, order, names=ANGLES):
+def kept(terms, order, names=ANGLES):
     """Terms up to `order` in `names`."""
-    return R.from_dict({m: c for m, c in polynomial.items() if degree(m, names) <= order})
+    return R.from_dict({m: c for m, c in terms.items() if degree(m, names) <= order})
 
 
 def times(x, y):
@@ -50,12 +52,12 @@ def plus(vector, axis, rate):
     return out
 
 
-Omega = [S["O1"], S["O2"], S["O3"]]
-W4 = plus(turn(2, S["a4"], Omega), 2, S["a4d"])
-W5 = plus(turn(3, S["b5"], W4), 3, S["b5d"])
-W7 = plus(turn(3, -S["b7"], W4), 3, -S["b7d"])
-W9 = plus(turn(3, S["a9"], Omega), 3, S["a9d"])
-W10 = plus(turn(1, S["b10"], W9), 1, S["b10d"])
+Omega = [S[name] for name in OMEGA]
+W4 = plus(turn(2, S["alpha4"], Omega), 2, S["alpha4_dot"])
+W5 = plus(turn(3, S["beta5"], W4), 3, S["beta5_dot"])
+W7 = plus(turn(3, -S["beta7"], W4), 3, -S["beta7_dot"])
+W9 = plus(turn(3, S["alpha9"], Omega), 3, S["alpha9_dot"])
+W10 = plus(turn(1, S["beta10"], W9), 1, S["beta10_dot"])
 
 # What the carriers add to the rotors' rates, B u of (2): spin axes +1, -1, +2 of their housings.
 CARRIED = (W5[0], -W7[0], W10[1])
@@ -74,6 +76,42 @@ for _body, _rate in ((4, W4), (5, W5), (7, W7), (9, W9), (10, W10)):
 for _inertia, (_rate, _axes) in zip(TRANSVERSE, _across, strict=True):
     T_A += HALF * sum(S[_inertia] * square(_rate[k]) for k in _axes)
 
+# The paper's J, and J<gimbal>_<axis> beside them, without C: what turns with a gimbal at zero angles.
+COMPOSITES = {
+    "J1": S["P1"] + sum(S[f"I{k}_1"] for k in (4, 5, 7, 9, 10)) + S["A11"],
+    "J2": S["P2"] + sum(S[f"I{k}_2"] for k in (4, 5, 7, 9, 10)) + S["A6"] + S["A8"],
+    "J3": S["P3"] + sum(S[f"I{k}_3"] for k in (4, 5, 7, 9, 10)) + S["A6"] + S["A8"] + S["A11"],
+    "J12": S["P12"],
+    "J13": S["P13"],
+    "J23": S["P23"],
+    "J4": S["I4_2"] + S["I5_2"] + S["A6"] + S["I7_2"] + S["A8"],
+    "J5": S["I5_3"] + S["A6"],
+    "J7": S["I7_3"] + S["A8"],
+    "J9": S["I9_3"] + S["I10_3"] + S["A11"],
+    "J10": S["I10_1"] + S["A11"],
+    "J4_1": S["I4_1"] + S["I5_1"] + S["I7_1"],
+    "J4_3": S["I4_3"] + S["I5_3"] + S["A6"] + S["I7_3"] + S["A8"],
+    "J5_1": S["I5_1"],
+    "J5_2": S["I5_2"] + S["A6"],
+    "J7_1": S["I7_1"],
+    "J7_2": S["I7_2"] + S["A8"],
+    "J9_1": S["I9_1"] + S["I10_1"] + S["A11"],
+    "J9_2": S["I9_2"] + S["I10_2"],
+    "J10_2": S["I10_2"],
+    "J10_3": S["I10_3"] + S["A11"],
+}
+_IN_BODIES = {symbol: composite.as_expr() for symbol, composite in COMPOSITES.items()}
+
+
+def polynomial(expression):
+    """A SymPy expression of the paper in terms of the bodies."""
+    return R.from_expr(sympify(expression).subs(_IN_BODIES))
+
+
+def polynomials(matrix):
+    return [[polynomial(matrix[i, j]) for j in range(matrix.cols)] for i in range(matrix.rows)]
+
+
 # (1) with (2); and the parts of (9).
 OMEGA_ROTORS = tuple(S[f] + carried for f, carried in zip(SPINS, CARRIED, strict=True))
 T = T_A + HALF * sum(S[c] * square(w) for c, w in zip(AXIAL, OMEGA_ROTORS, strict=True))
@@ -81,13 +119,13 @@ T2 = T_A + HALF * sum(S[c] * square(w) for c, w in zip(AXIAL, CARRIED, strict=Tr
 T1 = sum(S[momentum] * w for momentum, w in zip(MOMENTA, CARRIED, strict=True))
 
 
-def over_time(polynomial):
+def over_time(energy):
     """d/dt by the chain rule; exact to first order in the angles."""
     out = R.zero
     for angle, rate in zip(ANGLES, RATES[3:], strict=True):
-        out += polynomial.diff(S[angle]) * S[rate]
+        out += energy.diff(S[angle]) * S[rate]
     for rate, acceleration in zip(RATES, ACCELERATIONS, strict=True):
-        out += polynomial.diff(S[rate]) * S[acceleration]
+        out += energy.diff(S[rate]) * S[acceleration]
     return out
 
 
