@@ -1,8 +1,9 @@
-"""Greek letters in the names of angles and rates: ``alpha4`` is read as α4, its derivative as α̇4."""
+"""Greek letters in the names of angles and rates: ``alpha4`` is read as α4, its derivative as α̇4, in columns too."""
 
 from __future__ import annotations
 
 import re
+import unicodedata
 
 LETTERS = {
     "alpha": "α",
@@ -43,3 +44,27 @@ _LETTER = re.compile(rf"(?<![A-Za-z])({'|'.join(LETTERS)})(?![A-Za-z])")
 def greek(name: str) -> str:
     """Return a signal name with its Greek letters as letters: ``alpha4`` is α4, ``q_theta`` is q_θ."""
     return _LETTER.sub(lambda found: LETTERS[found[0]], name)
+
+
+def initial(name: str) -> tuple[str, str]:
+    """Return the letters at the head of a name (its first character where it is none), and the rest."""
+    found = re.match(r"[^\W\d_]+", name)
+    end = found.end() if found else 1
+    return name[:end], name[end:]
+
+
+def dotted(angle: str, derivative: int) -> str:
+    """Return an angle or its derivative, the dots over its first letter: ``alpha4``, 2 is α̈4, ``roll``, 1 is ṙoll."""
+    head, rest = initial(angle)
+    letters = LETTERS.get(head, head)
+    return letters[:1] + DOTS[derivative] + letters[1:] + rest
+
+
+def width(text: str) -> int:
+    """Return the columns that a text takes on a terminal: dots above letters take none."""
+    return sum(0 if unicodedata.combining(c) else 1 + (unicodedata.east_asian_width(c) in "WF") for c in text)
+
+
+def padded(text: str, columns: int) -> str:
+    """Return the text filled with spaces on the right."""
+    return text + " " * (columns - width(text))

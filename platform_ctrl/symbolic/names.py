@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import builtins
 import keyword
-import re
 import unicodedata
 from typing import Literal
 
 from platform_ctrl.frozen import value
-from platform_ctrl.greek import DOTS, LETTERS
+from platform_ctrl.greek import LETTERS, dotted, initial
 
 Kind = Literal[
     "inertia",
@@ -89,9 +88,8 @@ class Names:
     def motion(self, angle: str, dots: int, kind: Kind, meaning: str, unit: str) -> NamedSymbol:
         """Return an angle (or component of Omega) as the file names it, or its derivative."""
         name = self._unique(angle + {0: "", 1: "_dot", 2: "_ddot"}[dots])
-        head, label = _split(angle)
-        letters = LETTERS.get(head, head)
-        text = self._shown(f"{letters[:1]}{DOTS[dots]}{letters[1:]}{label}", name)
+        head, label = initial(angle)
+        text = self._shown(dotted(angle, dots), name)
         below = _label(label.lstrip("_"))
         latex = _DOTTED[dots].format(_head(head)) + (f"_{{{below}}}" if below else "")
         return NamedSymbol(name=name, text=text, latex=latex, kind=kind, meaning=meaning, unit=unit)
@@ -118,13 +116,6 @@ def identifier(wanted: str) -> str:
     name = name if name.isidentifier() else "q_" + name
     name = name if name.isidentifier() else "q_" + "_".join(str(ord(c)) for c in wanted)
     return name + "_" if keyword.iskeyword(name) or hasattr(builtins, name) or hasattr(sympy, name) else name
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Return the letters at the head of a name, and the rest."""
-    found = re.match(r"[^\W\d_]+", name)
-    head = found[0] if found else ""
-    return (head, name[len(head) :]) if head else (name[:1], name[1:])
 
 
 def _head(head: str) -> str:

@@ -6,7 +6,6 @@ and take many times as long on long sums.
 
 from __future__ import annotations
 
-import unicodedata
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -212,13 +211,3 @@ def _factors(expression: Expression) -> tuple[Expression, list[Expression]]:
         else:
             out.append(part)
     return number, out
-
-
-def width(text: str) -> int:
-    """Return the columns that a text takes on a terminal: dots above letters take none."""
-    return sum(0 if unicodedata.combining(c) else 1 + (unicodedata.east_asian_width(c) in "WF") for c in text)
-
-
-def padded(text: str, columns: int) -> str:
-    """Return the text filled with spaces on the right."""
-    return text + " " * (columns - width(text))

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.greek import padded, width
 from platform_ctrl.symbolic.names import NamedSymbol
-from platform_ctrl.symbolic.notation import TEXT, Notation, padded, width
+from platform_ctrl.symbolic.notation import TEXT, Notation
 from platform_ctrl.symbolic.result import Equations
 from platform_ctrl.symbolic.sections import MatrixSection, matrix_of, matrix_sections, number_text, row_sections, sides
 

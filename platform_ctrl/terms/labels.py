@@ -9,16 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.greek import DOTS, LETTERS
+from platform_ctrl.greek import LETTERS, dotted, initial
 
 
 def coordinate(angle: str, derivative: int) -> str:
     """Return an angle or its derivative: ``alpha4``, 2 becomes α̈4."""
-    word = re.match("[A-Za-z]*", angle)
-    letters = "" if word is None else word.group()
-    letter = LETTERS.get(letters, letters)
-    if len(letter) == 1:
-        return unicodedata.normalize("NFC", letter + DOTS[derivative]) + angle[len(letters) :]
+    head, _ = initial(angle)
+    if len(LETTERS.get(head, head)) == 1:
+        return unicodedata.normalize("NFC", dotted(angle, derivative))
     return ("{}", "d({})/dt", "d²({})/dt²")[derivative].format(angle)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import unicodedata
 from collections.abc import Sequence
 from typing import Literal
 
 from platform_ctrl.arguments import known_name, known_names
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.greek import padded, width
 
 Kind = Literal[
     "nutation",
@@ -173,8 +173,8 @@ class TermTable:
             lines.append(f"gimbal {gimbal}: {len(shown)} of {len(terms)} terms")
             head = ("", "term", "kind", "N m", "share", "poles", "paper", "")
             cells = [head, *(_cells(term) for term in shown)]
-            widths = [max(_width(row[k]) for row in cells) for k in range(len(head))]
-            lines += ["  ".join(_pad(row[k], widths[k]) for k in range(len(head))).rstrip() for row in cells if shown]
+            widths = [max(width(row[k]) for row in cells) for k in range(len(head))]
+            lines += ["  ".join(padded(row[k], widths[k]) for k in range(len(head))).rstrip() for row in cells if shown]
         return "\n".join(lines) or f"platform {self.platform.name!r} has no gimbals: there is no term to rank"
 
     def legend(self) -> str:
@@ -190,12 +190,3 @@ def _cells(term: Term) -> tuple[str, ...]:
     size, share = f"{term.size:.2e}", f"{100 * term.share:.3g} %"
     kept = "kept" if term.kept else "dropped"
     return (str(term.rank), term.label, term.kind, size, share, poles, kept, term.sense or "")
-
-
-def _width(text: str) -> int:
-    """Columns on the screen: the dots over letters take none."""
-    return sum(not unicodedata.combining(letter) for letter in text)
-
-
-def _pad(text: str, width: int) -> str:
-    return text + " " * (width - _width(text))
