@@ -54,7 +54,7 @@ def unmarked(text: str) -> list[str]:
         numbers = [comment for code, comment in lines if holds_number(code)]
         if not numbers or re.match(r"schema\s*=", lines[0][0]):
             continue
-        marked = [bool(re.match(r"#\s*[PA](:\s*\S|\s*$)", comment)) for comment in (*numbers, lines[-1][1])]
+        marked = [bool(re.match(r"#\s*(P|A|P [A-Z\d]+)(:\s*\S|\s*$)", comment)) for comment in (*numbers, lines[-1][1])]
         if not (marked[-1] or all(marked[:-1])):
             out.append(lines[0][0].strip())
     return out
@@ -70,14 +70,48 @@ def test_a_number_without_a_mark_is_found() -> None:
     assert unmarked(text) == ["b = 2", "d = [", "e = 3"]
 
 
+def declared_sources(text: str) -> dict[str, str]:
+    """Short names and texts of the sources in the head, in their order."""
+    block = re.search(r"^# Sources of what is marked P.*\n((?:#   .*\n)+)", text, re.MULTILINE)
+    lines = re.findall(r"#(   +)(.*)\n", block[1]) if block else []
+    sources: dict[str, str] = {}
+    for indent, line in lines:
+        if len(indent) == 3:
+            name, _, said = line.partition(": ")
+            sources[name] = said
+        else:
+            sources[name] += " " + line
+    return sources
+
+
+def marked_sources(text: str) -> list[str]:
+    """The short name in every mark P, empty where it names none."""
+    comments = [comment for lines in statements(text) for _, comment in lines]
+    return [found[1].strip() for comment in comments if (found := re.match(r"#\s*P\b([A-Z\d ]*)(?=:|\s*$)", comment))]
+
+
 @MODEL
-def test_a_model_names_its_source_and_describes_itself(name: str) -> None:
+def test_everything_published_names_its_source(name: str) -> None:
     text = platform_source(name)
-    head = text[: text.index("schema")]
-    assert len(head.splitlines()) > 5
-    assert all(line.startswith("#") or not line for line in head.splitlines())
+    declared, marked = declared_sources(text), marked_sources(text)
+    if not marked:
+        assert not declared
+        return
+    used = {source or next(iter(declared)) for source in marked}
+    assert used == set(declared)
+    for source, said in declared.items():
+        assert re.fullmatch(r"[A-Z\d]+", source)
+        assert len(said.split()) >= 5, f"{source} is not told apart: {said}"
     assert tomllib.loads(text)["source"]
     assert name in shipped_models()
+
+
+def test_sources_are_read_from_the_head_and_from_the_marks() -> None:
+    text = "# A gyro.\n# Sources of what is marked P:\n#   BOOK: a book,\n#     1976\n#   LAB: a lab\n"
+    text += "# Sums:\n#   J: 3\n\nschema = 1\n"
+    text += "a = 1 # P: page 3\nb = 2 # P LAB: so\nc = 3 # A: Pa\nd = 4 # P\n"
+    assert declared_sources(text) == {"BOOK": "a book, 1976", "LAB": "a lab"}
+    assert marked_sources(text) == ["", "LAB", ""]
 
 
 @MODEL
