@@ -209,6 +209,7 @@ GYROS = pc.read_platform(
 
 
 def test_16_to_18_B_of_rotors_in_two_gimbals_has_a_slanted_column_and_zeros_beside_it():
+    assert GYROS.angle_names == ("alpha1", "beta1", "alpha2", "beta2")  # (16), as the file has them
     q = np.array([0.02, 0.03, -0.01, 0.04])
     B0, B = matrices(GYROS).B, matrices(GYROS, q).B
     np.testing.assert_allclose(B0[:, :3], [[0, 0, 1], [1, 0, 0]], atol=1e-15)
