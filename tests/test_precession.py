@@ -443,6 +443,28 @@ def test_a_closed_cage_with_damping_counts_as_a_spring(platform):
     assert part.restrained
 
 
+def test_the_spring_of_a_rate_gyro_turns_rate_into_angle():
+    """c θ = Q + L Omega2 below the spring's own frequency √(c/J), which no precession takes part in."""
+    plant = read_platform("rate_gyro")
+    (spring,), (rotor,) = plant.springs, plant.rotors
+    model = linearise(plant)
+    whole = precession(model, loop_frequency=10.0)
+    part = whole.parts[0]
+    assert part.admissible
+    assert part.restrained
+    assert part.nutation == pytest.approx([np.sqrt(spring.stiffness / model.M[0, 0])])
+    sys = whole.state_space()
+    assert sys.nstates == 0
+    np.testing.assert_allclose(sys.D, np.array([[1, 0, rotor.angular_momentum, 0]]) / spring.stiffness, atol=1e-15)
+    np.testing.assert_allclose(np.asarray(state_space(model)(1e-3j))[:, :4], sys.D, rtol=1e-3, atol=1e-8)
+    # 3 times as fast as the loop, as the line that asks for a spring says.
+    soft = dataclasses.replace(plant, frictions=())
+    for factor, good in ((1.01, True), (0.99, False)):
+        c = factor * model.M[0, 0] * 30.0**2
+        found = linearise(dataclasses.replace(soft, springs=(dataclasses.replace(spring, stiffness=c),)))
+        assert precession(found, loop_frequency=10.0).admissible == good
+
+
 # Wrong questions and the ends of the range.
 
 

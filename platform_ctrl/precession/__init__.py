@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.precession.admissibility import PrecessionPart
+from platform_ctrl.precession.part import PrecessionPart
 from platform_ctrl.precession.result import Precession, precession
 
 __all__ = ["Precession", "PrecessionPart", "precession"]

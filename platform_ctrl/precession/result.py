@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.arguments import known_name, positive
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel
-from platform_ctrl.precession.admissibility import PrecessionPart, judged
+from platform_ctrl.precession.admissibility import judged
+from platform_ctrl.precession.part import PrecessionPart
 from platform_ctrl.precession.signals import system
 from platform_ctrl.state_space import gimbal_torquers, subsystems, whole_subsystems
 
@@ -93,7 +94,7 @@ class Precession:
         """
         for part in self.parts:
             if not (momentum_states or part.admissible):
-                raise part.refusal()
+                raise part._refusal()
         angles = [self.model.angle_names[self.model.gimbal_names.index(name)] for name in self.gimbals]
         torquers, torque_map = gimbal_torquers(self.model, self.gimbals)
         return system(self.parts, momentum_states, self.gimbals, angles, torquers, torque_map)

@@ -9,8 +9,9 @@ import numpy as np
 
 from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.precession.admissibility import PrecessionPart, named_directions
+from platform_ctrl.precession.part import PrecessionPart
 from platform_ctrl.precession.reduction import echelon, reduced_equations
+from platform_ctrl.precession.wording import named_directions
 
 if TYPE_CHECKING:
     import control
@@ -35,9 +36,9 @@ def system(
     size = sum(_states(part, momentum_states) for part in parts)
     A, B, C, D = np.zeros((size, size)), np.zeros((size, m + 3)), np.zeros((n, size)), np.zeros((n, m + 3))
     for part in parts:
-        kept = part.reduction(momentum_states)
-        of = reduced_equations(part.scaled, kept)
-        T, back = part.scaled.T, part.scaled.back
+        at, kept = part._reduction(momentum_states)
+        of = reduced_equations(at, kept)
+        T, back = at.T, at.back
         mine = [list(gimbals).index(name) for name in part.gimbals]
         inputs = np.hstack([T.T @ torque_map[mine], np.zeros((len(mine), 3))])
         rates = np.hstack([np.zeros((3, m)), np.eye(3)])
@@ -50,7 +51,7 @@ def system(
                 for row, k in zip(rows, leading, strict=True)
             ]
         else:
-            _, _, leading = named_directions(part.scaled, kept.N, part.angles)
+            _, _, leading = named_directions(at, kept.N, part.angles)
             momenta = part.momentum_directions.T @ back.T @ kept.N
             k = len(leading)
             zero = np.zeros((len(T), k))
@@ -78,5 +79,5 @@ def system(
 
 
 def _states(part: PrecessionPart, momentum_states: bool) -> int:
-    kept = part.reduction(momentum_states)
+    _, kept = part._reduction(momentum_states)
     return len(part.gimbals) + int(kept.N.shape[1]) - int(kept.H.shape[1])
