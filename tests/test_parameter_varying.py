@@ -148,6 +148,34 @@ def test_at_constant_rate_it_is_the_linear_model_at_that_rate(platform, seed, te
     np.testing.assert_allclose(frozen.forcing, model.Q0, atol=1e-12 * size)
 
 
+def test_specific_force_and_rate_amplitude_are_those_of_the_linear_model(platform):
+    platform = dataclasses.replace(
+        with_elements(platform, np.random.default_rng(1)),
+        frictions=(Friction(gimbal="9", viscous=0.1, coulomb=(0.02, 0.04)),),
+    )
+    Omega, f, amplitude = (0.3, -0.2, 0.5), (3.0, -9.0, 1.0), np.linspace(0.1, 0.5, 5)
+    frozen = parameter_varying(platform, specific_force=f, rate_amplitude=amplitude).at(Omega)
+    model = linearise(platform, Omega, specific_force=f, rate_amplitude=amplitude)
+    for got, expected in ((frozen.K, model.stiffness), (frozen.G, model.damping), (frozen.forcing, model.Q0)):
+        np.testing.assert_allclose(got, expected, atol=1e-12 * (1 + np.abs(expected).max()))
+    own = linearise(platform, Omega)
+    assert np.abs(own.stiffness - model.stiffness).max() > 1.0
+    assert model.damping[3, 3] - own.damping[3, 3] == pytest.approx(4 / np.pi * 0.03 / amplitude[3])
+
+
+def test_a_quarter_turn_exchanges_monomials_and_leaves_no_rounding(platform):
+    """With gimbal 4 a quarter turned the rotors point along axis 3, and cos 90° is 6e-17."""
+    turned = parameter_varying(platform, gimbals=("5", "7"), q=(np.pi / 2, 0, 0, 0, 0))
+    straight = parameter_varying(platform, gimbals=("5", "7"))
+    exchange = str.maketrans("13", "31")
+    for kind in ("G", "K", "Q0"):
+        monomials = {
+            "*".join(sorted(name.translate(exchange).split("*"))) for name in getattr(straight, kind).monomials
+        }
+        assert set(getattr(turned, kind).monomials) == monomials
+    assert abs(turned.K["Omega3"][0, 0]) == pytest.approx(0.15)
+
+
 @settings(max_examples=25, deadline=None)
 @given(platforms(max_gimbals=4), SEEDS)
 def test_it_is_the_first_order_part_of_the_moment_balance(platform, seed):

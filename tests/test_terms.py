@@ -241,6 +241,35 @@ def test_elements_are_terms_too(platform):
     assert all(term.size == 0.0 for term in still.of("10") if term.derivative is not None)
 
 
+def test_the_specific_force_given_stands_in_for_the_platforms_own(platform):
+    platform = with_elements(platform, np.random.default_rng(0))
+    f = np.array([4.0, -8.0, 2.0])
+    loaded = dataclasses.replace(platform, specific_force=f)
+
+    def rows(platform, **given):
+        table = terms(platform, (1, 0, 0), np.full(5, 0.1), **given)
+        return [(term.label, term.factor, term.pole_change) for term in table.terms]
+
+    assert rows(platform, specific_force=f) == rows(loaded)
+    assert rows(platform) != rows(loaded)
+
+
+def test_an_inertia_has_a_gimbals_number_only_where_it_is_that_gimbals(platform, table):
+    """Turned by 0.2 rad, gimbal 5 feels Ω̇3 with J5 cos 0.2: near J5, yet something else."""
+    turned = terms(platform, (1.0, 1.0, 1.0), np.full(5, 0.1), q=(0.2, 0, 0, 0, 0))
+    assert one(table, "5", "J5 Ω̇3").coefficient == pytest.approx(2e-4)
+    assert one(turned, "5", "J Ω̇3").coefficient == pytest.approx(2e-4 * np.cos(0.2))
+
+
+def test_rounding_is_no_term(platform):
+    """With gimbal 4 a quarter turned everything points along other axes, and cos 90° is 6e-17."""
+    counts = [
+        [len(terms(platform, (1, 1, 1), np.ones(5), q=(angle, 0, 0, 0, 0)).of(g)) for g in ("5", "7", "9", "10")]
+        for angle in (0.0, np.pi / 2)
+    ]
+    assert counts[0] == counts[1]
+
+
 def test_a_weak_coupling_counts_beside_a_stiff_cage(platform):
     """The erection on 4 follows 10: however stiff the cage of another gimbal, their poles belong together."""
     across = Erection(gimbal="4", senses="10", axis=np.array([0.0, 0.0, 1.0]), gain=1e-7)
@@ -271,6 +300,8 @@ def test_labels_are_those_of_the_field():
     assert rates("Omega3^2") == "Ω3²"
     assert combination(["L6", "L8"], np.array([1.0, -1.0])) == "(L6 − L8)"
     assert combination(["L6", "L8"], np.array([0.0, -1.0])) == "−L8"
+    assert combination(["L6", "L8"], np.array([1e-13, -1.0])) == "−L8"
+    assert combination(["L6", "L8"], np.array([1e-11, -1.0])) == "(1e-11 L6 − L8)"
     assert combination(["a", "b"], np.array([-0.6, 0.8])) == "(−0.6 a + 0.8 b)"
 
 
