@@ -11,9 +11,10 @@ from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Unbalance
 from platform_ctrl.linearisation import linearise
-from platform_ctrl.mechanics import inverse_dynamics
+from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics
 from platform_ctrl.reading import read_platform
 from platform_ctrl.state_space import state_space, subsystems
+from test_mechanics_forces import furnished
 from tree_cases import platforms, with_torquers
 
 L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
@@ -172,6 +173,45 @@ def test_free_root_model_is_the_tangent_of_the_non_linear_equations(platform, se
         expected[3 + column if column < n else column - n] = 1.0
         scale = 1 + np.abs(response[:, column]).max() * 100
         np.testing.assert_allclose(slope, expected, atol=1e-7 * scale)
+
+
+@settings(max_examples=25, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about_the_trim(platform, seed):
+    """Angles, rates and specific force that the model gives for each input solve the differentiated equations."""
+    rng = np.random.default_rng(seed)
+    platform = furnished(with_torquers(platform), seed)
+    # Dry friction and the edges of cages have no slope.
+    platform = dataclasses.replace(
+        platform,
+        frictions=tuple(dataclasses.replace(one, coulomb=(0.0, 0.0)) for one in platform.frictions),
+        cages=tuple(dataclasses.replace(one, clearance=0.0) for one in platform.cages),
+    )
+    n = len(platform.gimbals)
+    q, Omega, f = rng.uniform(-1, 1, n), rng.normal(size=3), platform.specific_force
+    trim = np.concatenate([Omega, np.zeros(n)])
+    held = inverse_dynamics(platform, q, trim, np.zeros(3 + n)) - element_forces(platform, q, trim)
+
+    def acceleration(x):
+        angles, velocity, drive, force = np.split(x, np.cumsum([n, 3 + n, 3 + n]))
+        forces = element_forces(platform, angles, velocity, force)
+        return forward_dynamics(platform, angles, velocity, held + drive + forces)
+
+    at = np.concatenate([q, trim, np.zeros(3 + n), f])
+    np.testing.assert_allclose(acceleration(at), 0.0, atol=1e-8)
+    h = 1e-6
+    slope = np.stack(
+        [(acceleration(at + h * e) - acceleration(at - h * e)) / (2 * h) for e in np.eye(len(at))], axis=-1
+    )
+    sys = state_space(linearise(platform, Omega=Omega, q=q), root="free", specific_force=True)
+    s = complex(rng.uniform(0.5, 2.0), rng.normal() * 3)
+    response = np.asarray(sys(s))
+    angles, rates = response[:n], response[n:]
+    # The model's inputs are Q, M, f; those of the equations M, Q, f.
+    inputs = np.eye(n + 6)[[*range(n, n + 3), *range(n), *range(n + 3, n + 6)]]
+    motion = np.vstack([angles, rates, s * angles, inputs])
+    scale = 1 + (np.abs(slope) @ np.abs(motion)).max()
+    np.testing.assert_allclose(slope @ motion, s * np.vstack([rates, s * angles]), atol=1e-7 * scale)
 
 
 def test_wrong_questions_get_one_line(platform):
