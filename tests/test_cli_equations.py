@@ -28,7 +28,7 @@ def test_options_reach_the_equations(capsys: pytest.CaptureFixture[str]) -> None
         assert capsys.readouterr().out == equations(read_platform(PLANT), "latex", order=order, terms="exact")
 
 
-@pytest.mark.parametrize("option", [["--json"], ["--format", "json"], ["--json", "--format", "latex"]])
+@pytest.mark.parametrize("option", [["--json"], ["--format", "json"], ["--json", "--format", "json"]])
 def test_json_is_alone_on_standard_output(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["equations", PLANT, *option]) == 0
     captured = capsys.readouterr()
@@ -51,6 +51,7 @@ def test_a_plant_file_serves_as_well(tmp_path: Path, capsys: pytest.CaptureFixtu
         (["no_such_plant"], 'there is no shipped model "no_such_plant"'),
         (["nowhere/plant.toml"], "there is no such file"),
         ([PLANT, "--format", "pdf"], "--format: given 'pdf'; expected text, latex or json"),
+        ([PLANT, "--format", "latex", "--json"], "--format latex and --json: given both; expected one of them"),
         ([PLANT, "--terms", "all"], "--terms: given 'all'; expected paper or exact"),
         ([PLANT, "--order", "4"], "--order: given '4'; expected 0, 1, 2, 3 or exact"),
         ([PLANT, "--order", "one"], "--order: given 'one'"),

@@ -535,3 +535,24 @@ def test_sympy_is_loaded_only_when_equations_are_asked_for():
     code = "import platform_ctrl.symbolic, sys; print('sympy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_letters_beyond_ascii_are_commands_or_text_in_latex():
+    """Greek as commands, accents inside text mode: mathematics knows neither."""
+    platform = read_platform(
+        {
+            "schema": 1,
+            "name": "letters",
+            "root": {"name": "r", "inertia": [1, 1, 1]},
+            "gimbal": [
+                {"name": "\u03b1\u03b2", "parent": "r", "axis": [0, 0, 1], "inertia": [1, 1, 1], "angle": "\u03b14"},
+                {"name": "\u00e9t\u00e9", "parent": "r", "axis": [0, 1, 0], "inertia": [1, 1, 1], "angle": "\u03c6"},
+            ],
+        }
+    )
+    body = equations(platform, "latex").split("% (23)", 1)[1]
+    assert r"\alpha_{4}" in body
+    assert r"\text{$\alpha$$\beta$}" in body
+    assert "\\text{\u00e9t\u00e9}" in body
+    mathematics = re.sub(r"\\text\{[^}]*\}|%.*|\\par\\noindent.*", "", body)
+    assert mathematics.isascii()

@@ -50,6 +50,8 @@ def equations(
     platform-ctrl equations plant.toml --terms exact --order 2 --json
     """  # noqa: D301
     chosen_form, chosen_terms = _one_of("--format", form, WRITTEN), _one_of("--terms", terms, TERMS)
+    if as_json and chosen_form == "latex":
+        raise InputError("--format latex and --json: given both; expected one of them")
     chosen_order = None if _one_of("--order", order, ORDERS) == EXACT else int(order)
     from platform_ctrl.reading import read_platform
     from platform_ctrl.symbolic import equations as found

@@ -49,10 +49,12 @@ def equations(
     Raises
     ------
     ArgumentError
-        Unknown `form` or `terms`, `order` out of range, or None for a large tree.
+        Not a platform, unknown `form` or `terms`, `order` out of range, or None for a large tree.
     """
     from platform_ctrl.arguments import one_of, short
+    from platform_ctrl.description import expect_platform
 
+    expect_platform(platform)
     one_of("form", form, FORMS)
     one_of("terms", terms, TERMS)
     if order is not None:

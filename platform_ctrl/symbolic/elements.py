@@ -48,18 +48,17 @@ def element_terms(platform: Platform, symbols: ElementSymbols) -> tuple[tuple[Te
     """Return the terms of all force elements on the left side (−Q), and notes on what is not among them."""
     terms: list[Term] = []
     notes: list[str] = []
-    index = {name: k for k, name in enumerate(platform.gimbal_names)}
-    _springs(platform, symbols, index, terms)
-    _frictions(platform, symbols, index, terms, notes)
-    _cages(platform, symbols, index, terms, notes)
+    _springs(platform, symbols, terms)
+    _frictions(platform, symbols, terms, notes)
+    _cages(platform, symbols, terms, notes)
     _unbalances(platform, symbols, terms)
-    _erections(platform, symbols, index, terms, notes)
+    _erections(platform, symbols, terms, notes)
     return tuple(terms), tuple(notes)
 
 
-def _springs(platform: Platform, symbols: ElementSymbols, index: dict[str, int], terms: list[Term]) -> None:
+def _springs(platform: Platform, symbols: ElementSymbols, terms: list[Term]) -> None:
     for spring in platform.springs:
-        k = index[spring.gimbal]
+        k = platform.gimbal(spring.gimbal)
         at, _ = symbols.add("k", spring.gimbal, "", f"spring at gimbal {spring.gimbal}", "N m/rad", spring.stiffness)
         terms.append(Term(k, "angle", k, (), at, 1.0))
         if spring.rest:
@@ -69,11 +68,9 @@ def _springs(platform: Platform, symbols: ElementSymbols, index: dict[str, int],
             terms.append(Term(k, "constant", 0, (rest,), at, -1.0))
 
 
-def _frictions(
-    platform: Platform, symbols: ElementSymbols, index: dict[str, int], terms: list[Term], notes: list[str]
-) -> None:
+def _frictions(platform: Platform, symbols: ElementSymbols, terms: list[Term], notes: list[str]) -> None:
     for friction in platform.frictions:
-        k = index[friction.gimbal]
+        k = platform.gimbal(friction.gimbal)
         if friction.viscous:
             meaning = f"viscous friction of gimbal {friction.gimbal}"
             at, _ = symbols.add("d", friction.gimbal, "", meaning, "N m s", friction.viscous)
@@ -82,11 +79,9 @@ def _frictions(
             notes.append(f"dry friction of gimbal {friction.gimbal} is left out: it has no slope at rest")
 
 
-def _cages(
-    platform: Platform, symbols: ElementSymbols, index: dict[str, int], terms: list[Term], notes: list[str]
-) -> None:
+def _cages(platform: Platform, symbols: ElementSymbols, terms: list[Term], notes: list[str]) -> None:
     for cage in platform.cages:
-        k, name = index[cage.gimbal], cage.gimbal
+        k, name = platform.gimbal(cage.gimbal), cage.gimbal
         if cage.clearance and abs(cage.angle) <= cage.clearance:
             notes.append(f"cage of gimbal {name} is left out: within its clearance it does not act")
             continue
@@ -127,12 +122,10 @@ def _unbalances(platform: Platform, symbols: ElementSymbols, terms: list[Term]) 
                         terms.append(Term(int(j), "angle", k, f, at, slope))
 
 
-def _erections(
-    platform: Platform, symbols: ElementSymbols, index: dict[str, int], terms: list[Term], notes: list[str]
-) -> None:
+def _erections(platform: Platform, symbols: ElementSymbols, terms: list[Term], notes: list[str]) -> None:
     n, size = len(platform.gimbals), float(np.linalg.norm(platform.specific_force))
     for device in platform.erections:
-        name, k = device.gimbal, index[device.gimbal]
+        name, k = device.gimbal, platform.gimbal(device.gimbal)
         if size == 0.0:
             notes.append(f"erection of gimbal {name} is left out: there is no specific force")
             continue
@@ -143,7 +136,7 @@ def _erections(
             notes.append(f"erection of gimbal {name} is at its limit at zero angles")
             continue
         at, _ = symbols.add("e", name, "", f"gain of the erection of gimbal {name}", "N m", device.gain)
-        body = index.get(device.senses, -1) + 1
+        body = platform.body(device.senses)
         turned = _rotation(platform, body)
         for a in range(3):
             factors = (f"f{a + 1}", "1/f")

@@ -26,6 +26,7 @@ Kind = Literal[
 
 _DOTTED = ("{}", r"\dot{{{}}}", r"\ddot{{{}}}")
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\backslash ", "~": r"\sim ", "^": r"\wedge "}
+_COMMANDS = {letter: rf"\{name}" if name != "epsilon" else r"\varepsilon" for name, letter in LETTERS.items()}
 # What prose in LaTeX needs; in mathematics the names of greek letters are read before.
 _PROSE = (
     {c: f"\\{c}" for c in "&%$#_{}"}
@@ -121,13 +122,18 @@ def identifier(wanted: str) -> str:
 def _head(head: str) -> str:
     if head in LETTERS:
         return rf"\{head}" if head != "epsilon" else r"\varepsilon"
-    return head if len(head) == 1 and head.isalnum() else rf"\mathrm{{{_escaped(head)}}}"
+    return _COMMANDS.get(head) or (head if head.isascii() and len(head) == 1 and head.isalnum() else _word(head))
 
 
 def _label(label: str) -> str:
-    if not label or label.isdigit() or (len(label) == 1 and label.isalpha()):
+    if not label or (label.isascii() and (label.isdigit() or (len(label) == 1 and label.isalpha()))):
         return label
-    return rf"\mathrm{{{_escaped(label)}}}"
+    return _COMMANDS.get(label) or _word(label)
+
+
+def _word(text: str) -> str:
+    """Return a word in mathematics; letters that only text has stay text."""
+    return rf"\mathrm{{{_escaped(text)}}}" if text.isascii() else rf"\text{{{text_in_latex(text)}}}"
 
 
 def text_in_latex(text: str) -> str:
