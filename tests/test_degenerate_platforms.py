@@ -167,3 +167,24 @@ def test_numbers_that_are_none_are_refused_everywhere(bad):
     ):
         with pytest.raises(PlatformCtrlError, match="not finite"):
             call()
+
+
+@pytest.mark.parametrize("given", ["three_gyro_platform", None, 3, {"schema": 1}], ids=repr)
+def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
+    for call in (
+        pc.matrices,
+        pc.element_forces,
+        pc.rotor_momenta,
+        pc.with_free_rotors,
+        pc.with_rotors_as_gimbals,
+        pc.linearise,
+        pc.equations,
+        pc.parameter_varying,
+        lambda p: pc.terms(p, (0, 0, 1), [1.0]),
+        lambda p: pc.inverse_dynamics(p, [], [], []),
+        lambda p: rollout(p, [[]], [[]]),
+    ):
+        with pytest.raises(
+            PlatformCtrlError, match="platform: given .*; expected a Platform, for example"
+        ):
+            call(given)
