@@ -32,8 +32,14 @@ ComplexArray = NDArray[np.complex128]
 # A stage of the search for roots at zero takes what is this small against the whole for zero.
 _ZERO_ROOT = 1e-10
 
-# Against the largest entry of a matrix in x: rounding.
+# Against the largest entry of a matrix in x: some 50 machine epsilons, what orthonormal bases and a solve leave where
+# there is a 0. Nothing hangs on it but that zeros look like zeros; small true coefficients have to stay.
 _NOISE = 1e-14
+# Coordinates of a direction this near to the largest are as large: a name must not hang on the last digits of a plant
+# file, and the two digits of a coefficient in words do not tell them apart.
+_AS_LARGE = 0.999
+# A coordinate of a direction with largest coordinate 1 that elimination leaves this small is 0.
+_ABSENT = 1e-9
 
 
 @value
@@ -234,15 +240,15 @@ def echelon(rows: FloatArray) -> tuple[FloatArray, list[int]]:
     out = np.array(rows, dtype=np.float64)
     pivots: list[int] = []
     for k in range(len(out)):
-        # Among equals the first coordinate, whatever rounding made of them.
+        # Among equals the first coordinate.
         size = np.abs(out[k:]).max(axis=0)
-        column = int(np.argmax(size >= 0.999 * size.max()))
+        column = int(np.argmax(size >= _AS_LARGE * size.max()))
         row = k + int(np.argmax(np.abs(out[k:, column])))
         out[[k, row]] = out[[row, k]]
         out[k] /= out[k, column]
         others = np.arange(len(out)) != k
         out[others] -= np.outer(out[others, column], out[k])
         pivots.append(column)
-    out[np.abs(out) < 1e-9] = 0.0
+    out[np.abs(out) < _ABSENT] = 0.0
     order = np.argsort(pivots)
     return np.asarray(out[order]), [pivots[k] for k in order]
