@@ -121,6 +121,22 @@ def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[i
     return sorted({known_name(kind, name, known) for name in names})
 
 
+def distinct(kind: str, names: Sequence[str]) -> list[str]:
+    """Return the names of signals as a list, each of its own.
+
+    Raises
+    ------
+    ArgumentError
+        Two are alike: the plant has a name that a derived signal needs.
+    """
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ArgumentError(
+                f"{kind}: {name!r} would name two of them; expected angles and torquers of other names in the plant"
+            )
+    return list(names)
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that `word` was probably meant to be, or None."""
     by_lower = {name.lower(): name for name in known}

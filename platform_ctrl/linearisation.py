@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import one_of, real_array
+from platform_ctrl.arguments import one_of, real_array, short
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -183,6 +183,19 @@ def linearise(
         M_force=slopes.force[:3],
         M_angle=slopes.angle[:3],
     )
+
+
+def expect_model(given: object) -> None:
+    """Judge an argument that has to be a linear model.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else, for example a platform.
+    """
+    if not isinstance(given, LinearModel):
+        what = f"platform {given.name!r}" if isinstance(given, Platform) else short(given)
+        raise ArgumentError(f"model: given {what}; expected a LinearModel, from linearise(platform)")
 
 
 def _spin_stiffness(platform: Platform, at: Kinematics, rate: FloatArray) -> FloatArray:

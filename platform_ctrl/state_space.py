@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import known_names
+from platform_ctrl.arguments import distinct, known_names
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.linearisation import LinearModel, expect_model
 from platform_ctrl.mechanics.kinematics import Topology, cross_matrix, topology
 from platform_ctrl.mechanics.regularity import inverse_inertia
 
@@ -36,6 +36,7 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     Found from the entries of M, G, K and ∂Q at the model's trim that are more than rounding of what both gimbals carry;
     not from the tree.
     """
+    expect_model(model)
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
     inertia, momentum = inertia_rounding(platform), momentum_rounding(platform)
     gyroscopic = momentum + inertia * rate
@@ -143,6 +144,7 @@ def state_space(
     MechanicsError
         A* is singular at the trim (gimbal lock).
     """
+    expect_model(model)
     if root not in ("prescribed", "free"):
         raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
     if root == "free":
@@ -210,6 +212,7 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
     ArgumentError
         A string, an unknown name, or names that cut through a subsystem.
     """
+    expect_model(model)
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
     chosen = set(known_names("gimbals", gimbals, model.gimbal_names))
@@ -246,4 +249,9 @@ def _named(
     if not specific_force:
         B, inputs = B[:, :-3], inputs[:-3]
     D = np.zeros((len(C), B.shape[1]))
-    return control.StateSpace(A, B, C, D, inputs=inputs, outputs=outputs, states=states, remove_useless_states=False)
+    names = {
+        "inputs": distinct("inputs", inputs),
+        "outputs": distinct("outputs", outputs),
+        "states": distinct("states", states),
+    }
+    return control.StateSpace(A, B, C, D, remove_useless_states=False, **names)

@@ -184,7 +184,28 @@ def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
         lambda p: pc.inverse_dynamics(p, [], [], []),
         lambda p: rollout(p, [[]], [[]]),
     ):
-        with pytest.raises(
-            PlatformCtrlError, match="platform: given .*; expected a Platform, for example"
-        ):
+        with pytest.raises(PlatformCtrlError, match=r"platform: given .*; expected a Platform, for example"):
             call(given)
+
+
+@pytest.mark.parametrize("given", [None, 3, LOCKED], ids=["none", "number", "platform"])
+def test_what_is_no_model_is_refused_with_the_way_to_one(given):
+    for call in (pc.state_space, pc.subsystems, pc.precession):
+        with pytest.raises(PlatformCtrlError, match=r"model: given .*; expected a LinearModel, from linearise"):
+            call(given)
+
+
+def test_names_that_derived_signals_need_are_not_dropped_without_a_word():
+    """States are named after angles: p_ for momenta; f1 to f3 are inputs where specific force is one."""
+    twins = chain([X, Y], [np.eye(3)] * 2)
+    first, second = twins.gimbals
+    gimbals = (dataclasses.replace(first, angle="x"), dataclasses.replace(second, angle="p_x"))
+    with pytest.raises(PlatformCtrlError, match="states: 'p_x' would name two of them"):
+        pc.state_space(pc.linearise(dataclasses.replace(twins, gimbals=gimbals)))
+    forced = dataclasses.replace(twins, torquers=(pc.Torquer(name="f1", gimbal="g0"),))
+    assert pc.state_space(pc.linearise(forced)).input_labels[0] == "f1"
+    with pytest.raises(PlatformCtrlError, match="inputs: 'f1' would name two of them"):
+        pc.state_space(pc.linearise(forced), specific_force=True)
+    driven = dataclasses.replace(twins, torquers=(pc.Torquer(name="d_q0", gimbal="g0"),))
+    with pytest.raises(PlatformCtrlError, match="inputs: 'd_q0' would name two of them"):
+        pc.parameter_varying(driven, form="momenta").state_space((0, 0, 0), (0, 0, 0))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.arguments import real_array, short
+from platform_ctrl.arguments import distinct, real_array, short
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -83,7 +83,7 @@ class AffineModel:
         """Return the system at parameter values (parameters,), which need not belong to any Omega."""
         import control
 
-        names = {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+        names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}
         A, D = self.state_matrix(parameters), np.zeros((len(self.C), self.B.shape[1]))
         return control.StateSpace(A, self.B, self.C, D, remove_useless_states=False, **names)
 
