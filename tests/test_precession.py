@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from platform_ctrl.errors import ArgumentError, MechanicsError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring
 from platform_ctrl.linearisation import linearise
-from platform_ctrl.precession import precession
+from platform_ctrl.precession import precession, trial
 from platform_ctrl.reading import read_platform
 from platform_ctrl.state_space import state_space
 from tree_cases import platforms, with_torquers
@@ -445,6 +445,42 @@ def test_a_triple_chain_at_zero_is_an_obstacle(platform):
     np.testing.assert_array_equal(part.precession_roots, 0)
     assert part.multiple_roots
     assert not part.admissible
+
+
+def test_a_response_that_is_wrong_at_the_loop_is_refused_whatever_the_roots_say(monkeypatch):
+    """A slow rotor on one of three gimbals, a stiff spring, friction: one slow root, 40 % off, all else far above."""
+    bodies = {"g0": ("r", [0, 1, 0], 7e-4), "g1": ("g0", [-1, 0, 0], 9e-3), "g2": ("g0", [0.245, 0.215, -0.063], 7e-3)}
+    platform = read_platform(
+        {
+            "schema": 1,
+            "name": "slow",
+            "root": {"name": "r", "inertia": [1, 1, 1]},
+            "gimbal": [
+                {"name": name, "parent": parent, "axis": axis, "inertia": [inertia, 0.75 * inertia, 0.9 * inertia]}
+                for name, (parent, axis, inertia) in bodies.items()
+            ],
+            "rotor": [
+                {
+                    "name": "w",
+                    "carrier": "g2",
+                    "axis": [0, 1, 0],
+                    "axial_inertia": 1e-4,
+                    "transverse_inertia": 1e-4,
+                    "spin": 11.0,
+                }
+            ],
+            "spring": [{"gimbal": "g0", "stiffness": 292.5}],
+            "friction": [{"gimbal": "g1", "viscous": 0.187}],
+        }
+    )
+    model = linearise(platform, Omega=(-0.17, 0.24, -0.1), q=(0.12, 0.31, -0.06))
+    assert not precession(model).admissible
+    with monkeypatch.context() as patch:
+        patch.setattr(trial, "_TWICE", np.inf)
+        unmeasured = precession(model).part("g0")
+    # Roots, separation and growth alone would let it pass.
+    assert unmeasured.admissible
+    assert unmeasured.error([unmeasured.loop_frequency])[0] > 2 / 3
 
 
 # Restraints.

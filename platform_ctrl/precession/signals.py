@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.arguments import distinct
 from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.precession.part import PrecessionPart
@@ -73,7 +74,7 @@ def system(
         D,
         inputs=[*torquers, *OMEGA_NAMES],
         outputs=list(angles),
-        states=[states[k] for k in order],
+        states=distinct("states", [states[k] for k in order]),
         remove_useless_states=False,
     )
 

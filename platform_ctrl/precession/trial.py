@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.precession.reduction import ComplexArray, Reduction, Scaled, precession_rate, roots
+from platform_ctrl.precession.reduction import ComplexArray, Reduction, Scaled, distance, precession_rate, roots
 
 # Non-zero roots nearer to each other than this, against the largest, are one multiple root: rounding alone parts a
 # double root by the square root of the machine precision.
@@ -13,6 +13,9 @@ _MULTIPLE = 1e-7
 # A dropped pole with Re s over |s| above this grows: by less than 1 % in a thousand periods it is rounding, or friction
 # that nobody lists makes up for it.
 _GROWS = 1e-6
+# How far from a root the response is measured, whose narrow peak is not meant, and how much more than 1/separation it
+# may err: stiffness near its own limit adds as much again.
+_ASIDE, _TWICE = 0.2, 2.0
 # Room for rounding where something is to lie a factor above something else.
 _ROUNDING = 1e-9
 
@@ -35,6 +38,8 @@ class Trial:
         How fast stiffness drives the motion without inertia, in any direction, rad/s.
     loop_frequency
         Up to which the reduction has to hold, rad/s.
+    error
+        Relative error of the response there; 0 beside a root, where it peaks.
     """
 
     roots: ComplexArray
@@ -44,6 +49,7 @@ class Trial:
     dropped: ComplexArray
     pure: bool
     loop_frequency: float
+    error: float
 
     @property
     def nutation(self) -> FloatArray:
@@ -115,6 +121,13 @@ class Trial:
                     "spin the rotors faster, or make the stiffness softer",
                 )
             )
+        if not out and self.error > _TWICE / required:
+            out.append(
+                (
+                    f"its response at the loop's frequency is {100.0 * self.error:.0f} % off",
+                    "spin the rotors faster, or make the stiffness softer",
+                )
+            )
         multiple = self.multiple_root
         # Momenta are kept so that a loop may be designed: what splits far below it does not matter there.
         if multiple is not None and (self.pure or required * self.root_error > self.loop_frequency):
@@ -139,7 +152,15 @@ def tried(at: Scaled, kept: Reduction, poles: ComplexArray, loop_frequency: floa
         dropped=poles[len(found) :],
         pure=kept.N.shape[1] == 0,
         loop_frequency=loop_frequency,
+        error=_error(at, kept, found, loop_frequency),
     )
+
+
+def _error(at: Scaled, kept: Reduction, found: ComplexArray, loop_frequency: float) -> float:
+    beside = np.abs(np.abs(found) - loop_frequency) < _ASIDE * np.abs(found)
+    if loop_frequency == 0.0 or beside.any():
+        return 0.0
+    return float(distance(at, kept, np.array([loop_frequency]), each=False)[0])
 
 
 def _pole(s: complex) -> str:
