@@ -37,8 +37,8 @@ class LinearModel:
         What was linearised, and which terms were kept.
     q0 : (n,)
         Angles of the trim, rad.
-    Omega0 : (3,)
-        Constant platform rate of the trim, rad/s.
+    Omega0, specific_force : (3,)
+        Constant platform rate, rad/s, and specific force, m/s², of the trim.
     Q0 : (n,)
         Torques that the torquers need to hold the trim, N m.
     M, G, K : (n, n)
@@ -63,6 +63,7 @@ class LinearModel:
     terms: Terms
     q0: FloatArray
     Omega0: FloatArray
+    specific_force: FloatArray
     Q0: FloatArray
     M: FloatArray
     G: FloatArray
@@ -168,6 +169,7 @@ def linearise(
         terms=terms,
         q0=angles,
         Omega0=rate,
+        specific_force=f,
         Q0=-(0.5 * slope + spin_slope) - element_forces(platform, angles, specific_force=f)[3:],
         M=A_star[3:, 3:],
         G=gyro,

@@ -13,21 +13,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import distinct, known_names
-from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.linearisation import LinearModel, expect_model
-from platform_ctrl.mechanics.kinematics import Topology, cross_matrix, topology
+from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
+from platform_ctrl.mechanics.kinematics import cross_matrix
 from platform_ctrl.mechanics.regularity import inverse_inertia
 
 if TYPE_CHECKING:
     import control
-
-# Rounding of a sum over the tree, against the sum of what it adds up.
-_ROUNDING = 256 * np.finfo(float).eps
 
 
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
@@ -39,76 +36,12 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     expect_model(model)
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
     inertia, momentum = inertia_rounding(platform), momentum_rounding(platform)
+    forces = force_rounding(platform, float(np.linalg.norm(model.specific_force)))
     gyroscopic = momentum + inertia * rate
     coupled = (np.abs(model.M) > inertia) | np.any(np.abs(model.M_Omega_q) > inertia[:, None, :], axis=1)
     coupled |= (np.abs(model.G) > gyroscopic) | (np.abs(model.K) > gyroscopic * rate)
-    coupled |= (np.abs(model.Q_angle) > force_rounding(platform, _specific_force(model))) | (model.Q_rate != 0.0)
+    coupled |= (np.abs(model.Q_angle) > forces) | (model.Q_rate != 0.0)
     return tuple(tuple(model.gimbal_names[k] for k in group) for group in connected(coupled))
-
-
-def connected(coupled: ArrayLike) -> list[list[int]]:
-    """Return the indices, sorted, of each group that the entries of a square bool matrix connect."""
-    either = np.asarray(coupled, dtype=bool)
-    either = either | either.T
-    groups: list[list[int]] = []
-    left = list(range(len(either)))
-    while left:
-        group, frontier = {left[0]}, [left[0]]
-        while frontier:
-            new = set(np.flatnonzero(either[frontier.pop()]).tolist()) - group
-            group |= new
-            frontier += new
-        groups.append(sorted(group))
-        left = [k for k in left if k not in group]
-    return groups
-
-
-def inertia_rounding(platform: Platform) -> FloatArray:
-    """Return the rounding to expect in what inertias give gimbals i and j, (n, n): only what both carry enters it."""
-    tree = topology(platform)
-    size = np.trace(tree.inertias, axis1=1, axis2=2)
-    np.add.at(size, tree.carriers, tree.C * tree.regulated)
-    return _carried_by_both(tree, size)
-
-
-def momentum_rounding(platform: Platform) -> FloatArray:
-    """Return the rounding to expect in what rotors' L gives gimbals i and j, (n, n)."""
-    tree = topology(platform)
-    size = np.zeros(len(tree.on_path))
-    np.add.at(size, tree.carriers, np.abs(tree.L))
-    return _carried_by_both(tree, size)
-
-
-def force_rounding(platform: Platform, specific_force: float) -> FloatArray:
-    """Return the rounding to expect in what elements' torques on gimbal i owe to angle j, (n, n).
-
-    Springs, friction and cages stand on the diagonal alone and have none.
-    """
-    tree = topology(platform)
-    out = specific_force * _carried_by_both(tree, _mass_moments(platform))
-    for device in platform.erections:
-        out[platform.gimbal(device.gimbal)] += _ROUNDING * abs(device.gain) * tree.on_path[platform.body(device.senses)]
-    return out
-
-
-def _carried_by_both(tree: Topology, size: FloatArray) -> FloatArray:
-    on_path = tree.on_path.astype(np.float64)
-    return np.asarray(_ROUNDING * np.einsum("bi,bj,b->ij", on_path, on_path, size))
-
-
-def _mass_moments(platform: Platform) -> FloatArray:
-    """Sizes of the bodies' mass moments, (1 + n,), kg m."""
-    out = np.zeros(1 + len(platform.gimbals))
-    for unbalance in platform.unbalances:
-        out[platform.body(unbalance.body)] += np.linalg.norm(unbalance.moment)
-    return out
-
-
-def _specific_force(model: LinearModel) -> float:
-    """Size of f at the trim, m/s²: the platform's own, or what the root's rows show where another was given."""
-    carried = _mass_moments(model.platform) @ topology(model.platform).on_path
-    shown = np.linalg.norm(model.M_angle, axis=0)[carried > 0.0] / carried[carried > 0.0]
-    return max(float(np.linalg.norm(model.platform.specific_force)), float(shown.max(initial=0.0)))
 
 
 def state_space(

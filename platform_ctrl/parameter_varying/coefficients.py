@@ -15,8 +15,8 @@ import numpy as np
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, Terms, linearise
+from platform_ctrl.mechanics.coupling import inertia_rounding, momentum_rounding
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial, polynomial
-from platform_ctrl.state_space import inertia_rounding, momentum_rounding
 
 
 @value

@@ -95,7 +95,7 @@ class Precession:
         for part in self.parts:
             if not (momentum_states or part.admissible):
                 raise part._refusal()
-        angles = [self.model.angle_names[self.model.gimbal_names.index(name)] for name in self.gimbals]
+        angles = [self.model.angle_names[self.model.platform.gimbal(name)] for name in self.gimbals]
         torquers, torque_map = gimbal_torquers(self.model, self.gimbals)
         return system(self.parts, momentum_states, self.gimbals, angles, torquers, torque_map)
 
@@ -175,6 +175,6 @@ def precession(
     rows = whole_subsystems(model, gimbals)
     chosen = tuple(model.gimbal_names[k] for k in rows)
     groups = [group for group in subsystems(model) if group[0] in chosen]
-    index = {name: k for k, name in enumerate(model.gimbal_names)}
-    parts = tuple(judged(model, [index[name] for name in group], frequency, required) for group in groups)
+    index = model.platform.gimbal
+    parts = tuple(judged(model, [index(name) for name in group], frequency, required) for group in groups)
     return Precession(model=model, gimbals=chosen, parts=parts)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.symbolic.elements import Term, Variable
 from platform_ctrl.symbolic.series import Monomial, Series, without_residue
 
@@ -109,16 +110,11 @@ def without_inertia(row: Row, kept: np.ndarray[tuple[int, ...], np.dtype[np.bool
 
 def coupled_groups(rows: tuple[Row, ...]) -> tuple[tuple[int, ...], ...]:
     """Return the gimbals whose equations are coupled when Omega is given, group by group."""
-    groups: list[set[int]] = [{k} for k in range(len(rows))]
+    coupled = np.zeros((len(rows), len(rows)), dtype=bool)
     for j, row in enumerate(rows):
         for (variable, k), forms in row.items():
-            if variable == "constant" or not any(form.any() for form in forms.values()):
-                continue
-            one, other = (next(g for g in groups if i in g) for i in (j, k))
-            if one is not other:
-                one |= other
-                groups.remove(other)
-    return tuple(tuple(sorted(group)) for group in sorted(groups, key=min))
+            coupled[j, k] |= variable != "constant" and any(form.any() for form in forms.values())
+    return tuple(map(tuple, connected(coupled)))
 
 
 def _add_squares(into: Forms, rates: tuple[str, ...], slope: FloatArray) -> None:

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.parameter_varying.polynomial import monomial_values
-from platform_ctrl.state_space import connected
 from platform_ctrl.terms.labels import coordinate, product
 from platform_ctrl.terms.labels import rates as rate_names
 from platform_ctrl.terms.parts import Part, parts

@@ -24,8 +24,8 @@ def rates(monomial: str) -> str:
     """Return a product of platform rates: ``Omega1*Omega2`` becomes Ω1 Ω2, ``Omega1'`` Ω̇1, and ``1`` nothing."""
     if monomial == "1":
         return ""
-    dotted = re.sub("Omega([123])'", "Ω\u0307\\1", monomial)
-    return dotted.replace("Omega", "Ω").replace("*", " ").replace("^2", "²")
+    changing = re.sub("Omega([123])'", "Ω\u0307\\1", monomial)
+    return changing.replace("Omega", "Ω").replace("*", " ").replace("^2", "²")
 
 
 def symbol(letter: str, name: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import linearise
+from platform_ctrl.mechanics.coupling import force_rounding, inertia_rounding
 from platform_ctrl.mechanics.forces import element_forces, force_slopes
 from platform_ctrl.parameter_varying.coefficients import (
     acceleration_part,
@@ -20,7 +21,6 @@ from platform_ctrl.parameter_varying.coefficients import (
     rotor_part,
 )
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial
-from platform_ctrl.state_space import force_rounding, inertia_rounding
 from platform_ctrl.terms.labels import combination, symbol
 from platform_ctrl.terms.table import Kind
 
