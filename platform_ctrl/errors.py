@@ -23,7 +23,7 @@ class MechanicsError(PlatformCtrlError):
 
 
 class DesignError(PlatformCtrlError):
-    """No controller was found, or the one found does not do what the method claims.
+    """No controller was found, or the one found does not do what the method claims; its kinds say which.
 
     Attributes
     ----------
@@ -34,6 +34,30 @@ class DesignError(PlatformCtrlError):
     def __init__(self, message: str, problem: object = None) -> None:
         super().__init__(message)
         self.problem = problem
+
+
+class InfeasibleError(DesignError):
+    """No controller of the asked kind meets what is asked."""
+
+
+class IllPosedError(DesignError):
+    """An assumption of the method does not hold for this problem; the message names it and the signal."""
+
+
+class NotStabilisableError(DesignError):
+    """No controller stabilises the plant: no control moves a mode, or no measurement sees it; the message names it."""
+
+
+class UnscalableError(DesignError):
+    """No units were found in which the problem can be solved in floating point."""
+
+
+class TimeLimitError(DesignError):
+    """The time allowed was over; the solver was ended."""
+
+
+class NotCertifiedError(DesignError):
+    """A controller was found, but its actual closed loop does not do what was promised."""
 
 
 class SimulationError(PlatformCtrlError):

@@ -1,0 +1,1 @@
+"""Certificates: matrices that prove what a design claims, and their proof in interval arithmetic."""
