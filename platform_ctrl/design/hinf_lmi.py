@@ -7,15 +7,15 @@ Nothing is assumed about D11, D12 and D21. What the solver says is not believed:
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.design.lmi.conic import solve
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, IllPosedError, TimeLimitError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
@@ -72,10 +72,6 @@ class Certificate:
     separation: float
 
 
-class _OutOfTime(DesignError):
-    """The solver was stopped: nothing else is tried."""
-
-
 def hinf_lmi(
     plant: Partition, backoff: float, time_limit: float, P: StateSpace
 ) -> tuple[Realisation, float, dict[str, float]]:
@@ -100,7 +96,7 @@ def hinf_lmi(
             best = _separated(turned, level, margin, bound, attempt, time_limit, P)
             residual = _strict(turned, best, scaled.gain, P)
             made = _reconstructed(turned, scaled.control_rank, scaled.measurement_rank, best, P)
-        except _OutOfTime:
+        except TimeLimitError:
             raise
         except DesignError as error:
             failure = failure or error
@@ -111,12 +107,12 @@ def hinf_lmi(
 
 
 def _strict(plant: Partition, best: Certificate, gain: float, P: StateSpace) -> dict[str, float]:
-    """Residuals of the solver's X and Y; raise a DesignError where an inequality is not strict."""
+    """Residuals of the solver's X and Y; raise an UnscalableError where an inequality is not strict."""
     residual = {"separation of X and Y": best.separation}
     for name, matrix in inequalities(plant, best.gamma, best.X, best.Y).items():
         largest = float(np.linalg.eigvalsh(matrix)[-1])
         if not largest < 0:
-            raise DesignError(
+            raise UnscalableError(
                 f"hinf, lmi: X and Y from the solver violate the {name} at gamma = {best.gamma * gain:.6g} "
                 f'(largest eigenvalue {largest:.2g}, expected < 0); give a larger backoff, or method="riccati"',
                 P,
@@ -136,7 +132,7 @@ def _rough(plant: Partition, time_limit: float, P: StateSpace) -> tuple[ScaledPl
                 # Far from one gamma is only known roughly: not too far in one step.
                 scaled = autoscale(plant, scaled.gain * float(np.clip(rough.gamma, 1e-3, 1e6)))
                 rough = _minimised(scaled.plant, time_limit, P, ROUGH)
-        except _OutOfTime:
+        except TimeLimitError:
             raise
         except DesignError as error:
             failure = failure or error
@@ -149,7 +145,8 @@ def _rough(plant: Partition, time_limit: float, P: StateSpace) -> tuple[ScaledPl
             f"; nearest to a violated assumption: the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is "
             f"hardly {word} (smallest singular value {sigma:.1g} of the scaled plant)"
         )
-    raise DesignError(f"{failure}{hint}", P) from None
+    assert failure is not None
+    raise type(failure)(f"{failure}{hint}", P) from None
 
 
 def _balanced(plant: Partition, rough: Certificate) -> Partition:
@@ -239,25 +236,15 @@ def _constraints(plant: Partition, X: Any, Y: Any, gamma: Any, margin: float, t:
 def _solve(
     problem: Any, variables: tuple[Any, ...], what: str, time_limit: float, P: StateSpace, tolerance: float
 ) -> None:
-    """Solve in silence; raise a DesignError unless every variable has a value."""
-    cp = _cvxpy()
-    cure = 'give a larger backoff, other weights, or method="riccati"'
-    options = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            problem.solve(solver=cp.CLARABEL, time_limit=time_limit, **options)
-        except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
-            raise DesignError(f"hinf, lmi: the solver gave up when {what}; {cure}", P) from None
-    if problem.status == cp.USER_LIMIT:
-        raise _OutOfTime(
-            f"hinf, lmi: the solver did not finish in {time_limit:.3g} s when {what}; give a larger time_limit", P
-        )
-    # An inaccurate answer is judged like every other: by the inequalities and by the closed loop.
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or not all(
-        v.value is not None and np.all(np.isfinite(v.value)) for v in variables
-    ):
-        raise DesignError(f"hinf, lmi: the solver says {problem.status} when {what}; {cure}", P)
+    solve(
+        problem,
+        variables,
+        what=f"hinf, lmi: {what}",
+        time_limit=time_limit,
+        P=P,
+        tolerance=tolerance,
+        cure='give a larger backoff, other weights, or method="riccati"',
+    )
 
 
 def _reconstructed(plant: Partition, r: int, s: int, best: Certificate, P: StateSpace) -> Realisation:
@@ -319,7 +306,7 @@ def _gain(
     while np.linalg.eigvalsh(left - 2 * gain * singular @ singular.T)[-1] >= 0:
         gain *= 2
         if gain > 1e12:
-            raise DesignError(
+            raise IllPosedError(
                 "hinf, lmi: no finite gain of the channels that D12 or D21 leave out satisfies the inequalities; "
                 "give a larger backoff, or add a small weight on every control and a small noise on every measurement",
                 P,

@@ -1,0 +1,275 @@
+"""Solve a cvxpy problem with Clarabel in a process that can be ended.
+
+An interior-point step on a large problem takes minutes and hears neither a time limit nor an interrupt. So the steps
+run elsewhere: the matrices go through a pipe to a worker, which starts at the first use, is used again, and ends with
+this process. Past the time limit it is killed; the next problem gets a new one.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import inspect
+import os
+import pickle
+import queue
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from importlib import import_module
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.design.lmi import worker
+from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
+from platform_ctrl.frozen import value
+
+# Longest time that a worker may take to start, s; imports from a cold disk are slow.
+START_LIMIT = 120.0
+# Given to the solver to stop by itself before it is killed, s.
+GRACE = 0.25
+# An interrupt is noticed within this time, s, also where waiting for a lock does not notice it.
+POLL = 0.1
+# Starts of a worker for one problem.
+ATTEMPTS = 2
+
+
+@value
+class Solved:
+    """How the solver ended: its status, its own time in s and its iterations."""
+
+    status: str
+    seconds: float
+    iterations: int
+
+
+class Ended(Exception):
+    """The worker died."""
+
+
+class Late(Exception):
+    """The worker was killed: the time was over."""
+
+
+class Worker:
+    """A running solver process; one problem at a time."""
+
+    def __init__(self) -> None:
+        single = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+        options: dict[str, Any] = {}
+        if sys.platform == "win32":
+            options["creationflags"] = subprocess.CREATE_NO_WINDOW
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-W", "ignore", "-c", inspect.getsource(worker)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**single, **os.environ},
+            **options,
+        )
+        self.answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, daemon=True).start()
+        self._send(sys.path)
+        self._answer(START_LIMIT)
+
+    def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
+        """Return the worker's answer.
+
+        Raises
+        ------
+        Late, Ended
+            No answer in time, or no worker to give one; it is gone then.
+        """
+        self._send(request)
+        return self._answer(time_limit)
+
+    def end(self) -> None:
+        """Kill the process, if it still runs, and close its pipes."""
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            # What was not written yet is lost on purpose.
+            with contextlib.suppress(OSError, ValueError):
+                if pipe is not None:
+                    pipe.close()
+
+    def _send(self, message: object) -> None:
+        # In a thread: a pipe whose other end is not read blocks, and nothing here may wait beyond the limit.
+        threading.Thread(target=self._write, args=(message,), daemon=True).start()
+
+    def _write(self, message: object) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):  # the reader sees that the process died
+            self.process.stdin.write(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
+            self.process.stdin.flush()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        try:
+            while True:
+                self.answers.put(pickle.load(self.process.stdout))
+        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+            self.answers.put(None)
+
+    def _answer(self, limit: float) -> dict[str, Any]:
+        end = time.monotonic() + limit
+        answer = None
+        try:
+            while True:
+                try:
+                    answer = self.answers.get(timeout=max(0.0, min(POLL, end - time.monotonic())))
+                    break
+                except queue.Empty:
+                    if time.monotonic() >= end:
+                        raise Late from None
+        finally:
+            # An interrupt passes through here too.
+            if answer is None:
+                self.end()
+        if answer is None:
+            raise Ended
+        return answer
+
+
+class _Shared:
+    """The worker of this process, and the lock that gives it to one thread at a time."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.worker: Worker | None = None
+
+    def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
+        with self.lock:
+            for _ in range(ATTEMPTS):
+                if self.worker is None:
+                    self.worker = Worker()
+                kept, self.worker = self.worker, None
+                try:
+                    answer = kept.solve(request, time_limit)
+                except Ended:
+                    continue
+                self.worker = kept
+                return answer
+        raise Ended
+
+    def end(self) -> None:
+        if self.worker is not None:
+            self.worker.end()
+            self.worker = None
+
+    def forget(self) -> None:
+        # After a fork the worker belongs to the parent.
+        self.__init__()  # type: ignore[misc]
+
+
+_shared = _Shared()
+atexit.register(_shared.end)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_shared.forget)
+
+
+def solve(
+    problem: Any,
+    variables: tuple[Any, ...],
+    *,
+    what: str,
+    time_limit: float,
+    P: object,
+    tolerance: float = 1e-8,
+    cure: str = "",
+    wait: float = 0.0,
+) -> Solved:
+    """Solve a cvxpy problem in silence; afterwards its variables have values.
+
+    An answer that the solver calls inaccurate passes: whoever asks judges every answer by evaluating it again.
+
+    Parameters
+    ----------
+    problem
+        A `cvxpy.Problem`.
+    variables
+        What must have finite values in the end.
+    what
+        Method and step, for messages: ``"hinf, lmi: minimising gamma"``.
+    time_limit
+        Longest time that the solver may take, s; it is ended then. Starting it does not count.
+    P
+        Attached to errors as the problem.
+    tolerance
+        Of gap and feasibility.
+    cure
+        What to try next, for messages.
+    wait
+        Pause of the worker before it solves, s: stands for a solver that hangs.
+
+    Raises
+    ------
+    InfeasibleError
+        The constraints contradict each other.
+    TimeLimitError
+        The time was over; the solver was ended.
+    UnscalableError
+        The solver gave up, found the objective unbounded, or died.
+    """
+    cp = import_module("cvxpy")
+    next_step = f"; {cure}" if cure else ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+            request = _request(data, time_limit, tolerance) | {"wait": wait}
+            answer = _shared.solve(request, time_limit + GRACE)
+            status = answer["status"]
+            if status == "MaxTime":
+                raise Late
+            if "x" in answer:
+                problem.unpack_results(SimpleNamespace(**answer), chain, inverse)
+        except Late:
+            raise TimeLimitError(
+                f"{what}: the solver did not finish in {time_limit:.3g} s and was ended; give a larger time_limit",
+                P,
+            ) from None
+        except Ended:
+            raise UnscalableError(
+                f"{what}: the solver's process died {ATTEMPTS} times; expected an answer{next_step}", P
+            ) from None
+        except (cp.SolverError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            raise UnscalableError(f"{what}: the solver gave up{next_step}", P) from None
+    if status in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
+        raise InfeasibleError(f"{what}: the solver says infeasible; expected inequalities that can hold{next_step}", P)
+    if status not in ("Solved", "AlmostSolved") or not all(
+        v.value is not None and np.all(np.isfinite(v.value)) for v in variables
+    ):
+        raise UnscalableError(f"{what}: the solver ended with {status!r}{next_step}", P)
+    return Solved(status=status, seconds=float(answer["solve_time"]), iterations=int(answer["iterations"]))
+
+
+def _request(data: dict[str, Any], time_limit: float, tolerance: float) -> dict[str, Any]:
+    """The problem as plain arrays."""
+    from scipy.sparse import csc_matrix, triu
+
+    dims, A = data["dims"], csc_matrix(data["A"])
+    size = data["c"].size
+    P = csc_matrix(triu(data["P"])) if data.get("P") is not None else csc_matrix((size, size))
+    cones: list[tuple[str, tuple[Any, ...]]] = []
+    if dims.zero:
+        cones.append(("ZeroConeT", (int(dims.zero),)))
+    if dims.nonneg:
+        cones.append(("NonnegativeConeT", (int(dims.nonneg),)))
+    cones += [("SecondOrderConeT", (int(n),)) for n in dims.soc]
+    cones += [("PSDTriangleConeT", (int(n),)) for n in dims.psd]
+    cones += [("ExponentialConeT", ())] * int(dims.exp)
+    cones += [("PowerConeT", (float(power),)) for power in dims.p3d]
+    settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance) | {"time_limit": time_limit}
+    return {
+        "P": ((P.data, P.indices, P.indptr), P.shape),
+        "q": np.asarray(data["c"], dtype=np.float64),
+        "A": ((A.data, A.indices, A.indptr), A.shape),
+        "b": np.asarray(data["b"], dtype=np.float64),
+        "cones": cones,
+        "settings": settings,
+    }
