@@ -1,0 +1,444 @@
+"""Minimising the largest of smooth pieces: a non-smooth function of few parameters, with bounds and hard limits.
+
+Three phases, all deterministic:
+
+1. to stability: the largest `stability` piece (a spectral abscissa) is brought below zero;
+2. descent: BFGS with a weak Wolfe line search on the largest piece (Lewis and Overton, Mathematical Programming 141,
+   2013), which is robust far from the minimum and stalls where several pieces are active;
+3. polish: all pieces near the maximum are linearised and their least maximum over a trust region is found by a
+   quadratic program (sequential quadratic programming in epigraph form); pieces of refused trial points stay as cuts.
+   With the `curvature` of the weighted pieces it converges quadratically, without it a quasi-Newton matrix serves.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.design.structured.quadratic import least_maximum
+from platform_ctrl.frozen import FloatArray, value
+
+# x -> values (k,) and gradients (k, n) of the pieces near the maximum; [inf] where there is none.
+Pieces = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# x, weights (k,) of the pieces at x -> Hessian (n, n) of the weighted sum.
+Curvature = Callable[[FloatArray, FloatArray], FloatArray]
+
+# Lewis and Overton's line search: sufficient decrease and weak Wolfe curvature.
+_DECREASE, _SLOPE = 1e-4, 0.5
+
+
+@value
+class Minimum:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    x : (n,)
+        Parameters, within the bounds.
+    value
+        Largest piece; inf where x is not stable.
+    hard
+        Largest hard piece; −inf without any.
+    stability
+        Largest stability piece, negative where x is stable; −inf without any.
+    evaluations
+        How often pieces were asked for.
+    finished
+        Whether it ended by itself and not by the limit of time or of evaluations.
+    history
+        Largest piece after every accepted step.
+    """
+
+    x: FloatArray
+    value: float
+    hard: float
+    stability: float
+    evaluations: int
+    finished: bool
+    history: tuple[float, ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether the stability pieces are all negative."""
+        return self.stability < 0.0
+
+
+class _OutOfTime(Exception):
+    pass
+
+
+class _Search:
+    """One run: the functions, the bounds, what was spent and the best point seen."""
+
+    def __init__(
+        self,
+        pieces: Pieces,
+        lower: FloatArray,
+        upper: FloatArray,
+        hard: Pieces | None,
+        stability: Pieces | None,
+        curvature: Curvature | None,
+        evaluations: int,
+        deadline: float,
+        target: float,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self.soft, self.hard_pieces, self.stability_pieces = pieces, hard, stability
+        self.curvature = curvature
+        self.lower, self.upper = lower, upper
+        self.left, self.spent, self.deadline = evaluations, 0, deadline
+        self.target = target
+        self.progress = progress
+        self.history: list[float] = []
+
+    def ask(self, function: Pieces, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self.spent >= self.left or time.monotonic() > self.deadline:
+            raise _OutOfTime
+        self.spent += 1
+        return function(x)
+
+    def stable(self, x: FloatArray) -> bool:
+        if self.stability_pieces is None:
+            return True
+        values, _ = self.stability_pieces(x)
+        return bool(np.max(values) < 0.0)
+
+    def note(self, level: float) -> None:
+        self.history.append(level)
+        if self.progress is not None:
+            self.progress(level)
+
+
+def minimise(
+    pieces: Pieces,
+    x0: FloatArray,
+    lower: FloatArray | None = None,
+    upper: FloatArray | None = None,
+    *,
+    hard: Pieces | None = None,
+    stability: Pieces | None = None,
+    curvature: Curvature | None = None,
+    target: float = -np.inf,
+    tolerance: float = 1e-7,
+    evaluations: int = 4000,
+    descent: int = 400,
+    radius: float = 1.0,
+    time_limit: float = np.inf,
+    progress: Callable[[float], None] | None = None,
+) -> Minimum:
+    """Minimise the largest of `pieces` where every `stability` piece is negative and every `hard` piece at most one.
+
+    Parameters
+    ----------
+    pieces
+        x → values (k,) and gradients (k, n) of the smooth pieces near the maximum. Called only at stable x; inf as a
+        value refuses the point.
+    x0 : (n,)
+        Start, in units where a change of one is large.
+    lower, upper : (n,), optional
+        Bounds.
+    hard
+        Pieces that must not exceed one.
+    stability
+        Pieces that must be negative (spectral abscissas with a margin); they are brought there first.
+    curvature
+        Hessian of the weighted pieces at x.
+    target
+        End as soon as the largest piece is not above it (and no hard piece above one).
+    tolerance
+        Relative decrease, predicted by the model, at which the search ends.
+    evaluations, descent, time_limit
+        Most evaluations in all, most iterations of the descent phase, longest time, s.
+    radius
+        First trust region of the polish.
+    progress
+        Called with the largest piece after every accepted step.
+
+    Returns
+    -------
+    Minimum
+        The best point found, also where limits ended the search; `Minimum.stable` says whether it is usable.
+    """
+    n = len(x0)
+    low = np.full(n, -np.inf) if lower is None else np.asarray(lower, dtype=np.float64)
+    high = np.full(n, np.inf) if upper is None else np.asarray(upper, dtype=np.float64)
+    search = _Search(
+        pieces, low, high, hard, stability, curvature, evaluations, time.monotonic() + time_limit, target, progress
+    )
+    x = np.clip(np.asarray(x0, dtype=np.float64), low, high)
+    best = x
+    finished = True
+    try:
+        if stability is not None:
+            x = best = _descended(search, stability, x, -1e-300, descent, search.note)
+        if search.stable(x):
+            if hard is not None:
+                x = best = _descended(search, _within(search, hard), x, 1.0, descent, None)
+            if hard is None or np.max(hard(x)[0]) <= 1.0:
+                x = best = _descended(search, _priced(search), x, target, descent, search.note)
+            x = best = _polished(search, x, tolerance, radius)
+    except _OutOfTime as ended:
+        finished = False
+        best = ended.args[0] if ended.args else best
+    return _judged(search, best, finished)
+
+
+def _judged(search: _Search, x: FloatArray, finished: bool) -> Minimum:
+    abscissa = -np.inf if search.stability_pieces is None else float(np.max(search.stability_pieces(x)[0]))
+    level = float(np.max(search.soft(x)[0])) if abscissa < 0.0 else np.inf
+    limit = -np.inf
+    if search.hard_pieces is not None:
+        limit = float(np.max(search.hard_pieces(x)[0])) if abscissa < 0.0 else np.inf
+    return Minimum(
+        x=x,
+        value=level,
+        hard=limit,
+        stability=abscissa,
+        evaluations=search.spent,
+        finished=finished,
+        history=tuple(search.history),
+    )
+
+
+def _within(search: _Search, function: Pieces) -> Pieces:
+    """`function` where the loop is stable, inf elsewhere."""
+
+    def inside(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if not search.stable(x):
+            return np.array([np.inf]), np.zeros((1, len(x)))
+        return function(x)
+
+    return inside
+
+
+def _priced(search: _Search) -> Pieces:
+    """The soft pieces where the loop is stable and the hard ones hold, inf elsewhere."""
+
+    def inside(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        refused = np.array([np.inf]), np.zeros((1, len(x)))
+        if not search.stable(x):
+            return refused
+        if search.hard_pieces is not None and np.max(search.hard_pieces(x)[0]) > 1.0:
+            return refused
+        return search.soft(x)
+
+    return inside
+
+
+def _descended(
+    search: _Search,
+    function: Pieces,
+    x: FloatArray,
+    target: float,
+    iterations: int,
+    note: Callable[[float], None] | None,
+) -> FloatArray:
+    """BFGS with a weak Wolfe line search on the largest piece, outside the bounds with a slope back into them."""
+    low, high = search.lower, search.upper
+    slope = 0.0
+
+    def largest(y: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        inside = np.clip(y, low, high)
+        values, gradients = search.ask(function, inside)
+        i = int(np.argmax(values))
+        level, gradient = float(values[i]), gradients[i]
+        out = y - inside
+        if np.any(out):
+            gradient = np.where(out == 0.0, gradient, 0.0) + slope * np.sign(out)
+            level += slope * float(np.sum(np.abs(out)))
+        return level, gradient, inside
+
+    n = len(x)
+    level, gradient, inside = largest(x)
+    if level <= target or not np.isfinite(level):
+        return inside
+    slope = 1.0 + 2.0 * float(np.linalg.norm(gradient))
+    best, lowest = inside, level
+    inverse = np.eye(n)
+    first = True
+    recent: list[float] = [level]
+    try:
+        for _ in range(iterations):
+            size = float(np.linalg.norm(gradient))
+            if size <= 1e-12 * max(1.0, abs(level)):
+                break
+            direction = -inverse @ gradient
+            along = float(gradient @ direction)
+            if not along < 0.0:
+                inverse, direction, along = np.eye(n), -gradient, -size * size
+                first = True
+            if first:
+                direction = direction * (0.3 / max(size, 0.3))
+                along = float(gradient @ direction)
+            near, far, t = 0.0, np.inf, 1.0
+            for _ in range(40):
+                y = x + t * direction
+                new_level, new_gradient, inside = largest(y)
+                if not new_level < level + _DECREASE * t * along:
+                    far = t
+                elif float(new_gradient @ direction) < _SLOPE * along:
+                    near = t
+                    if new_level < lowest:
+                        best, lowest = inside, new_level
+                else:
+                    break
+                if new_level <= target:
+                    return inside
+                t = 0.5 * (near + far) if np.isfinite(far) else 2.0 * near
+            else:
+                break
+            s, change = y - x, new_gradient - gradient
+            sy = float(s @ change)
+            if sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(change)):
+                if first:
+                    inverse = np.eye(n) * (sy / float(change @ change))
+                hy = inverse @ change
+                inverse = (
+                    inverse
+                    + (1.0 + float(change @ hy) / sy) / sy * np.outer(s, s)
+                    - (np.outer(hy, s) + np.outer(s, hy)) / sy
+                )
+                first = False
+            x, level, gradient = y, new_level, new_gradient
+            if level < lowest:
+                best, lowest = inside, level
+            if note is not None:
+                note(level)
+            if level <= target:
+                break
+            recent.append(level)
+            if len(recent) > 25 and recent[-25] - level < 1e-5 * abs(level):
+                break
+    except _OutOfTime:
+        raise _OutOfTime(best) from None
+    return best
+
+
+def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -> FloatArray:
+    """Trust-region quadratic programs over all pieces near the maximum."""
+    n = len(x)
+    hard = search.hard_pieces
+    try:
+        values, gradients = search.ask(search.soft, x)
+        hard_values, hard_gradients = (None, None) if hard is None else search.ask(hard, x)
+        penalty = 10.0 * max(1.0, abs(float(np.max(values))))
+        H = np.zeros((n, n))
+        if search.curvature is None:
+            H = np.eye(n) * 1e-2 * max(abs(float(np.max(values))), 1e-12)
+        weights = None
+        cuts: list[tuple[FloatArray, FloatArray]] = []
+        small = 0
+        while True:
+            merit = _merit(values, hard_values, penalty)
+            if search.target > -np.inf and np.max(values) <= search.target and merit <= search.target:
+                break
+            low = np.maximum(search.lower - x, -radius)
+            high = np.minimum(search.upper - x, radius)
+            all_values = np.concatenate([values, *(c[0] for c in cuts)])
+            all_gradients = np.vstack([gradients, *(c[1] for c in cuts)])
+            step = None
+            for _ in range(2):
+                if search.curvature is not None:
+                    if weights is None:
+                        first = least_maximum(
+                            all_values, all_gradients, 1e-8 * np.eye(n), low, high, hard_values, hard_gradients, penalty
+                        )
+                        if first is None:
+                            break
+                        weights = first.weights[: len(values)]
+                    H = _convex(search.curvature(x, weights))
+                step = least_maximum(all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty)
+                if step is None or search.curvature is None:
+                    break
+                changed = float(np.abs(step.weights[: len(values)] - weights).sum())
+                weights = step.weights[: len(values)]
+                if changed < 0.2:
+                    break
+            if step is None:
+                radius *= 0.25
+                weights = None
+                if radius < 1e-12:
+                    break
+                continue
+            d = step.move
+            curved = 0.5 * float(d @ H @ d)
+            predicted = merit - (step.level + penalty * step.violation + curved)
+            if predicted <= tolerance * abs(merit) * 1e-2 or radius < 1e-13:
+                break
+            y = x + d
+            trial = np.inf
+            if search.stable(y):
+                new_values, new_gradients = search.ask(search.soft, y)
+                new_hard = (None, None) if hard is None else search.ask(hard, y)
+                trial = _merit(new_values, new_hard[0], penalty)
+            else:
+                search.spent += 1
+            ratio = (merit - trial) / predicted if np.isfinite(trial) else -1.0
+            length = float(np.max(np.abs(d)))
+            if ratio > 1e-3:
+                if search.curvature is None:
+                    H = _updated(H, d, values, gradients, new_values, new_gradients, step.weights)
+                x, values, gradients, weights, cuts = y, new_values, new_gradients, None, []
+                hard_values, hard_gradients = new_hard
+                search.note(float(np.max(values)))
+                small = small + 1 if merit - trial <= tolerance * abs(merit) else 0
+                if small >= 3:
+                    break
+                if ratio > 0.7 and length > 0.7 * radius:
+                    radius *= 2.5
+                elif ratio < 0.25:
+                    radius = max(0.5 * length, 1e-14)
+                continue
+            radius = 0.3 * length if not np.isfinite(trial) else min(0.5 * length, radius)
+            if np.isfinite(trial) and hard is None and len(cuts) < 6:
+                # The pieces of the refused point, as they look from x; never above what x itself has.
+                seen = new_values - new_gradients @ d
+                near = new_values > merit - 0.5 * predicted
+                shift = np.maximum(seen - float(np.max(values)), 0.0)
+                cuts.append(((seen - shift)[near], new_gradients[near]))
+    except _OutOfTime:
+        raise _OutOfTime(x) from None
+    return x
+
+
+def _merit(values: FloatArray, hard_values: FloatArray | None, penalty: float) -> float:
+    excess = 0.0 if hard_values is None else max(0.0, float(np.max(hard_values)) - 1.0)
+    return float(np.max(values)) + penalty * excess
+
+
+def _convex(H: FloatArray) -> FloatArray:
+    """The nearest matrix whose curvatures are positive: negative ones change sign."""
+    values, vectors = np.linalg.eigh(0.5 * (H + H.T))
+    size = float(np.max(np.abs(values), initial=0.0)) or 1.0
+    return np.asarray((vectors * np.maximum(np.abs(values), 1e-9 * size)) @ vectors.T)
+
+
+def _updated(
+    H: FloatArray,
+    d: FloatArray,
+    values: FloatArray,
+    gradients: FloatArray,
+    new_values: FloatArray,
+    new_gradients: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """Damped BFGS on the weighted gradient, each old piece compared with the new piece that continues it best."""
+    old = weights[: len(values)]
+    change = np.zeros(len(d))
+    expected = values + gradients @ d
+    size = float(np.linalg.norm(gradients, axis=1).max()) or 1.0
+    spread = max(float(np.ptp(new_values)), 1e-3 * abs(float(np.max(new_values))), 1e-300)
+    for i in np.flatnonzero(old > 1e-6):
+        far = np.linalg.norm(new_gradients - gradients[i], axis=1) / size + np.abs(new_values - expected[i]) / spread
+        change += old[i] * (new_gradients[int(np.argmin(far))] - gradients[i])
+    Hd = H @ d
+    dHd, dy = float(d @ Hd), float(d @ change)
+    if dHd <= 0.0:
+        return H
+    if dy < 0.2 * dHd:
+        share = 0.8 * dHd / (dHd - dy)
+        change = share * change + (1.0 - share) * Hd
+        dy = float(d @ change)
+    return np.asarray(H - np.outer(Hd, Hd) / dHd + np.outer(change, change) / dy)

@@ -1,0 +1,121 @@
+"""The small convex problem inside the optimiser: the least maximum of linear pieces plus one curvature, in a box."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.frozen import FloatArray, value
+
+
+@value
+class Step:
+    """Minimiser of the model.
+
+    Attributes
+    ----------
+    move : (n,)
+        The step d.
+    level
+        The largest soft piece of the model at d, without the curvature.
+    violation
+        By how much the model's hard pieces still exceed one.
+    weights, hard_weights
+        Multipliers of the soft and of the hard pieces, not negative; those of the soft ones add up to one.
+    """
+
+    move: FloatArray
+    level: float
+    violation: float
+    weights: FloatArray
+    hard_weights: FloatArray
+
+
+def least_maximum(
+    values: FloatArray,
+    gradients: FloatArray,
+    H: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    hard_values: FloatArray | None = None,
+    hard_gradients: FloatArray | None = None,
+    penalty: float = 0.0,
+) -> Step | None:
+    """Minimise max(values + gradients d) + penalty max(0, hard_values + hard_gradients d − 1) + d'Hd/2 over the box.
+
+    Parameters
+    ----------
+    values, gradients : (k,), (k, n)
+        The pieces at d = 0.
+    H : (n, n)
+        Positive semidefinite.
+    lower, upper : (n,)
+        Bounds of d, around zero.
+    hard_values, hard_gradients : (m,), (m, n), optional
+        Pieces that must not exceed one.
+    penalty
+        Price of the largest excess.
+
+    Returns
+    -------
+    Step or None
+        None where the solver found no solution.
+    """
+    import clarabel
+    from scipy.sparse import csc_matrix
+
+    n, k = len(lower), len(values)
+    # Values are measured from the largest, in units of the spread that the box allows: the solver sees numbers near 1.
+    top = float(np.max(values))
+    unit = float(np.max(np.abs(gradients) @ np.maximum(upper, -lower), initial=0.0)) or 1.0
+    width = np.maximum(np.maximum(upper, -lower), 1e-300)
+    G = gradients * width / unit
+    m = 0 if hard_values is None else len(hard_values)
+    columns = n + 1 + (1 if m else 0)
+    rows = [np.hstack([G, -np.ones((k, 1)), np.zeros((k, columns - n - 1))])]
+    limits = [(top - values) / unit]
+    if m and hard_values is not None and hard_gradients is not None:
+        scale = np.maximum(np.max(np.abs(hard_gradients) * width, axis=1), 1.0)
+        rows.append(np.hstack([hard_gradients * width / scale[:, None], np.zeros((m, 1)), -1.0 / scale[:, None]]))
+        limits.append((1.0 - hard_values) / scale)
+        last = np.zeros((1, columns))
+        last[0, -1] = -1.0
+        rows.append(last)
+        limits.append(np.zeros(1))
+    box = np.zeros((2 * n, columns))
+    box[:n, :n], box[n:, :n] = np.eye(n), -np.eye(n)
+    rows.append(box)
+    limits.append(np.concatenate([upper / width, -lower / width]))
+    A, b = np.vstack(rows), np.concatenate(limits)
+    P = np.zeros((columns, columns))
+    P[:n, :n] = H * width[:, None] * width / unit
+    q = np.zeros(columns)
+    q[n] = 1.0
+    if m:
+        q[n + 1] = penalty / unit
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 60
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    solver = clarabel.DefaultSolver(
+        csc_matrix(np.triu(P)), q, csc_matrix(A), b, [clarabel.NonnegativeConeT(len(b))], settings
+    )
+    solution = solver.solve()
+    if str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations"):
+        return None
+    z, dual = np.asarray(solution.x), np.maximum(np.asarray(solution.z), 0.0)
+    if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
+        return None
+    move = np.clip(z[:n] * width, lower, upper)
+    weights = dual[:k]
+    total = float(np.sum(weights))
+    excess, hard_weights = 0.0, np.zeros(m)
+    if m and hard_values is not None and hard_gradients is not None:
+        excess = max(0.0, float(np.max(hard_values + hard_gradients @ move)) - 1.0)
+        hard_weights = dual[k : k + m] / scale * unit
+    return Step(
+        move=move,
+        level=float(np.max(values + gradients @ move)),
+        violation=excess,
+        weights=weights / total if total > 0.0 else np.full(k, 1.0 / k),
+        hard_weights=hard_weights,
+    )
