@@ -1,0 +1,235 @@
+"""A certificate and its proof: what is claimed of a closed loop, and the matrix that anybody can check it with.
+
+With V(x) = x'Xx, X = X' > 0, along every solution of the closed loop x' = Ax + Bw, z = Cx + Dw (Lyapunov; Kalman,
+Yakubovich, Popov; Boyd, El Ghaoui, Feron and Balakrishnan, Linear Matrix Inequalities in System and Control Theory,
+SIAM 1994):
+
+- stability with decay rate a:  V' < −2a V                  discrete: V(k+1) < exp(−2a dt) V(k)
+- H-infinity norm below g:      V' < g² w'w − z'z           discrete: V(k+1) − V(k) < g² w'w − z'z
+- H2 norm below h:              V' < −z'z for w = 0, and trace(B'XB + D'D) < h²
+
+Each is a matrix inequality in X with the closed loop's matrices as data. For a fixed X it only asks whether two
+symmetric matrices are positive definite, which balls decide for good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import flint
+import numpy as np
+
+from platform_ctrl.certificates.balls import Ball, Balls, balls, blocks, identity, positive_definite
+from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop
+from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.frozen import FloatArray, value
+
+Claim = Literal["stability", "norm", "h2"]
+
+# Bits at which a proof is tried; each doubling takes about twice the time.
+_DOUBLINGS = 3
+
+_INEQUALITY = {
+    "stability": ("−(A'X + XA) − 2 bound X", "exp(−2 bound dt) X − A'XA"),
+    "norm": ("the bounded-real matrix", "the bounded-real matrix"),
+    "h2": ("−(A'X + XA) − C'C", "X − A'XA − C'C"),
+}
+
+
+@value
+class Verification:
+    """What became of a proof.
+
+    Attributes
+    ----------
+    proved
+        Whether the claim is proved for the given matrices.
+    statement
+        The claim in words.
+    reason
+        What was shown, or what failed and where.
+    margin
+        Distance from failing: a lower bound of the smallest eigenvalue of the matrices that have to be positive
+        definite, each scaled to a unit diagonal; 0 if not proved.
+    precision
+        Bits that it took.
+    """
+
+    proved: bool
+    statement: str
+    reason: str
+    margin: float
+    precision: int
+
+
+@value
+class Certificate:
+    """A claim about one closed loop or about several at once, and the matrix X that proves it.
+
+    Attributes
+    ----------
+    claim
+        ``"stability"``, ``"norm"`` (H-infinity) or ``"h2"``.
+    bound
+        Decay rate, 1/s, that no solution falls short of (0: stability alone); or the norm that is not reached.
+    loops
+        The closed loops, all with the same X. With several the claim holds for every system whose [A B; C D] lies in
+        the convex hull of theirs, and stability and norm however it moves there in time.
+    X : (n, n)
+        Symmetric. The function that decreases is x'Xx, x the states of plant and controller.
+    coordinates : (n, n), optional
+        T: then the function is (Tx)'X(Tx).
+    """
+
+    claim: Claim
+    bound: float
+    loops: tuple[ClosedLoop, ...]
+    X: FloatArray
+    coordinates: FloatArray | None = None
+
+    @property
+    def statement(self) -> str:
+        """The claim in words."""
+        order, many = len(self.X), len(self.loops)
+        if self.claim == "stability":
+            text = f"stable, every solution decays at {self.bound:.6g} 1/s or faster" if self.bound else "stable"
+        else:
+            text = f"stable with {'H-infinity' if self.claim == 'norm' else 'H2'} norm below {self.bound:.9g}"
+        label = next((loop.label for loop in self.loops if many == 1 and loop.label), "")
+        where = f"every system between {many} vertices" if many > 1 else "the closed loop"
+        return f"{where}{f' ({label})' if label else ''} of order {order} is {text}"
+
+    def verify(self, precision: int = 128) -> Verification:
+        """Prove the claim in ball arithmetic, or say what fails; a false or a senseless certificate never raises.
+
+        Parameters
+        ----------
+        precision
+            Bits to begin with; doubled up to three times where the balls are too wide to tell.
+        """
+        wrong = self._senseless()
+        bits, margin = int(precision), 0.0
+        for _ in range(_DOUBLINGS + 1):
+            if wrong:
+                break
+            with flint.ctx.workprec(bits):
+                shown, wrong, margin = self._tried()
+            if shown:
+                reason = f"X and {self._inequality} are positive definite ({bits} bits)"
+                return Verification(proved=True, statement=self.statement, reason=reason, margin=margin, precision=bits)
+            if wrong.startswith("undecided"):
+                wrong, bits = ("" if bits < precision << _DOUBLINGS else wrong), bits * 2
+        return Verification(proved=False, statement=self.statement, reason=wrong, margin=0.0, precision=bits)
+
+    @property
+    def _inequality(self) -> str:
+        return _INEQUALITY[self.claim][int(self.loops[0].dt > 0)]
+
+    def _senseless(self) -> str:
+        """Say what is wrong before any arithmetic, or nothing."""
+        if self.claim not in _INEQUALITY:
+            return f"claim = {self.claim!r}; expected one of {', '.join(_INEQUALITY)}"
+        if not self.loops:
+            return "no closed loop is given"
+        if not np.isfinite(self.bound) or self.bound < 0 or (self.bound == 0 and self.claim != "stability"):
+            return f"bound = {self.bound}; expected a positive number"
+        n = self.loops[0].order
+        T = np.eye(n) if self.coordinates is None else self.coordinates
+        if any(loop.order != n or loop.dt != self.loops[0].dt for loop in self.loops):
+            return "the closed loops have different orders or sample periods"
+        if self.X.shape != (n, n) or T.shape != (n, n):
+            return f"X has shape {self.X.shape}; expected {(n, n)}"
+        if not (np.all(np.isfinite(self.X)) and np.all(np.isfinite(T)) and all(loop.finite for loop in self.loops)):
+            return "a matrix is not finite"
+        if not np.array_equal(self.X, self.X.T):
+            return "X is not symmetric"
+        return ""
+
+    def _tried(self) -> tuple[bool, str, float]:
+        """Return whether all is shown, else what fails ("undecided ..." if more bits may help), and the margin."""
+        X, margin = balls(self.X), 1.0
+        try:
+            for matrix, name in self._matrices(X):
+                definite, found = positive_definite(matrix)
+                if definite is None:
+                    return False, f"undecided: {name} is not told from singular", 0.0
+                if not definite:
+                    return False, f"{name} is not positive definite", 0.0
+                margin = min(margin, found)
+        except ZeroDivisionError:
+            return False, "undecided: the loop is not well posed, or the coordinates are singular", 0.0
+        except _Refuted as refuted:
+            return False, str(refuted), 0.0
+        return True, "", margin
+
+    def _matrices(self, X: Balls) -> Iterator[tuple[Balls, str]]:
+        """Yield every matrix that has to be positive definite, with its name."""
+        yield X, "X"
+        inverse = None if self.coordinates is None else balls(self.coordinates).inv()
+        for number, loop in enumerate(self.loops, 1):
+            system = loop.enclosed()
+            if inverse is not None:
+                T = balls(self.coordinates)  # type: ignore[arg-type]
+                system = BallSystem(T * system.A * inverse, T * system.B, system.C * inverse, system.D)
+            label = f", {loop.label}" if loop.label else f", loop {number}" if len(self.loops) > 1 else ""
+            yield inequality(self.claim, system, X, self.bound, loop.dt), f"{self._inequality}{label}"
+            if self.claim == "h2":
+                yield _energy_left(system, X, self.bound, loop.dt), f"bound² − trace(B'XB + D'D){label}"
+
+
+class _Refuted(Exception):
+    """The claim is false for a reason other than a matrix."""
+
+
+def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: float) -> Balls:
+    """Return the matrix that has to be positive definite besides X."""
+    A, B, C, D = system
+    if claim == "stability":
+        rate = flint.arb(bound)
+        if dt > 0:
+            return (-2 * rate * flint.arb(dt)).exp() * X - A.transpose() * X * A
+        return -1 * (A.transpose() * X + X * A) - 2 * rate * X
+    seen, corner = C.transpose() * C, None
+    if dt > 0:
+        rest = X - A.transpose() * X * A - seen
+    else:
+        rest = -1 * (A.transpose() * X + X * A) - seen
+    if claim == "h2":
+        return rest
+    gamma = flint.arb(bound)
+    corner = gamma * gamma * identity(D.ncols()) - D.transpose() * D
+    if dt > 0:
+        cross = -1 * (A.transpose() * X * B + C.transpose() * D)
+        corner = corner - B.transpose() * X * B
+    else:
+        cross = -1 * (X * B + C.transpose() * D)
+    return blocks([[rest, cross], [cross.transpose(), corner]])
+
+
+def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls:
+    """Return bound² less the squared H2 norm that X allows, 1 x 1."""
+    energy: Ball = (system.B.transpose() * X * system.B).trace() if system.B.ncols() else flint.arb(0)
+    direct = (system.D.transpose() * system.D).trace() if system.D.ncols() else flint.arb(0)
+    if dt > 0:
+        energy = energy + direct
+    elif not direct == 0:
+        raise _Refuted("D is not exactly zero: a continuous system with a direct term has no H2 norm")
+    return flint.arb_mat([[flint.arb(bound) ** 2 - energy]])
+
+
+def proved(certificate: Certificate, problem: object = None) -> Certificate:
+    """Return `certificate` if it verifies.
+
+    Raises
+    ------
+    NotCertifiedError
+        It does not; the message says what fails.
+    """
+    found = certificate.verify()
+    if not found.proved:
+        raise NotCertifiedError(
+            f"certificate: not proved that {found.statement}: {found.reason}; try a larger bound, or another X",
+            problem if problem is not None else certificate,
+        )
+    return certificate

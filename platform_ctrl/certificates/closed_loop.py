@@ -1,0 +1,177 @@
+"""The closed loop that a certificate speaks of: formed from plant and controller in balls, not in rounded numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import flint
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.certificates.balls import Balls, balls, blocks, identity
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+
+class BallSystem(NamedTuple):
+    """A, B, C, D as matrices of balls."""
+
+    A: Balls
+    B: Balls
+    C: Balls
+    D: Balls
+
+
+@value
+class ClosedLoop:
+    """A system, or a plant with the controller that closes it.
+
+    Attributes
+    ----------
+    A, B, C, D
+        The system; with a controller the plant with inputs [w, u] and outputs [z, y].
+    dt
+        Sample period, s; 0: continuous.
+    A_K, B_K, C_K, D_K
+        The controller u = K y of the last inputs and outputs, or None.
+    label
+        What it is, for example the corner of a plant set.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    dt: float = 0.0
+    A_K: FloatArray | None = None
+    B_K: FloatArray | None = None
+    C_K: FloatArray | None = None
+    D_K: FloatArray | None = None
+    label: str = ""
+
+    @property
+    def controller(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """A, B, C, D of the controller, or None."""
+        if self.A_K is None or self.B_K is None or self.C_K is None or self.D_K is None:
+            return None
+        return self.A_K, self.B_K, self.C_K, self.D_K
+
+    @property
+    def order(self) -> int:
+        """States of plant and controller together."""
+        return len(self.A) + (0 if self.A_K is None else len(self.A_K))
+
+    @property
+    def finite(self) -> bool:
+        """Whether every entry is a finite number."""
+        parts = [self.A, self.B, self.C, self.D, *(self.controller or ())]
+        return all(bool(np.all(np.isfinite(part))) for part in parts) and bool(np.isfinite(self.dt) and self.dt >= 0)
+
+    def rounded(self) -> StateArrays:
+        """Return the closed loop from w to z in floating point: what a certificate is looked for with.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            The loop is not well posed.
+        """
+        if self.controller is None:
+            return StateArrays(self.A, self.B, self.C, self.D, self.dt)
+        A_K, B_K, C_K, D_K = self.controller
+        (q, p), n = D_K.shape, len(self.A)
+        m, r = self.B.shape[1] - q, self.C.shape[0] - p
+        B1, B2, C1, C2 = self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]
+        D11, D12, D21, D22 = self.D[:r, :m], self.D[:r, m:], self.D[r:, :m], self.D[r:, m:]
+        # u = F [x, x_K, w] from u = D_K (C2 x + D21 w + D22 u) + C_K x_K; y likewise.
+        F = np.linalg.solve(np.eye(q) - D_K @ D22, np.hstack([D_K @ C2, C_K, D_K @ D21]))
+        y = np.hstack([C2, np.zeros((p, len(A_K))), D21]) + D22 @ F
+        top = np.hstack([self.A, np.zeros((n, len(A_K))), B1]) + B2 @ F
+        low = np.hstack([np.zeros((len(A_K), n)), A_K, np.zeros((len(A_K), m))]) + B_K @ y
+        z = np.hstack([C1, np.zeros((r, len(A_K))), D11]) + D12 @ F
+        rate, N = np.vstack([top, low]), self.order
+        return StateArrays(rate[:, :N], rate[:, N:], z[:, :N], z[:, N:], self.dt)
+
+    def enclosed(self) -> BallSystem:
+        """Return balls that contain the exact closed loop from w to z, at the present working precision.
+
+        Raises
+        ------
+        ZeroDivisionError
+            The loop is not well posed, or the precision does not suffice to tell.
+        """
+        if self.controller is None:
+            return BallSystem(*(balls(part) for part in (self.A, self.B, self.C, self.D)))
+        A_K, B_K, C_K, D_K = self.controller
+        (q, p), n, k = D_K.shape, len(self.A), len(A_K)
+        m, r = self.B.shape[1] - q, self.C.shape[0] - p
+        A, K, DK = balls(self.A), balls(A_K), balls(D_K)
+        B1, B2, C1, C2 = (balls(x) for x in (self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]))
+        D11, D12 = balls(self.D[:r, :m]), balls(self.D[:r, m:])
+        D21, D22 = balls(self.D[r:, :m]), balls(self.D[r:, m:])
+        Fx, Fk, Fw = DK * C2, balls(C_K), DK * D21
+        if np.any(self.D[r:, m:]) and np.any(D_K):
+            E = (identity(q) - DK * D22).inv()
+            Fx, Fk, Fw = E * Fx, E * Fk, E * Fw
+        BK = balls(B_K)
+        return BallSystem(
+            blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]])
+            if n + k
+            else flint.arb_mat(0, 0),
+            blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]) if m else flint.arb_mat(n + k, 0),
+            blocks([[C1 + D12 * Fx, D12 * Fk]]) if r else flint.arb_mat(0, n + k),
+            D11 + D12 * Fw,
+        )
+
+
+def matrices_of(
+    A: ArrayLike, B: ArrayLike | None, C: ArrayLike | None, D: ArrayLike | None, dt: float, where: str
+) -> StateArrays:
+    """Return the matrices of a system as float64, missing ones empty.
+
+    Raises
+    ------
+    ArgumentError
+        They do not fit together.
+    """
+    try:
+        state = np.atleast_2d(np.asarray(A, dtype=np.float64))
+        n = len(state) if state.size else 0
+        state = state if state.size else np.zeros((0, 0))
+        inputs = np.zeros((n, 0)) if B is None else np.asarray(B, dtype=np.float64)
+        outputs = np.zeros((0, n)) if C is None else np.asarray(C, dtype=np.float64)
+        shape = (outputs.shape[0], inputs.shape[1])
+        direct = np.zeros(shape) if D is None else np.asarray(D, dtype=np.float64)
+        period = float(dt)
+    except (TypeError, ValueError, IndexError):
+        raise ArgumentError(f"{where}: A, B, C, D, dt are no matrices of real numbers and a sample period") from None
+    if state.shape != (n, n) or inputs.shape[0] != n or outputs.shape[1:] != (n,) or direct.shape != shape:
+        raise ArgumentError(
+            f"{where}: A {state.shape}, B {inputs.shape}, C {outputs.shape}, D {direct.shape}; "
+            "expected (n, n), (n, m), (p, n), (p, m)"
+        )
+    return StateArrays(state, inputs, outputs, direct, period)
+
+
+def closed(
+    system: StateArrays, controller: StateArrays | None = None, label: str = "", where: str = "certificate"
+) -> ClosedLoop:
+    """Return the loop of a plant with inputs [w, u], outputs [z, y] and u = K y; without a controller the system.
+
+    Raises
+    ------
+    ArgumentError
+        Sizes or sample periods do not fit.
+    """
+    A, B, C, D, dt = matrices_of(*system[:4], system.dt, where)
+    if controller is None:
+        return ClosedLoop(A=A, B=B, C=C, D=D, dt=dt, label=label)
+    A_K, B_K, C_K, D_K, dt_K = matrices_of(*controller[:4], controller.dt, f"{where} (controller)")
+    if D_K.shape[0] > B.shape[1] or D_K.shape[1] > C.shape[0]:
+        raise ArgumentError(
+            f"{where}: the controller has {D_K.shape[1]} inputs and {D_K.shape[0]} outputs, the plant {C.shape[0]} "
+            f"outputs and {B.shape[1]} inputs; expected a plant with inputs [w, u] and outputs [z, y]"
+        )
+    if dt_K != dt and len(A_K):
+        raise ArgumentError(f"{where}: the plant has dt = {dt:g} s, the controller {dt_K:g} s; expected the same")
+    return ClosedLoop(A=A, B=B, C=C, D=D, dt=dt, A_K=A_K, B_K=B_K, C_K=C_K, D_K=D_K, label=label)

@@ -1,0 +1,317 @@
+"""How the matrix of a certificate is found: in floating point, without an LMI solver; the proof is made afterwards.
+
+Every matrix is looked for in balanced states (powers of two, exact). Where its condition eats the digits of the
+proof, it is looked for again in the coordinates in which the first attempt is the identity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import StateArrays, state_scaling
+from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.certificates.certificate import Certificate, Claim
+from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, matrices_of
+from platform_ctrl.errors import ArgumentError, NotCertifiedError
+from platform_ctrl.frozen import FloatArray
+
+# Shares of the true decay rate that are claimed, and how far above the true norm: the first that can be proved.
+_SHARES = (0.99, 0.9, 0.5, 0.1)
+_ABOVE = (2e-7, 9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
+
+Finder = Callable[[StateArrays], FloatArray]
+
+
+def stability_certificate(
+    A: ArrayLike,
+    dt: float = 0.0,
+    *,
+    decay: float | None = None,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system, or a plant closed by a controller, is stable.
+
+    Parameters
+    ----------
+    A, dt
+        The system x' = A x, or x(k+1) = A x(k) every `dt` seconds.
+    decay
+        Rate, 1/s, that is claimed; default 99 % of the slowest pole's, or less where that cannot be proved.
+    B, C, D, controller
+        With a controller u = K y: A, B, C, D are the plant from u to y.
+    label
+        What it is.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, does not decay at `decay`, or no proof was found.
+    """
+    loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
+    system = _rounded(loop, "stability_certificate")
+    rate = -float(spectral_abscissa(continuous_poles(pole_arrays(system.A), loop.dt))) if len(system.A) else np.inf
+    if not rate > 0.0:
+        raise NotCertifiedError(
+            f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s; "
+            "expected a stable closed loop; try another controller",
+            loop,
+        )
+    if decay is not None:
+        claimed = [float(decay)]
+    else:
+        claimed = [share * rate for share in _SHARES] + [0.0] if np.isfinite(rate) else [0.0]
+    for bound in claimed:
+        if bound < rate:
+            for certificate in _attempts("stability", bound, loop, system, _lyapunov(bound)):
+                if certificate.verify().proved:
+                    return certificate
+    raise NotCertifiedError(
+        f"stability_certificate: no proof that the closed loop{_of(label)} decays at {claimed[0]:.6g} 1/s or faster "
+        f"(its slowest pole decays at {rate:.6g} 1/s); try a smaller decay",
+        loop,
+    )
+
+
+def norm_certificate(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike,
+    dt: float = 0.0,
+    gamma: float | None = None,
+    *,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system is stable and its H-infinity norm below `gamma`.
+
+    Parameters
+    ----------
+    A, B, C, D, dt
+        The system; with a controller the plant with inputs [w, u] and outputs [z, y].
+    gamma
+        The bound that is claimed; default the norm and as little above it as can be proved.
+    controller
+        u = K y.
+    label
+        What it is.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, its norm is not below `gamma`, or no proof was found.
+    """
+    where = "norm_certificate"
+    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    system = _rounded(loop, where)
+    _require_stable(system, where, loop)
+    norm = hinf_norm_arrays(*system)[0]
+    bounds = [float(gamma)] if gamma is not None else [norm * (1.0 + above) or 1e-300 for above in _ABOVE]
+    for bound in bounds:
+        if bound > norm:
+            for certificate in _attempts("norm", bound, loop, system, _bounded_real(bound, norm)):
+                if certificate.verify().proved:
+                    return certificate
+    raise NotCertifiedError(
+        f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
+        "try a larger gamma",
+        loop,
+    )
+
+
+def h2_certificate(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    dt: float = 0.0,
+    bound: float | None = None,
+    *,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system is stable and its H2 norm below `bound`.
+
+    Parameters
+    ----------
+    A, B, C, D, dt, controller, label
+        As in `norm_certificate`; D zero if continuous.
+    bound
+        What is claimed; default the norm and as little above it as can be proved.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, its norm is not below `bound`, or no proof was found.
+    """
+    where = "h2_certificate"
+    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    system = _rounded(loop, where)
+    _require_stable(system, where, loop)
+    if dt == 0 and np.any(system.D):
+        raise NotCertifiedError(f"{where}: D is not zero; expected it zero: the H2 norm is infinite", loop)
+    s = state_scaling(*system[:3])
+    balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
+    X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
+    norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
+    bounds = [float(bound)] if bound is not None else [norm * (1.0 + above) or 1e-300 for above in _ABOVE]
+    for claimed in bounds:
+        if claimed > norm:
+            for certificate in _attempts("h2", claimed, loop, system, _observability(claimed, norm)):
+                if certificate.verify().proved:
+                    return certificate
+    raise NotCertifiedError(
+        f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
+        "try a larger bound",
+        loop,
+    )
+
+
+def _of(label: str) -> str:
+    return f" ({label})" if label else ""
+
+
+def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
+    if not loop.finite:
+        raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
+    try:
+        return loop.rounded()
+    except np.linalg.LinAlgError:
+        raise NotCertifiedError(
+            f"{where}: I − D_K D22 is singular; expected a well-posed loop; try another controller", loop
+        ) from None
+
+
+def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
+    if len(system.A) == 0:
+        return
+    growth = float(spectral_abscissa(continuous_poles(pole_arrays(system.A), system.dt)))
+    if not growth < 0.0:
+        raise NotCertifiedError(
+            f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s; expected a stable closed loop; "
+            "try another controller",
+            loop,
+        )
+
+
+def _attempts(
+    claim: Claim, bound: float, loop: ClosedLoop, system: StateArrays, finder: Finder
+) -> Iterator[Certificate]:
+    """Yield candidates: in balanced states, then in the coordinates in which the first is the identity."""
+    s = state_scaling(*system[:3])
+    scaled = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
+    first = _tried(finder, scaled)
+    if first is None:
+        return
+    X = first / s / s[:, None]
+    if np.all(np.isfinite(X)):
+        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=X)
+    T = np.eye(len(s))
+    for _ in range(2):
+        try:
+            T = np.asarray(np.linalg.cholesky(first).T @ T, dtype=np.float64)
+            inverse = np.asarray(np.linalg.inv(T), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return
+        moved = _in_coordinates(scaled, T, inverse)
+        found = _tried(finder, moved)
+        if found is None:
+            return
+        first = found
+        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=first, coordinates=T / s)
+
+
+def _in_coordinates(system: StateArrays, T: FloatArray, inverse: FloatArray) -> StateArrays:
+    return StateArrays(T @ system.A @ inverse, T @ system.B, system.C @ inverse, system.D, system.dt)
+
+
+def _tried(finder: Finder, system: StateArrays) -> FloatArray | None:
+    with np.errstate(all="ignore"):
+        try:
+            X = finder(system)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+        X = 0.5 * (X + X.T)
+    return X if np.all(np.isfinite(X)) else None
+
+
+def _gramian(A: FloatArray, Q: FloatArray, dt: float) -> FloatArray:
+    """X = A'XA + Q, or A'X + XA + Q = 0."""
+    if len(A) == 0:
+        return np.zeros((0, 0))
+    if dt > 0:
+        values, vectors = np.linalg.eigh(Q)
+        return stationary_covariance(A.T, vectors * np.sqrt(np.maximum(values, 0.0)))
+    from scipy.linalg import solve_continuous_lyapunov
+
+    return np.asarray(solve_continuous_lyapunov(A.T, -Q), dtype=np.float64)
+
+
+def _lyapunov(decay: float) -> Finder:
+    def find(system: StateArrays) -> FloatArray:
+        A, eye = system.A, np.eye(len(system.A))
+        moved = A * np.exp(decay * system.dt) if system.dt > 0 else A + decay * eye
+        return _gramian(moved, eye, system.dt)
+
+    return find
+
+
+def _slack(system: StateArrays, size: float) -> float:
+    """Return e such that e times the norm from w to the states, added to z, changes the norm by about `size`."""
+    n = len(system.A)
+    reach = hinf_norm_arrays(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)[0]
+    return size / reach if reach > 0 else 1.0
+
+
+def _bounded_real(bound: float, norm: float) -> Finder:
+    """X of the stabilising solution for [z, e x], e so small that the norm stays below the bound.
+
+    Then the inequality for z alone holds with e²I to spare.
+    """
+
+    def find(system: StateArrays) -> FloatArray:
+        from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+        A, B, C, D, dt = system
+        n, m = len(A), B.shape[1]
+        # ‖[z, ex]‖² <= norm² + e² reach²: a third of what is between norm² and bound².
+        e = _slack(system, np.sqrt(max(bound**2 - norm**2, 0.0) / 3.0))
+        if n == 0:
+            return np.zeros((0, 0))
+        if m == 0 or not np.any(B):
+            return _gramian(A, C.T @ C + e * e * np.eye(n), dt)
+        level = np.sqrt(norm**2 + 2.0 / 3.0 * (bound**2 - norm**2))
+        # In units of the level: Q, R, S of order one.
+        Q = (C.T @ C + e * e * np.eye(n)) / level**2
+        R = D.T @ D / level**2 - np.eye(m)
+        S = C.T @ D / level**2
+        solve = solve_discrete_are if dt > 0 else solve_continuous_are
+        return np.asarray(solve(A, B, Q, R, s=S), dtype=np.float64) * level**2
+
+    return find
+
+
+def _observability(bound: float, norm: float) -> Finder:
+    def find(system: StateArrays) -> FloatArray:
+        A, B, C, _, dt = system
+        n = len(A)
+        spare = _gramian(A, np.eye(n), dt)
+        size = float(np.trace(B.T @ spare @ B))
+        e2 = 0.5 * (bound**2 - norm**2) / size if size > 0 else 1.0
+        return np.asarray(_gramian(A, C.T @ C, dt) + e2 * spare, dtype=np.float64)
+
+    return find
