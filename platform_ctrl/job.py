@@ -2,22 +2,49 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import Literal
 
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
 
-Method = Literal["classical", "hinf", "platform-servo"]
+Method = Literal["classical", "hinf", "structured", "platform-servo"]
+Structure = Literal["cross-axis", "pid", "state-space"]
 LoopKind = Literal["caging", "stabilisation"]
 Mode = Literal["caged", "stabilised"]
 
 
 @value
 class Spread:
-    """Relative half-widths of the parameters: J about every gimbal axis, L of every rotor."""
+    """How far the parameters lie from their nominal values.
+
+    Attributes
+    ----------
+    inertia, spin
+        Relative half-widths: of J about every gimbal axis, of L of every rotor.
+    samples
+        Number of plants taken from inside this box, beside its corners.
+    """
 
     inertia: float = 0.0
     spin: float = 0.0
+    samples: int = 0
+
+
+@value
+class Faults:
+    """What may fail, one part at a time; None where nothing does.
+
+    Attributes
+    ----------
+    slow_rotor
+        Share of its L that a rotor keeps; 0: it has stopped.
+    weak_torquer
+        Share of its torque that a torquer keeps.
+    """
+
+    slow_rotor: float | None = None
+    weak_torquer: float | None = None
 
 
 @value
@@ -42,41 +69,89 @@ class DesignSpec:
         The method's own numbers, by the names of the job file.
     tune
         Whether the method may move the options to meet the loop's limits.
+    structure
+        What a structured controller is made of; None leaves it to the method.
     """
 
     name: str
     method: Method
     options: dict[str, float]
     tune: bool = False
+    structure: Structure | None = None
 
 
 @value
 class LoopLimits:
     """What a loop has to reach; None where nothing is asked.
 
+    Names that end in ``_spread`` ask the same of every plant of the spread and of Omega, in ``_faults`` of every plant
+    with a fault.
+
     Attributes
     ----------
     bandwidth_hz
         Lowest frequency where the largest singular value of S reaches 1/sqrt(2), at least.
-    disk_margin, disk_margin_spread
-        1/‖(S − T)/2‖ at least, nominal and over the parameter spread.
-    damping, damping_spread
+    disk_margin, disk_margin_spread, disk_margin_faults
+        1/‖(S − T)/2‖ at least.
+    sensitivity_peak, sensitivity_peak_spread, complementary_peak, complementary_peak_spread
+        ‖S‖ and ‖T‖ at most, the larger of plant input and output.
+    damping, damping_spread, damping_faults
         Damping ratio of every closed-loop pole above a tenth of the nutation frequency, at least.
+    fastest_pole
+        Largest magnitude of a closed-loop pole, in the w-plane of a sampled loop, rad/s, at most.
+    tracking, tracking_hz
+        Largest singular value of S at the output up to `tracking_hz`, at most.
+    Omega_rejection
+        Peak gain from the platform's rate to the angles, rad per rad/s, at most.
+    torque_rejection
+        Peak gain from torques that disturb at the torquers to the angles, rad/(N m), at most.
     torque_noise
         Rms torque from pick-off noise, N m, per torquer, at most.
+    torque_limit
+        Torque amplitude that any platform rate within the job's Omega asks for, over the torquer's limit, at most.
+    controller_poles
+        Largest magnitude of a pole of the controller, in the w-plane of a sampled one, rad/s, at most.
+    controller_gain
+        Largest singular value of the controller above a tenth of the nutation frequency, N m/rad, at most.
     """
 
     bandwidth_hz: float | None = None
     disk_margin: float | None = None
+    sensitivity_peak: float | None = None
+    complementary_peak: float | None = None
     damping: float | None = None
+    fastest_pole: float | None = None
+    tracking: float | None = None
+    tracking_hz: float | None = None
+    Omega_rejection: float | None = None
+    torque_rejection: float | None = None
     torque_noise: float | None = None
+    torque_limit: float | None = None
+    controller_poles: float | None = None
+    controller_gain: float | None = None
     disk_margin_spread: float | None = None
+    sensitivity_peak_spread: float | None = None
+    complementary_peak_spread: float | None = None
     damping_spread: float | None = None
+    disk_margin_faults: float | None = None
+    damping_faults: float | None = None
 
 
 @value
 class LoopSpec:
-    """A loop to be designed: which gimbals, by which methods, which of the designs is closed, its limits."""
+    """A loop to be designed.
+
+    Attributes
+    ----------
+    name, kind, gimbals
+        Which loop, on which gimbals.
+    designs, use
+        By which methods, and the name of the design that is closed.
+    limits
+        What it has to reach: the verdict rests on it.
+    soft
+        Goals: a method that optimises makes their largest ratio small within the limits. No part of the verdict.
+    """
 
     name: str
     kind: LoopKind
@@ -84,6 +159,7 @@ class LoopSpec:
     designs: tuple[DesignSpec, ...]
     use: str
     limits: LoopLimits
+    soft: LoopLimits = field(default_factory=LoopLimits)
 
 
 @value
@@ -136,7 +212,10 @@ class Manoeuvre:
 
 @value
 class Job:
-    """A job file: the plant, what it has to stand, the loops and the checks."""
+    """A job file: the plant, what it has to stand, the loops and the checks.
+
+    `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone.
+    """
 
     name: str
     plant: str
@@ -148,3 +227,5 @@ class Job:
     coupled: CoupledLimits
     manoeuvres: tuple[Manoeuvre, ...]
     seed: int = 0
+    Omega_grid: int = 2
+    faults: Faults = field(default_factory=Faults)

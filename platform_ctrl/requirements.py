@@ -9,13 +9,33 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import LoopMeasures
+from platform_ctrl.analysis.plant_set import Group, LoopMeasures
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import LoopLimits
 
 Sense = Literal["at least", "at most"]
 Stage = Literal["decoupled", "coupled", "simulated"]
-Kind = Literal["stability", "bandwidth", "disk margin", "damping", "torque noise"]
+Kind = Literal[
+    "stability",
+    "damping",
+    "fastest pole",
+    "bandwidth",
+    "disk margin",
+    "sensitivity peak",
+    "complementary peak",
+    "tracking",
+    "Omega rejection",
+    "torque rejection",
+    "torque noise",
+    "torque limit",
+    "H-infinity norm",
+    "H2 norm",
+    "controller poles",
+    "controller gain",
+]
+NOMINAL: tuple[Group, ...] = ("nominal",)
+SPREAD: tuple[Group, ...] = ("nominal", "spread", "Omega")
+FAULTS: tuple[Group, ...] = ("nominal", "faults")
 
 
 @value
@@ -38,6 +58,8 @@ class CheckResult:
         Where in the chain it was measured.
     evidence
         What recomputes the value.
+    hard
+        Whether the verdict rests on it; a goal that is missed is no failure.
     """
 
     name: str
@@ -51,6 +73,7 @@ class CheckResult:
     passed: bool
     stage: Stage
     evidence: str
+    hard: bool = True
 
     @property
     def margin(self) -> float:
@@ -68,12 +91,15 @@ class Requirement:
         The figure, in the field's words.
     limit, unit, sense
         The bound.
+    hard
+        Whether it has to be met; a soft one is a goal, made as small as the hard ones allow.
     """
 
     name: str
     limit: float
     unit: str
     sense: Sense
+    hard: bool = True
 
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when `measured` meets the bound; infinite when it is no number."""
@@ -100,6 +126,7 @@ class Requirement:
             passed=passed,
             stage=stage,
             evidence=evidence,
+            hard=self.hard,
         )
 
 
@@ -109,28 +136,42 @@ STABLE = Requirement(name="slowest decay", limit=0.05, unit="1/s", sense="at lea
 
 @value
 class LoopRequirement(Requirement):
-    """A bound on a figure of one loop, nominal or over the parameter spread.
+    """A bound on a figure of one loop, of the nominal plant or of several plants of a set.
 
     Attributes
     ----------
     kind
-        Which figure of `LoopMeasures`.
-    over_spread
-        Whether it is asked of every plant of the set, the nominal one among them, or of the nominal one alone.
+        Which figure.
+    over
+        Of which groups of plants it is asked.
+    frequency
+        "tracking": up to which frequency, rad/s. "controller gain": from which frequency on; None: from a tenth of the
+        nutation frequency.
     """
 
     kind: Kind
-    over_spread: bool = False
+    over: tuple[Group, ...] = NOMINAL
+    frequency: float | None = None
+
+    @property
+    def over_spread(self) -> bool:
+        """Whether it is asked of more than the nominal plant."""
+        return any(group != "nominal" for group in self.over)
 
     def figures(self, measures: LoopMeasures) -> FloatArray:
         """Return the figures that this bound is held against, one or several."""
-        chosen = slice(None) if self.over_spread else slice(0, 1)
+        chosen = measures.of(self.over)
         if self.kind == "bandwidth":
             return np.array([measures.bandwidth / (2.0 * np.pi)])
         if self.kind == "torque noise":
             return measures.torque_noise
-        by_plant = {"stability": measures.decay, "disk margin": measures.disk_margin, "damping": measures.damping}
-        return by_plant[self.kind][chosen]
+        by_plant: dict[str, FloatArray] = {
+            "stability": measures.decay,
+            "disk margin": measures.disk_margin,
+            "damping": measures.damping,
+        }
+        out: FloatArray = by_plant[self.kind][chosen]
+        return out
 
     def ratios(self, measures: LoopMeasures) -> FloatArray:
         """Return a ratio for every figure."""
@@ -141,18 +182,18 @@ def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
     """Return what `limits` ask of a loop; stability of every plant is always asked."""
     asked: list[LoopRequirement] = []
 
-    def ask(name: str, limit: float | None, unit: str, sense: Sense, kind: Kind, over_spread: bool = False) -> None:
+    def ask(
+        name: str, limit: float | None, unit: str, sense: Sense, kind: Kind, over: tuple[Group, ...] = NOMINAL
+    ) -> None:
         if limit is not None:
-            asked.append(
-                LoopRequirement(name=name, limit=limit, unit=unit, sense=sense, kind=kind, over_spread=over_spread)
-            )
+            asked.append(LoopRequirement(name=name, limit=limit, unit=unit, sense=sense, kind=kind, over=over))
 
     ask("slowest decay", STABLE.limit, STABLE.unit, STABLE.sense, "stability")
-    ask("slowest decay over the spread", STABLE.limit, STABLE.unit, STABLE.sense, "stability", True)
+    ask("slowest decay over the spread", STABLE.limit, STABLE.unit, STABLE.sense, "stability", SPREAD)
     ask("bandwidth", limits.bandwidth_hz, "Hz", "at least", "bandwidth")
     ask("disk margin", limits.disk_margin, "", "at least", "disk margin")
     ask("damping", limits.damping, "", "at least", "damping")
     ask("torque noise, rms", limits.torque_noise, "N m", "at most", "torque noise")
-    ask("disk margin over the spread", limits.disk_margin_spread, "", "at least", "disk margin", True)
-    ask("damping over the spread", limits.damping_spread, "", "at least", "damping", True)
+    ask("disk margin over the spread", limits.disk_margin_spread, "", "at least", "disk margin", SPREAD)
+    ask("damping over the spread", limits.damping_spread, "", "at least", "damping", SPREAD)
     return tuple(asked)

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import design
-from platform_ctrl.design.plants import corners
+from platform_ctrl.design.plants import cases
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
 from platform_ctrl.reading import read_job
@@ -55,9 +55,9 @@ def test_every_corner_of_the_spread_flies():
     job = read_job("examples/three_gyro_platform.toml")
     controllers = [outcome.closed.controller for outcome in design.loops(job)]
     for outcome in job.loops[:2]:
-        for label, platform, _ in corners(job, outcome.gimbals):
+        for case in cases(job, outcome.gimbals):
             run = simulate(
-                platform,
+                case.platform,
                 controllers[:2],
                 period=job.sampling.period,
                 delay=job.sampling.delay,
@@ -66,5 +66,5 @@ def test_every_corner_of_the_spread_flies():
                 noise=False,
                 q=np.full(5, 1e-4),
             )
-            assert run.completed, label
-            assert np.abs(run.q[-1]).max() < 1e-6, label
+            assert run.completed, case.label
+            assert np.abs(run.q[-1]).max() < 1e-6, case.label

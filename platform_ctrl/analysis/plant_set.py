@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -14,10 +16,13 @@ from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.frozen import FloatArray, value
 
+# What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
+Group = Literal["nominal", "spread", "Omega", "faults"]
+
 
 @value
 class PlantSet:
-    """Sampled plants of one loop: the nominal one first, then the corners that it has to stand.
+    """Sampled plants of one loop: the nominal one first, then those that it has to stand.
 
     Attributes
     ----------
@@ -25,10 +30,16 @@ class PlantSet:
         Stacked arrays, torques → angles.
     period
         s.
-    labels
-        What each plant is.
+    labels, groups
+        What each plant is, and what it stands for: ``"nominal"``, ``"spread"``, ``"Omega"`` or ``"faults"``.
     torques, angles
         Signal names.
+    B_Omega : (N, n, 3)
+        Input of the platform's rate, held between samples and not delayed.
+    Omega : (3,)
+        Largest platform rate about each axis, rad/s.
+    torque_limit : (m,)
+        N m; infinite for a torquer without a limit.
     nutation
         Nutation frequency of the nominal plant: its fastest open-loop motion without torquers, rad/s. Where it
         hardly moves by itself, the frequency that stands in for it.
@@ -37,7 +48,9 @@ class PlantSet:
     frequency : (F,)
         rad/s, up to the Nyquist frequency.
     response : complex (N, F, p, m)
-        Of the plants on `frequency`.
+        Of the plants on `frequency`, torques → angles.
+    Omega_response : complex (N, F, p, 3)
+        Of the plants on `frequency`, platform rate → angles.
     """
 
     A: FloatArray
@@ -46,29 +59,32 @@ class PlantSet:
     D: FloatArray
     period: float
     labels: tuple[str, ...]
+    groups: tuple[Group, ...]
     torques: tuple[str, ...]
     angles: tuple[str, ...]
+    B_Omega: FloatArray
+    Omega: FloatArray
+    torque_limit: FloatArray
     nutation: float
     noise: FloatArray
     frequency: FloatArray
     response: ComplexArray
+    Omega_response: ComplexArray
 
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices)."""
         index = np.asarray(chosen, dtype=np.intp)
-        return PlantSet(
+        return dataclasses.replace(
+            self,
             A=self.A[index],
             B=self.B[index],
             C=self.C[index],
             D=self.D[index],
-            period=self.period,
             labels=tuple(self.labels[k] for k in index),
-            torques=self.torques,
-            angles=self.angles,
-            nutation=self.nutation,
-            noise=self.noise,
-            frequency=self.frequency,
+            groups=tuple(self.groups[k] for k in index),
+            B_Omega=self.B_Omega[index],
             response=self.response[index],
+            Omega_response=self.Omega_response[index],
         )
 
 
@@ -89,6 +105,8 @@ class LoopMeasures:
         Decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable.
     torque_noise : (m,)
         Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
+    groups
+        What each plant stands for, as in `PlantSet`.
     """
 
     bandwidth: float
@@ -96,6 +114,11 @@ class LoopMeasures:
     damping: FloatArray
     decay: FloatArray
     torque_noise: FloatArray
+    groups: tuple[Group, ...]
+
+    def of(self, groups: Sequence[Group]) -> FloatArray:
+        """Return which plants belong to `groups`, truth values (N,)."""
+        return np.array([group in groups for group in self.groups], dtype=np.bool_)
 
 
 def tuning_grid(nutation: float, period: float) -> FloatArray:
@@ -118,9 +141,21 @@ def plant_set(
     angles: tuple[str, ...],
     nutation: float,
     noise: FloatArray,
+    *,
+    groups: tuple[Group, ...] | None = None,
+    B_Omega: FloatArray | None = None,
+    Omega: FloatArray | None = None,
+    torque_limit: FloatArray | None = None,
 ) -> PlantSet:
-    """Return the set, its responses worked out once on `tuning_grid`."""
+    """Return the set, its responses worked out once on `tuning_grid`.
+
+    Without `groups` the first plant is the nominal one and the others are its spread; without the rest the platform
+    does not turn and the torquers have no limits.
+    """
     grid = tuning_grid(nutation, plants.dt)
+    others: tuple[Group, ...] = ("spread",) * (len(labels) - 1)
+    B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
+    D_Omega = np.zeros((*plants.D.shape[:-1], 3))
     return PlantSet(
         A=plants.A,
         B=plants.B,
@@ -128,12 +163,17 @@ def plant_set(
         D=plants.D,
         period=plants.dt,
         labels=labels,
+        groups=("nominal", *others) if groups is None else groups,
         torques=torques,
         angles=angles,
+        B_Omega=B_Omega,
+        Omega=np.zeros(3) if Omega is None else Omega,
+        torque_limit=np.full(len(torques), np.inf) if torque_limit is None else torque_limit,
         nutation=nutation,
         noise=noise,
         frequency=grid,
         response=frequency_response_arrays(*plants, grid),
+        Omega_response=frequency_response_arrays(plants.A, B_Omega, plants.C, D_Omega, plants.dt, grid),
     )
 
 
@@ -158,6 +198,7 @@ def measure(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
         damping=minimum_damping(poles, plants.nutation / 10.0, plants.period),
         decay=decay,
         torque_noise=torque_noise,
+        groups=plants.groups,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import field
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 CURES = {
     "classical": "a lower crossover_hz, or tune = true",
     "hinf": "a lower bandwidth_hz, or a larger backoff",
+    "structured": "weaker limits, or another structure",
 }
 
 # Plants whose margin on the grid lies this near to the worst get the exact norm; the others keep the grid's figure.
@@ -65,8 +67,8 @@ class LoopDesign:
 
     @property
     def passed(self) -> bool:
-        """Whether every requirement is met."""
-        return all(result.passed for result in self.results)
+        """Whether every requirement is met; goals do not count."""
+        return all(result.passed or not result.hard for result in self.results)
 
 
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
@@ -144,12 +146,10 @@ def exact_measures(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
     for k in np.flatnonzero(alive & ((margin <= _NEAR_WORST * floor) | (np.arange(len(margin)) == 0))):
         margin[k] = disk_margin_norm(sampled_plant(plants, int(k)), named)
     nominal = sampled_plant(plants)
-    return LoopMeasures(
+    return dataclasses.replace(
+        rough,
         bandwidth=min(bandwidth(nominal, named, at="input"), bandwidth(nominal, named, at="output")),
         disk_margin=margin,
-        damping=rough.damping,
-        decay=rough.decay,
-        torque_noise=rough.torque_noise,
     )
 
 

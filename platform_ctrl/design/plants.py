@@ -1,19 +1,21 @@
-"""The plants that a loop has to stand: the nominal one, the corners of the parameter spread, the corners of Omega."""
+"""The plants that a loop has to stand: the nominal one, the parameter spread, the range of Omega, parts that fail."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.plant_set import PlantSet, plant_set
-from platform_ctrl.analysis.sampled import sampled_arrays
+from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
+from platform_ctrl.analysis.sampled import held_input, sampled_arrays
 from platform_ctrl.arguments import known_name
-from platform_ctrl.description import Platform
+from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
@@ -49,25 +51,104 @@ def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float
     return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
 
 
-def corners(job: Job, gimbals: tuple[str, ...]) -> list[tuple[str, Platform, FloatArray]]:
-    """Return (label, platform, Omega): nominal, every corner of the spread, every corner of Omega."""
-    platform = job.platform
-    carried = [r.name for r in platform.rotors if r.carrier in gimbals]
-    out: list[tuple[str, Platform, FloatArray]] = [("nominal", platform, np.zeros(3))]
-    named = [("J", g, job.spread.inertia) for g in gimbals] + [("L", r, job.spread.spin) for r in carried]
+@value
+class Case:
+    """A plant of the set.
+
+    Attributes
+    ----------
+    label, group
+        What it is, and what it stands for.
+    platform, Omega
+        The platform, and the rate (3,) at which it is linearised.
+    torque : (m,)
+        Share of its torque that each torquer of the loop keeps.
+    """
+
+    label: str
+    group: Group
+    platform: Platform
+    Omega: FloatArray
+    torque: FloatArray
+
+
+def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
+    """Return the plants that the loop on `gimbals` has to stand, the nominal one first.
+
+    Then every corner of the spread and the samples inside it, the grid of Omega, and the faults.
+    """
+    platform, still, whole = job.platform, np.zeros(3), np.ones(len(gimbals))
+    out = [Case(label="nominal", group="nominal", platform=platform, Omega=still, torque=whole)]
+    for label, parameters in _spread(job, gimbals):
+        moved = changed(platform, **parameters)
+        out.append(Case(label=label, group="spread", platform=moved, Omega=still, torque=whole))
+    for rates in _rates(job):
+        label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
+        out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
+    return [*out, *_faults(job, gimbals)]
+
+
+def _spread(job: Job, gimbals: tuple[str, ...]) -> Iterator[tuple[str, dict[str, dict[str, float]]]]:
+    """Walk the relative changes of J and L at the corners of the spread, then at the samples inside it."""
+    named = [("inertia", g, job.spread.inertia) for g in gimbals]
+    named += [("spin", name, job.spread.spin) for name in _carried(job.platform, gimbals)]
     named = [entry for entry in named if entry[2] > 0.0]
-    if named:
-        for signs in product((-1.0, 1.0), repeat=len(named)):
-            moved = [(kind, name, sign * width) for (kind, name, width), sign in zip(named, signs, strict=True)]
-            label = " ".join(f"{kind}{name}{change:+.0%}" for kind, name, change in moved)
-            inertia = {name: change for kind, name, change in moved if kind == "J"}
-            spin = {name: change for kind, name, change in moved if kind == "L"}
-            out.append((label, changed(platform, inertia, spin), np.zeros(3)))
-    if np.any(job.Omega > 0.0):
-        axes = [(-rate, rate) if rate > 0.0 else (0.0,) for rate in job.Omega]
-        for rates in product(*axes):
-            out.append((f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s", platform, np.array(rates)))
-    return out
+    if not named:
+        return
+    for signs in product((-1.0, 1.0), repeat=len(named)):
+        yield _moved(named, signs, "+.0%")
+    for place in _samples(job, len(named)):
+        yield _moved(named, place, "+.1%")
+
+
+def _moved(
+    named: list[tuple[str, str, float]], place: Sequence[float], digits: str
+) -> tuple[str, dict[str, dict[str, float]]]:
+    out: dict[str, dict[str, float]] = {"inertia": {}, "spin": {}}
+    words = []
+    for (parameter, name, width), part in zip(named, place, strict=True):
+        out[parameter][name] = part * width
+        words.append(f"{'J' if parameter == 'inertia' else 'L'}{name}{part * width:{digits}}")
+    return " ".join(words), out
+
+
+def _samples(job: Job, dimension: int) -> list[list[float]]:
+    """Return points of the box [-1, 1]: a scrambled Sobol sequence (Owen), the same for the same seed."""
+    if job.spread.samples == 0:
+        return []
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(dimension, scramble=True, seed=np.random.default_rng(job.seed))
+    # Drawn by powers of two, for which alone the sequence is balanced.
+    drawn = points.random_base2(math.ceil(math.log2(job.spread.samples)))[: job.spread.samples]
+    return [[float(entry) for entry in row] for row in 2.0 * drawn - 1.0]
+
+
+def _rates(job: Job) -> list[tuple[float, ...]]:
+    """Return the grid of Omega, without rest."""
+    axes = [np.linspace(-rate, rate, job.Omega_grid) if rate > 0.0 else np.zeros(1) for rate in job.Omega]
+    # An odd grid's middle is 0 up to rounding.
+    axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, job.Omega, strict=True)]
+    return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
+
+
+def _faults(job: Job, gimbals: tuple[str, ...]) -> Iterator[Case]:
+    still, whole = np.zeros(3), np.ones(len(gimbals))
+    slow, weak = job.faults.slow_rotor, job.faults.weak_torquer
+    if slow is not None:
+        for name in _carried(job.platform, gimbals):
+            platform = changed(job.platform, {}, {name: slow - 1.0})
+            label = f"rotor {name} at {slow:.0%} of its spin"
+            yield Case(label=label, group="faults", platform=platform, Omega=still, torque=whole)
+    if weak is not None:
+        for k, gimbal in enumerate(gimbals):
+            label = f"torquer {job.platform.torquer_on(gimbal).name} at {weak:.0%} of its torque"
+            torque = np.where(np.arange(len(gimbals)) == k, weak, 1.0)
+            yield Case(label=label, group="faults", platform=job.platform, Omega=still, torque=torque)
+
+
+def _carried(platform: Platform, gimbals: tuple[str, ...]) -> list[str]:
+    return [r.name for r in platform.rotors if r.carrier in gimbals]
 
 
 def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
@@ -99,24 +180,37 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     ArgumentError
         `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
     """
-    cases = corners(job, gimbals)
+    plants = cases(job, gimbals)
     torquers = [job.platform.torquer_on(name) for name in gimbals]
     pickoffs = [job.platform.pickoff_on(name) for name in gimbals]
     torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
-    systems = [
-        state_space(linearise(platform, Omega=Omega), gimbals=gimbals)[angles, torques] for _, platform, Omega in cases
-    ]
-    A, B, C, D = (np.array([getattr(system, name) for system in systems]) for name in "ABCD")
-    sampling = job.sampling
-    arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, [t.lag for t in torquers])
+    systems = [state_space(linearise(one.platform, Omega=one.Omega), gimbals=gimbals) for one in plants]
+    acting = [system[angles, torques] for system in systems]
+    A, B, C, D = (np.array([getattr(system, name) for system in acting]) for name in "ABCD")
+    B = B * np.array([one.torque for one in plants])[:, None, :]
+    turning = np.array([system[angles, list(OMEGA_NAMES)].B for system in systems])
+    sampling, lags = job.sampling, np.array([t.lag for t in torquers])
+    arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, lags)
     return plant_set(
         StateArrays(*arrays, dt=sampling.period),
-        labels=tuple(label for label, _, _ in cases),
+        labels=tuple(one.label for one in plants),
         torques=tuple(torques),
         angles=tuple(angles),
         nutation=_reference(A[0], sampling.period),
         noise=np.array([s.sampled_noise(sampling.period) for s in pickoffs]),
+        groups=tuple(one.group for one in plants),
+        B_Omega=_held_rate(A, turning, sampling.period, arrays[0].shape[-1]),
+        Omega=job.Omega,
+        torque_limit=np.array([np.inf if t.limit is None else t.limit for t in torquers]),
     )
+
+
+def _held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:
+    """Return the sampled input of Omega: held like the torques, but neither delayed nor lagging."""
+    out = np.zeros((*A.shape[:-2], order, B.shape[-1]))
+    # The sampled states begin with the plant's own, which lags and held torques do not hear of.
+    out[..., : A.shape[-1], :] = held_input(A, B, period)[1]
+    return out
 
 
 def _reference(A: FloatArray, period: float) -> float:

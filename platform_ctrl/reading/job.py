@@ -14,6 +14,7 @@ from platform_ctrl.errors import InputError
 from platform_ctrl.job import (
     CoupledLimits,
     DesignSpec,
+    Faults,
     Job,
     LoopKind,
     LoopLimits,
@@ -23,6 +24,7 @@ from platform_ctrl.job import (
     Mode,
     Sampling,
     Spread,
+    Structure,
 )
 from platform_ctrl.reading import fields
 from platform_ctrl.reading.job_checks import job_mistakes
@@ -62,6 +64,7 @@ OPTIONS: dict[str, frozenset[str]] = {
             "backoff",
         }
     ),
+    "structured": frozenset({"order", "starts", "integral_hz", "rolloff_hz", "reserve", "evaluations"}),
     "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
 }
 
@@ -70,6 +73,7 @@ class OperationTable(Table):
     """``[operation]``."""
 
     Omega: fields.Rates
+    Omega_grid: fields.GridPoints = 2
     seed: fields.Seed = 0
 
 
@@ -78,6 +82,14 @@ class SpreadTable(Table):
 
     inertia: fields.Share = 0.0
     spin: fields.Share = 0.0
+    samples: fields.Samples = 0
+
+
+class FaultsTable(Table):
+    """``[faults]``."""
+
+    slow_rotor: fields.Part | None = None
+    weak_torquer: fields.SomePart | None = None
 
 
 class SamplingTable(Table):
@@ -92,10 +104,24 @@ class LoopLimitsTable(Table):
 
     bandwidth_hz: fields.Positive | None = None
     disk_margin: fields.Positive | None = None
+    sensitivity_peak: fields.Positive | None = None
+    complementary_peak: fields.Positive | None = None
     damping: fields.Positive | None = None
+    fastest_pole: fields.Positive | None = None
+    tracking: fields.Positive | None = None
+    tracking_hz: fields.Positive | None = None
+    Omega_rejection: fields.Positive | None = None
+    torque_rejection: fields.Positive | None = None
     torque_noise: fields.Positive | None = None
+    torque_limit: fields.Positive | None = None
+    controller_poles: fields.Positive | None = None
+    controller_gain: fields.Positive | None = None
     disk_margin_spread: fields.Positive | None = None
+    sensitivity_peak_spread: fields.Positive | None = None
+    complementary_peak_spread: fields.Positive | None = None
     damping_spread: fields.Positive | None = None
+    disk_margin_faults: fields.Positive | None = None
+    damping_faults: fields.Positive | None = None
 
 
 class DesignTable(Table):
@@ -107,6 +133,7 @@ class DesignTable(Table):
     name: fields.Text
     method: Annotated[Method, fields.one_of(get_args(Method))]
     tune: fields.Truth = False
+    structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
 
 
 class LoopTable(Table):
@@ -117,6 +144,7 @@ class LoopTable(Table):
     gimbals: fields.Names = ()
     use: fields.Text
     limits: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
+    soft: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
     design: list[DesignTable] = Field(min_length=1)
 
 
@@ -157,6 +185,7 @@ class JobFile(Table):
     plant: fields.Plant
     operation: OperationTable
     spread: SpreadTable = Field(default_factory=SpreadTable)
+    faults: FaultsTable = Field(default_factory=FaultsTable)
     sampling: SamplingTable
     loop: list[LoopTable] = Field(min_length=1)
     coupled: CoupledTable = Field(default_factory=CoupledTable)
@@ -223,7 +252,9 @@ def _job(file: JobFile, platform: Platform) -> Job:
         plant=file.plant if isinstance(file.plant, str) else platform.name,
         platform=platform,
         Omega=file.operation.Omega,
-        spread=Spread(inertia=file.spread.inertia, spin=file.spread.spin),
+        Omega_grid=file.operation.Omega_grid,
+        spread=Spread(**file.spread.model_dump()),
+        faults=Faults(**file.faults.model_dump()),
         sampling=Sampling(period=1.0 / file.sampling.rate_hz, delay=file.sampling.delay),
         loops=tuple(_loop(table) for table in file.loop),
         coupled=CoupledLimits(**file.coupled.model_dump()),
@@ -239,12 +270,17 @@ def _loop(table: LoopTable) -> LoopSpec:
         gimbals=table.gimbals,
         designs=tuple(
             DesignSpec(
-                name=design.name, method=design.method, options=dict(design.__pydantic_extra__), tune=design.tune
+                name=design.name,
+                method=design.method,
+                options=dict(design.__pydantic_extra__),
+                tune=design.tune,
+                structure=design.structure,
             )
             for design in table.design
         ),
         use=table.use,
         limits=LoopLimits(**table.limits.model_dump()),
+        soft=LoopLimits(**table.soft.model_dump()),
     )
 
 

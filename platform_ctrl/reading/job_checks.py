@@ -21,6 +21,9 @@ Data = dict[str, Any]
 # Every other method designs a caging loop.
 STABILISING = frozenset({"platform-servo"})
 
+# Methods that are told what the controller is made of.
+STRUCTURED = frozenset({"structured"})
+
 # Methods whose numbers can be moved to meet the loop's limits.
 TUNED = frozenset({"classical"})
 
@@ -37,6 +40,7 @@ def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, fr
     return [
         *_unique_names(data, (), "loop"),
         *_unique_names(data, (), "manoeuvre"),
+        *_sets(data),
         *_designs(data, options),
         *_loops(data, platform),
         *_manoeuvres(data),
@@ -54,6 +58,29 @@ def _unique_names(data: Data, path: Path, key: str) -> Iterator[Mistake]:
             wrong = f"name = {given(name)}: is the name of [[{header}]] {taken[name] + 1} already"
             yield Mistake((*path, key, k, "name"), f"{wrong}; expected another")
         taken.setdefault(name, k)
+
+
+def _sets(data: Data) -> Iterator[Mistake]:
+    """Judge what the sets of plants are made of."""
+    spread = data.get("spread")
+    samples = number_of(spread, "samples") if isinstance(spread, dict) else None
+    if isinstance(spread, dict) and samples and not any(number_of(spread, key) for key in ("inertia", "spin")):
+        wrong = f"samples = {given(spread['samples'])}: neither inertia nor spin has a spread"
+        yield Mistake(("spread", "samples"), f"{wrong}; expected inertia or spin > 0 beside it")
+    faults = data.get("faults")
+    for i, loop in tables(data, "loop"):
+        for table in ("limits", "soft"):
+            limits = loop.get(table)
+            if not isinstance(limits, dict):
+                continue
+            path: Path = ("loop", i, table)
+            for key in sorted(limits):
+                if key in LOOP_LIMITS and key.endswith("_faults") and not (isinstance(faults, dict) and faults):
+                    wrong = f"{key}: the job has no plants with faults"
+                    yield Mistake((*path, key), f"{wrong}; expected [faults] with slow_rotor or weak_torquer")
+            for key, other in (("tracking", "tracking_hz"), ("tracking_hz", "tracking")):
+                if key in limits and other not in limits:
+                    yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
 
 
 def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
@@ -76,6 +103,8 @@ def _design(design: Data, path: Path, kind: str | None, options: Mapping[str, fr
     if method is None or method not in options:
         return
     known = ["name", "method", "tune", *sorted(options[method])]
+    if method in STRUCTURED:
+        known.insert(2, "structure")
     yield from (unknown_key((*path, key), item, known) for key, item in design.items() if key not in known)
     for key in options[method]:
         value = number_of(design, key)
@@ -113,6 +142,9 @@ def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:
                         fitting = ", ".join(sorted(STABILISATION_LIMITS))
                         wrong = f"{key}: a stabilisation loop is judged in the coupled system"
                         yield Mistake((*path, "limits", key), f"{wrong}; expected {fitting}, or a limit of [coupled]")
+                if "soft" in loop:
+                    wrong = "soft: no method of a stabilisation loop minimises anything"
+                    yield Mistake((*path, "soft"), f"{wrong}; leave the table out")
                 if stabilisation is not None:
                     yield Mistake((*path, "kind"), f"kind: [[loop]] {stabilisation + 1} stabilises the root already")
                 else:
