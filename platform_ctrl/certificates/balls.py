@@ -32,13 +32,13 @@ def identity(n: int) -> Balls:
     return balls(np.eye(n))
 
 
-def blocks(rows: list[list[Balls]]) -> Balls:
-    """Return a matrix put together from blocks."""
+def blocks(rows: list[list[Balls]], columns: int = 0) -> Balls:
+    """Return a matrix put together from blocks; `columns` of them where there are no rows to count them by."""
     out: list[list[Ball]] = []
     for row in rows:
         parts = [part.tolist() for part in row]
-        out += [sum(lines, []) for lines in zip(*parts, strict=True)]
-    return flint.arb_mat(out) if out and out[0] else flint.arb_mat(len(out), 0)
+        out += [[x for line in lines for x in line] for lines in zip(*parts, strict=True)]
+    return flint.arb_mat(out) if out and out[0] else flint.arb_mat(len(out), 0 if out else columns)
 
 
 def positive_definite(M: Balls) -> tuple[bool | None, float]:
@@ -72,7 +72,7 @@ def positive_definite(M: Balls) -> tuple[bool | None, float]:
 def _exponent(d: Ball) -> int:
     """Half the binary exponent of a positive ball's midpoint: 2**-e d 2**-e is about 1."""
     mantissa, exponent = d.mid().man_exp()
-    return int(math.floor((int(mantissa).bit_length() + int(exponent)) / 2))
+    return (int(mantissa).bit_length() + int(exponent)) // 2
 
 
 def _by_congruence(M: Balls) -> tuple[bool, float] | None:

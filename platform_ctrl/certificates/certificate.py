@@ -190,11 +190,8 @@ def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: flo
         if dt > 0:
             return (-2 * rate * flint.arb(dt)).exp() * X - A.transpose() * X * A
         return -1 * (A.transpose() * X + X * A) - 2 * rate * X
-    seen, corner = C.transpose() * C, None
-    if dt > 0:
-        rest = X - A.transpose() * X * A - seen
-    else:
-        rest = -1 * (A.transpose() * X + X * A) - seen
+    less = A.transpose() * X * A - X if dt > 0 else A.transpose() * X + X * A
+    rest = -1 * (less + C.transpose() * C)
     if claim == "h2":
         return rest
     gamma = flint.arb(bound)
@@ -213,7 +210,7 @@ def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls
     direct = (system.D.transpose() * system.D).trace() if system.D.ncols() else flint.arb(0)
     if dt > 0:
         energy = energy + direct
-    elif not direct == 0:
+    elif not direct.is_zero():
         raise _Refuted("D is not exactly zero: a continuous system with a direct term has no H2 norm")
     return flint.arb_mat([[flint.arb(bound) ** 2 - energy]])
 
