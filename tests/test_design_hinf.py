@@ -288,7 +288,7 @@ def test_solver_that_does_not_finish_in_time_is_an_error():
     ("arguments", "options", "match"),
     [
         ((np.eye(3), 1, 1), {}, "given a ndarray; expected a control.StateSpace"),
-        ((control.ss(0.5, [[1, 1]], [[1], [1]], 0, 0.1), 1, 1), {}, "sampled"),
+        ((control.ss(0.5, [[1, 1]], [[1], [1]], 0, True), 1, 1), {}, "without a period"),
         ((control.ss([], [], [], np.eye(2)), 1, 1), {}, "no states"),
         ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 2, 1), {}, "nmeas = 2 of 2 outputs"),
         ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 1, 0), {}, "ncon = 0 of 2 inputs"),

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import schur
 
 from platform_ctrl.design.partition import Partition, Realisation
-from platform_ctrl.design.scaling import autoscale, clustered, unscale
+from platform_ctrl.design.scaling import ScaledPlant, clustered, unscale
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -40,8 +40,8 @@ class Solution:
     excess: float
 
 
-def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Realisation, float, dict[str, float]]:
-    """Controller in the units of `plant`, the least gamma, and the residuals (scaled).
+def hinf_riccati(scaled: ScaledPlant, backoff: float, P: StateSpace) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of the plant that was scaled, the least gamma, and the residuals (scaled).
 
     Raises
     ------
@@ -49,10 +49,9 @@ def hinf_riccati(plant: Partition, backoff: float, P: StateSpace) -> tuple[Reali
         D12 or D21 loses rank, the plant has an invariant zero on the imaginary axis, or no gamma is large enough;
         `P` is attached.
     """
-    scaled = autoscale(plant)
     for rank, number, name, shape, cure in (
-        (scaled.control_rank, plant.B2.shape[1], "D12", "column", "a small weight on every control in z"),
-        (scaled.measurement_rank, plant.C2.shape[0], "D21", "row", "a small noise on every measurement in w"),
+        (scaled.control_rank, scaled.plant.B2.shape[1], "D12", "column", "a small weight on every control in z"),
+        (scaled.measurement_rank, scaled.plant.C2.shape[0], "D21", "row", "a small noise on every measurement in w"),
     ):
         if rank < number:
             raise DesignError(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 @value
 class Partition:
-    """The matrices of a plant with inputs [w, u] and outputs [z, y]; see `partition`."""
+    """The matrices of a plant with inputs [w, u] and outputs [z, y], and its period `dt` (0: continuous)."""
 
     A: FloatArray
     B1: FloatArray
@@ -26,6 +27,7 @@ class Partition:
     D12: FloatArray
     D21: FloatArray
     D22: FloatArray
+    dt: float = 0.0
 
 
 @value
@@ -38,19 +40,28 @@ class Realisation:
     D: FloatArray
 
 
-def partition(P: StateSpace, nmeas: int, ncon: int) -> Partition:
-    """Split a continuous plant at its last `nmeas` outputs and last `ncon` inputs.
+def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Partition:
+    """Split a plant at its last `nmeas` outputs and last `ncon` inputs.
+
+    Parameters
+    ----------
+    P, nmeas, ncon
+        As in `design.synthesis.hinf`.
+    sampled
+        Whether a plant with dt > 0 is taken, too.
 
     Raises
     ------
     ArgumentError
-        P is not a continuous state-space system with finite matrices, or the numbers do not fit.
+        P is not such a state-space system with finite matrices, or the numbers do not fit.
     """
     from control import StateSpace
 
     if not isinstance(P, StateSpace):
         raise ArgumentError(f"plant: given a {type(P).__name__}; expected a control.StateSpace")
-    if P.isdtime(strict=True):
+    if P.dt is True:
+        raise ArgumentError("plant: sampled without a period (dt=True); expected the period in s")
+    if P.dt and not sampled:
         raise ArgumentError(
             f"plant: sampled (dt = {P.dt}); expected a continuous plant, for example in the bilinear w-plane"
         )
@@ -69,7 +80,48 @@ def partition(P: StateSpace, nmeas: int, ncon: int) -> Partition:
     return Partition(
         A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
         D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
+        dt=float(P.dt or 0.0),
     )  # fmt: skip
+
+
+def in_w_plane(plant: Partition) -> Partition:
+    """Return a sampled plant in the w-plane, w = (2/T) (z − 1)/(z + 1), where it is continuous; others as they are.
+
+    The map is exact: stability and the H-infinity norm of every loop are kept.
+
+    Raises
+    ------
+    ArgumentError
+        The plant has a pole at z = −1.
+    """
+    if plant.dt == 0.0:
+        return plant
+    nz, nw = plant.D11.shape
+    A, B, C, D = to_w_plane(
+        plant.A,
+        np.hstack([plant.B1, plant.B2]),
+        np.vstack([plant.C1, plant.C2]),
+        np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
+        plant.dt,
+    )
+    return Partition(
+        A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
+        D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
+    )  # fmt: skip
+
+
+def out_of_w_plane(K: Realisation, period: float) -> Realisation:
+    """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is.
+
+    Raises
+    ------
+    ArgumentError
+        The controller has a pole at 2/`period`.
+    """
+    if period == 0.0:
+        return K
+    A, B, C, D = from_w_plane(K.A, K.B, K.C, K.D, period)
+    return Realisation(A=A, B=B, C=C, D=D)
 
 
 def closed_loop(plant: Partition, K: Realisation) -> Realisation:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.design.partition import Partition, Realisation
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
@@ -147,13 +147,34 @@ def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
     )
 
 
-def require_stabilisable(plant: Partition, P: StateSpace) -> None:
-    """Raise a DesignError that names the mode if (A, B2) is not stabilisable or (A, C2) not detectable."""
-    sigma, word, pole = weakest_mode(autoscale(plant))
+def require_stabilisable(plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None) -> None:
+    """Judge whether u can stabilise the plant from y.
+
+    Parameters
+    ----------
+    plant
+        Continuous, or in the w-plane.
+    P
+        The plant as given, sampled or not.
+    where
+        Who asks.
+    scaled
+        `autoscale(plant)`, where it is at hand.
+
+    Raises
+    ------
+    NotStabilisableError
+        (A, B2) is not stabilisable or (A, C2) not detectable; the message names the mode.
+    """
+    sigma, word, pole = weakest_mode(scaled or autoscale(plant))
     if word and sigma < 1e-10:
         verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
-        raise DesignError(
-            f"hinf: the plant is not {word}: {verb} the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s; expected every "
+        at = f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
+        if P.dt:
+            z = (1 + 0.5 * P.dt * pole) / (1 - 0.5 * P.dt * pole)
+            at = f"z = {z.real:.6g}{z.imag:+.4g}j"
+        raise NotStabilisableError(
+            f"{where}: the plant is not {word}: {verb} the mode at {at}; expected every "
             "mode that is not stable within reach; put such weights inside the loop or shift their poles to the left",
             P,
         )

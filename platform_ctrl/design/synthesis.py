@@ -1,4 +1,4 @@
-"""H-infinity output feedback: dispatch to a route, and the certificate of what it returns.
+"""Output feedback for a plant w, u -> z, y: dispatch to a route, and the judgement of what it returns.
 
     w ──►┌───┐──► z
          │ P │
@@ -13,23 +13,62 @@ is judged by the closed loop of the plant that was given.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, partition
-from platform_ctrl.design.scaling import require_stabilisable
-from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.design.partition import (
+    Partition,
+    Realisation,
+    closed_loop,
+    in_w_plane,
+    out_of_w_plane,
+    partition,
+)
+from platform_ctrl.design.scaling import autoscale, require_stabilisable
+from platform_ctrl.errors import ArgumentError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import value
 
 if TYPE_CHECKING:
     from control import StateSpace
 
-HinfMethod = Literal["lmi", "riccati"]
+Method = Literal["lmi", "riccati"]
+HinfMethod = Method
+Norm = Literal["hinf", "h2"]
 
 # How much more than the backed-off bound the recomputed norm may be, relative to the bound.
 NORM_TOLERANCE = 0.01
 CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
+# A direct term of a closed loop below this share of what it is the sum of is rounding.
+DIRECT_ROUNDING = 1e-9
+
+
+@value
+class Claim:
+    """One norm of the closed loop that a route promises.
+
+    Attributes
+    ----------
+    name
+        Under which `Synthesis.norms` shows it.
+    norm
+        ``"hinf"`` or ``"h2"``.
+    limit
+        What the recomputed norm must not exceed; ``inf`` where it is only reported.
+    inputs, outputs
+        Indices of the w and z that the norm is taken between; None for all.
+    """
+
+    name: str
+    norm: Norm
+    limit: float
+    inputs: tuple[int, ...] | None = None
+    outputs: tuple[int, ...] | None = None
 
 
 @value
@@ -47,7 +86,7 @@ class Synthesis:
     closed_loop
         The lower linear fractional transformation of P and K, from w to z.
     gamma, frequency
-        H-infinity norm of `closed_loop`, recomputed from it, and the frequency of the peak, rad/s.
+        Norm of `closed_loop`, recomputed from it, and for the H-infinity norm the frequency of the peak, rad/s.
     gamma_optimal
         The bound that was backed off from: the least gamma that the route found.
     backoff
@@ -55,9 +94,13 @@ class Synthesis:
     method
         The route.
     poles : (n + nK,)
-        Poles of the closed loop, rad/s.
+        Poles of the closed loop: rad/s, or in z where the plant is sampled.
     residual
         Figures of merit of the route by name, in scaled units.
+    norm
+        Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
+    norms
+        Other norms of the closed loop that the route promised, recomputed, by name.
     """
 
     plant: StateSpace
@@ -72,11 +115,13 @@ class Synthesis:
     method: str
     poles: np.ndarray[Any, Any]
     residual: dict[str, float]
+    norm: Norm = "hinf"
+    norms: dict[str, float] = field(default_factory=dict)
 
     @property
     def spectral_abscissa(self) -> float:
-        """Largest real part of the closed-loop poles, rad/s; negative."""
-        return float(np.max(self.poles.real, initial=-np.inf))
+        """Largest real part of the closed-loop poles, rad/s; of ln(z)/T where the plant is sampled. Negative."""
+        return float(np.max(continuous_poles(self.poles, float(self.plant.dt or 0.0)).real, initial=-np.inf))
 
 
 def hinf(
@@ -97,7 +142,8 @@ def hinf(
     Parameters
     ----------
     P
-        Continuous plant with inputs [w, u] and outputs [z, y], as in `control.hinfsyn`.
+        Plant with inputs [w, u] and outputs [z, y], as in `control.hinfsyn`. A sampled one (dt > 0) is carried to the
+        w-plane by the bilinear map, which keeps stability and norm, and its controller is sampled, too.
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     method
@@ -124,21 +170,24 @@ def hinf(
         raise ArgumentError(f"hinf: backoff = {backoff!r}; expected a positive number such as 0.02")
     if not time_limit > 0:
         raise ArgumentError(f"hinf: time_limit = {time_limit!r}; expected a positive number of seconds")
-    plant = partition(P, nmeas, ncon)
-    require_stabilisable(plant, P)
+    plant = partition(P, nmeas, ncon, sampled=True)
     if method not in ("lmi", "riccati"):
         raise ArgumentError(f"hinf: method = {method!r}; expected 'lmi' or 'riccati'")
+    flat = in_w_plane(plant)
+    scaled = autoscale(flat)
+    require_stabilisable(flat, P, "hinf", scaled)
     try:
         if method == "lmi":
             from platform_ctrl.design.hinf_lmi import hinf_lmi
 
-            made, optimal, residual = hinf_lmi(plant, backoff, time_limit, P)
+            made, optimal, residual = hinf_lmi(flat, backoff, time_limit, P)
         else:
             from platform_ctrl.design.hinf_riccati import hinf_riccati
 
-            made, optimal, residual = hinf_riccati(plant, backoff, P)
+            made, optimal, residual = hinf_riccati(scaled, backoff, P)
+        made = out_of_w_plane(made, plant.dt)
     except np.linalg.LinAlgError as error:
-        raise DesignError(f"hinf, {method}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
+        raise UnscalableError(f"hinf, {method}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
     return certify(P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {method}", residual=residual)
 
 
@@ -151,59 +200,118 @@ def certify(
     backoff: float,
     method: str,
     residual: dict[str, float],
+    norm: Norm = "hinf",
+    tolerance: float = NORM_TOLERANCE,
+    claims: Sequence[Claim] = (),
 ) -> Synthesis:
-    """Close the loop with the plant as given; return the result only if it is stable and its norm is what was promised.
+    """Close the loop with the plant as given; return the result only if it is stable and keeps every promise.
+
+    Parameters
+    ----------
+    P, plant
+        The plant and its `partition`, continuous or sampled.
+    controller
+        u = K y, of the plant's own kind.
+    gamma_optimal, backoff, norm
+        The least norm that the route found, and the share that it backed off.
+    method, residual
+        Kept in the result.
+    tolerance
+        What the norm may exceed ``(1 + backoff) gamma_optimal`` by, relative to `gamma_optimal`.
+    claims
+        What else was promised.
 
     Raises
     ------
-    DesignError
-        The loop is not well posed, not stable, or its norm exceeds ``(1 + backoff + 0.01) gamma_optimal``.
+    NotCertifiedError
+        The loop is not well posed, not stable, or a norm exceeds what was promised.
     """
     import control
-
-    from platform_ctrl.analysis.norms import hinf_norm
 
     try:
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
-        raise DesignError(f"{method}: I − D_K D22 is singular, the loop is not well posed; {CURE}", P) from None
+        raise NotCertifiedError(f"{method}: I − D_K D22 is singular, the loop is not well posed; {CURE}", P) from None
     if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
-        raise DesignError(f"{method}: the controller is not finite; {CURE}", P)
-    poles = np.linalg.eigvals(loop.A)
-    worst = poles[np.argmax(poles.real)] if poles.size else complex(-np.inf)
-    if not worst.real < 0:
-        raise DesignError(
-            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j rad/s; "
-            f"expected all in the left half-plane; {CURE}",
-            P,
-        )
+        raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
+    poles = _stable_poles(loop.A, plant.dt, method, P)
     u, y = P.input_labels[-plant.B2.shape[1] :], P.output_labels[-plant.C2.shape[0] :]
     w, z = P.input_labels[: -len(u)], P.output_labels[: -len(y)]
-    system = control.StateSpace(loop.A, loop.B, loop.C, loop.D, inputs=w, outputs=z)
-    try:
-        gamma, frequency = hinf_norm(system)
-    except ArgumentError:
-        raise DesignError(
-            f"{method}: the closed loop is on the boundary of stability; expected it stable; {CURE}", P
-        ) from None
-    limit = (1 + backoff + NORM_TOLERANCE) * gamma_optimal
-    if not gamma <= limit:
-        raise DesignError(
-            f"{method}: the closed loop has the norm {gamma:.6g} at {frequency:.4g} rad/s; "
-            f"expected at most {limit:.6g} for the least gamma {gamma_optimal:.6g}; {CURE}",
-            P,
-        )
+    D = loop.D
+    if norm == "h2" and plant.dt == 0.0:
+        D = _without_rounding(D, plant, controller)
+    loop = Realisation(A=loop.A, B=loop.B, C=loop.C, D=D)
+    limit = (1 + backoff + tolerance) * gamma_optimal
+    gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, gamma_optimal, P)
     return Synthesis(
         plant=P,
         nmeas=len(y),
         ncon=len(u),
-        controller=control.StateSpace(controller.A, controller.B, controller.C, controller.D, inputs=y, outputs=u),
-        closed_loop=system,
-        gamma=float(gamma),
-        frequency=float(frequency),
+        controller=control.StateSpace(
+            controller.A, controller.B, controller.C, controller.D, plant.dt, inputs=y, outputs=u
+        ),
+        closed_loop=control.StateSpace(loop.A, loop.B, loop.C, loop.D, plant.dt, inputs=w, outputs=z),
+        gamma=gamma,
+        frequency=frequency,
         gamma_optimal=float(gamma_optimal),
         backoff=float(backoff),
         method=method,
         poles=poles,
         residual=dict(residual),
+        norm=norm,
+        norms={claim.name: _kept(claim, loop, plant.dt, method, None, P)[0] for claim in claims},
     )
+
+
+def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace) -> ComplexArray:
+    """Return the eigenvalues of A, all of them stable."""
+    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+    if dt == 0.0:
+        distance, region, unit = poles.real, "in the left half-plane", " rad/s"
+    else:
+        distance, region, unit = np.abs(poles) - 1.0, "inside the unit circle", ""
+    if poles.size and not np.max(distance) < 0:
+        worst = poles[np.argmax(distance)]
+        raise NotCertifiedError(
+            f"{method}: the closed loop has a pole at {worst.real:.4g}{worst.imag:+.4g}j{unit}; "
+            f"expected all {region}; {CURE}",
+            P,
+        )
+    return poles
+
+
+def _without_rounding(
+    D: np.ndarray[Any, Any], plant: Partition, controller: Realisation
+) -> np.ndarray[Any, Any]:
+    """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
+    size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
+    return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
+
+
+def _kept(
+    claim: Claim, loop: Realisation, dt: float, method: str, least: float | None, P: StateSpace
+) -> tuple[float, float]:
+    """Return the norm that is claimed, recomputed, and its frequency, rad/s (nan for the H2 norm)."""
+    import control
+
+    nz, nw = loop.D.shape
+    into = list(range(nw) if claim.inputs is None else claim.inputs)
+    out = list(range(nz) if claim.outputs is None else claim.outputs)
+    B, C, D = loop.B[:, into], loop.C[out], loop.D[np.ix_(out, into)]
+    of = f" {claim.name}" if claim.name else ""
+    frequency = float("nan")
+    if claim.norm == "hinf":
+        found, frequency = hinf_norm_arrays(loop.A, B, C, D, dt)
+        shown = f"the norm{of} {found:.6g} at {frequency:.4g} rad/s"
+    else:
+        try:
+            found = h2_norm(control.StateSpace(loop.A, B, C, D, dt))
+        except ArgumentError as error:
+            raise NotCertifiedError(f"{method}: no finite H2 norm{of}: {error}; {CURE}", P) from None
+        shown = f"the H2 norm{of} {found:.6g}"
+    if not found <= claim.limit:
+        for_least = "" if least is None else f" for the least gamma {least:.6g}"
+        raise NotCertifiedError(
+            f"{method}: the closed loop has {shown}; expected at most {claim.limit:.6g}{for_least}; {CURE}", P
+        )
+    return float(found), float(frequency)
