@@ -32,13 +32,14 @@ def identity(n: int) -> Balls:
     return balls(np.eye(n))
 
 
-def blocks(rows: list[list[Balls]], columns: int = 0) -> Balls:
-    """Return a matrix put together from blocks; `columns` of them where there are no rows to count them by."""
+def blocks(rows: list[list[Balls]]) -> Balls:
+    """Return a matrix put together from blocks."""
     out: list[list[Ball]] = []
     for row in rows:
         parts = [part.tolist() for part in row]
         out += [[x for line in lines for x in line] for lines in zip(*parts, strict=True)]
-    return flint.arb_mat(out) if out and out[0] else flint.arb_mat(len(out), 0 if out else columns)
+    columns = sum(part.ncols() for part in rows[0])
+    return flint.arb_mat(out) if out and columns else flint.arb_mat(len(out), columns)
 
 
 def positive_definite(M: Balls) -> tuple[bool | None, float]:

@@ -102,7 +102,7 @@ class ClosedLoop:
         if self.controller is None:
             return BallSystem(*(balls(part) for part in (self.A, self.B, self.C, self.D)))
         A_K, B_K, C_K, D_K = self.controller
-        (q, p), n, k = D_K.shape, len(self.A), len(A_K)
+        q, p = D_K.shape
         m, r = self.B.shape[1] - q, self.C.shape[0] - p
         A, K, DK = balls(self.A), balls(A_K), balls(D_K)
         B1, B2, C1, C2 = (balls(x) for x in (self.B[:, :m], self.B[:, m:], self.C[:r], self.C[r:]))
@@ -114,11 +114,9 @@ class ClosedLoop:
             Fx, Fk, Fw = E * Fx, E * Fk, E * Fw
         BK = balls(B_K)
         return BallSystem(
-            blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]])
-            if n + k
-            else flint.arb_mat(0, 0),
-            blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]) if m else flint.arb_mat(n + k, 0),
-            blocks([[C1 + D12 * Fx, D12 * Fk]]) if r else flint.arb_mat(0, n + k),
+            blocks([[A + B2 * Fx, B2 * Fk], [BK * (C2 + D22 * Fx), K + BK * D22 * Fk]]),
+            blocks([[B1 + B2 * Fw], [BK * (D21 + D22 * Fw)]]),
+            blocks([[C1 + D12 * Fx, D12 * Fk]]),
             D11 + D12 * Fw,
         )
 

@@ -23,6 +23,9 @@ from platform_ctrl.frozen import FloatArray
 _SHARES = (0.99, 0.9, 0.5, 0.1)
 _ABOVE = (2e-7, 9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
 
+# A norm that is not told from zero.
+_NOTHING = 1e-100
+
 Finder = Callable[[StateArrays], FloatArray]
 
 
@@ -117,8 +120,8 @@ def norm_certificate(
     loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
     system = _rounded(loop, where)
     _require_stable(system, where, loop)
-    norm = hinf_norm_arrays(*system)[0]
-    bounds = [float(gamma)] if gamma is not None else [norm * (1.0 + above) or 1e-300 for above in _ABOVE]
+    norm = _hinf(*system)
+    bounds = [float(gamma)] if gamma is not None else _just_above(norm)
     for bound in bounds:
         if bound > norm:
             for certificate in _attempts("norm", bound, loop, system, _bounded_real(bound, norm)):
@@ -168,7 +171,7 @@ def h2_certificate(
     balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
     X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
     norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
-    bounds = [float(bound)] if bound is not None else [norm * (1.0 + above) or 1e-300 for above in _ABOVE]
+    bounds = [float(bound)] if bound is not None else _just_above(norm)
     for claimed in bounds:
         if claimed > norm:
             for certificate in _attempts("h2", claimed, loop, system, _observability(claimed, norm)):
@@ -179,6 +182,17 @@ def h2_certificate(
         "try a larger bound",
         loop,
     )
+
+
+def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> float:
+    # The norm of what transfers nothing is looked for among numbers so small that their inverses overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return hinf_norm_arrays(A, B, C, D, dt)[0]
+
+
+def _just_above(norm: float) -> list[float]:
+    """Return the bounds that are tried where none is asked for."""
+    return [norm * (1.0 + above) for above in _ABOVE] if norm > _NOTHING else [2.0 * _NOTHING]
 
 
 def _of(label: str) -> str:
@@ -273,8 +287,8 @@ def _lyapunov(decay: float) -> Finder:
 def _slack(system: StateArrays, size: float) -> float:
     """Return e such that e times the norm from w to the states, added to z, changes the norm by about `size`."""
     n = len(system.A)
-    reach = hinf_norm_arrays(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)[0]
-    return size / reach if reach > 0 else 1.0
+    reach = _hinf(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)
+    return size / reach if reach > _NOTHING else 1.0
 
 
 def _bounded_real(bound: float, norm: float) -> Finder:
