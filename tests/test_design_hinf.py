@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.hinf_lmi import _minimised, inequalities
+from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
 from platform_ctrl.design.partition import Realisation, closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, balance
 from platform_ctrl.design.synthesis import certify, hinf
@@ -213,7 +213,7 @@ def test_solver_s_answer_satisfies_every_inequality_and_none_holds_below_the_lea
     assert len(eigenvalues) == 3
     assert max(eigenvalues) < 0
     scaled = autoscale(partition(P, nmeas, ncon)).plant
-    best = _minimised(scaled, 60.0, P, 1e-7)
+    best = minimised([scaled], where="test", time_limit=60.0, P=P, tolerance=1e-7)
     worst = [np.linalg.eigvalsh(m)[-1] for m in inequalities(scaled, 0.9 * best.gamma, best.X, best.Y).values()]
     assert max(worst) > 1e-3
 

@@ -1,0 +1,207 @@
+"""H-infinity controllers for a plant, or for the vertices of a polytope with one Lyapunov matrix, on scaled plants.
+
+Three steps: the least gamma over X, Y with the controller eliminated; at (1 + backoff) times that gamma the pair X, Y
+that stays farthest from X Y = I; and from X, Y a controller in closed form for every vertex.
+Nothing is assumed about D11, D12 and D21. What the solver says is not believed: the inequalities are evaluated again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.design.lmi.bounded_real import (
+    CURE,
+    Pair,
+    balancing,
+    factors,
+    inequalities,
+    lyapunov_matrix,
+    minimised,
+    reconstructed,
+    separated,
+    turned,
+)
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
+from platform_ctrl.errors import DesignError, TimeLimitError, UnscalableError
+from platform_ctrl.frozen import FloatArray, value
+
+# Solved again in other units when the least gamma of the scaled plant is not within 1/8 .. 8.
+GAMMA_RANGE = 8.0
+# Other units of gamma to start from where the first solve gives nothing.
+GAINS = (1.0, 1e2, 1e-2, 1e4, 1e-4)
+# A gamma below this (above its inverse) is not looked into any closer.
+LEAST_GAIN = 1e-12
+# Largest mean eigenvalue of X and of Y, and its least multiple of what gamma alone needs: in directions that no
+# inequality bounds X and Y would grow without end.
+LARGEST_MEAN = 100.0
+LEAST_ROOM = 10.0
+
+
+class Round(NamedTuple):
+    """How the second step is tried.
+
+    Attributes
+    ----------
+    strictness
+        How far the inequalities are kept from zero, relative to gamma and the back-off.
+    reward
+        What is paid for the mean eigenvalues of X and Y. The separation sees one direction only. Where X and Y are
+        small in the others, I − X Y is near singular there and the controller has poles ten to a hundred times faster
+        than that of the Riccati route; but large ones hide violations from the solver.
+    tolerance
+        The solver's.
+    """
+
+    strictness: float
+    reward: float
+    tolerance: float
+
+
+# Until everything holds.
+ROUNDS = (Round(5e-3, 1e-4, 1e-6), Round(5e-4, 1e-4, 1e-8), Round(5e-5, -1e-4, 1e-8))
+LEAST_STRICTNESS = 1e-6
+# Tolerances of the first solve, which only serves to find the right states, and of the least gamma.
+ROUGH, FINE = 1e-4, 1e-7
+
+
+@value
+class Quadratic:
+    """Controllers of the vertices, in the units of the plants, with what they have in common.
+
+    Attributes
+    ----------
+    controllers
+        One for each plant, in common states.
+    least
+        The least gamma.
+    lyapunov : (2n, 2n)
+        V > 0 such that d/dt x'V x + (z'z − g² w'w)/g < 0 for [x, xK] in the plants' units, every vertex and every
+        convex combination, g = (1 + backoff) least.
+    residual
+        How well the inequalities hold (scaled).
+    """
+
+    controllers: tuple[Realisation, ...]
+    least: float
+    lyapunov: FloatArray
+    residual: dict[str, float]
+
+
+def quadratic_hinf(
+    plants: Sequence[Partition], backoff: float, time_limit: float, P: object, where: str = "hinf, lmi"
+) -> Quadratic:
+    """Controllers for plants that share B2, C2, D12, D21 and D22.
+
+    Raises
+    ------
+    InfeasibleError, UnscalableError, TimeLimitError, IllPosedError
+        The solver failed, or what it returned does not satisfy the inequalities; `P` is attached.
+    """
+    scaled, vertices, least = _rough(plants, time_limit, P, where)
+    T, failure = np.diag(scaled.state), None
+    for attempt in ROUNDS:
+        change = balancing(least)
+        vertices, T = [turned(vertex, change) for vertex in vertices], T @ change
+        # In these states X = Y; their mean square does not depend on the states.
+        own = float(np.sqrt(np.trace(least.X @ least.Y) / len(least.X)))
+        bound = max(LARGEST_MEAN, LEAST_ROOM * own)
+        try:
+            least = minimised(vertices, where=where, time_limit=time_limit, P=P, tolerance=FINE)
+            level = (1 + backoff) * least.gamma
+            margin = max(LEAST_STRICTNESS, attempt.strictness * min(backoff, 0.02)) * level
+            best = separated(
+                vertices, level, margin, bound,
+                reward=attempt.reward, where=where, time_limit=time_limit, P=P, tolerance=attempt.tolerance,
+            )  # fmt: skip
+            residual = _strict(vertices, best, scaled.gain, P, where)
+            made = [reconstructed(v, scaled.control_rank, scaled.measurement_rank, best, P) for v in vertices]
+        except TimeLimitError:
+            raise
+        except DesignError as error:
+            failure = failure or error
+            continue
+        V = lyapunov_matrix(best.X, best.Y, *factors(best.X, best.Y))
+        n = len(T)
+        back = np.eye(2 * n)
+        back[:n, :n] = np.linalg.inv(T)
+        return Quadratic(
+            controllers=tuple(unscale(controller, scaled) for controller in made),
+            least=least.gamma * scaled.gain,
+            # Scaled time: x'V x counts in units of 1 / rate.
+            lyapunov=back.T @ V @ back / scaled.rate,
+            residual=residual,
+        )
+    assert failure is not None
+    raise failure
+
+
+def rescaled(plant: Partition, scaled: ScaledPlant) -> Partition:
+    """Return another plant in the units that `autoscale` found for one that shares B2, C2, D12, D21 and D22."""
+    root, d = np.sqrt(scaled.gain), scaled.state
+    same = scaled.plant
+    return Partition(
+        A=plant.A / scaled.rate / d[:, None] * d, B1=plant.B1 / scaled.rate / root / d[:, None], B2=same.B2,
+        C1=plant.C1 / root * d, C2=same.C2, D11=plant.D11 / scaled.gain, D12=same.D12, D21=same.D21, D22=same.D22,
+    )  # fmt: skip
+
+
+def mean_plant(plants: Sequence[Partition]) -> Partition:
+    """Return the plant in the middle."""
+    names = ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
+    return Partition(**{name: np.mean([getattr(plant, name) for plant in plants], axis=0) for name in names})
+
+
+def _strict(vertices: Sequence[Partition], best: Pair, gain: float, P: object, where: str) -> dict[str, float]:
+    """Residuals of the solver's X and Y; raise an UnscalableError where an inequality is not strict."""
+    residual = {"separation of X and Y": best.separation}
+    for vertex in vertices:
+        for name, matrix in inequalities(vertex, best.gamma, best.X, best.Y).items():
+            largest = float(np.linalg.eigvalsh(matrix)[-1])
+            if not largest < 0:
+                raise UnscalableError(
+                    f"{where}: X and Y from the solver violate the {name} at gamma = {best.gamma * gain:.6g} "
+                    f"(largest eigenvalue {largest:.2g}, expected < 0); {CURE}",
+                    P,
+                )
+            key = f"largest eigenvalue of the {name}"
+            residual[key] = max(largest, residual.get(key, -np.inf))
+    return residual
+
+
+def _rough(
+    plants: Sequence[Partition], time_limit: float, P: object, where: str
+) -> tuple[ScaledPlant, list[Partition], Pair]:
+    """Scaled plants whose least gamma is near one, and the solver's first answer for them."""
+    failure: DesignError | None = None
+    centre = plants[0] if len(plants) == 1 else mean_plant(plants)
+
+    def attempt(gain: float) -> tuple[ScaledPlant, list[Partition], Pair]:
+        scaled = autoscale(centre, gain)
+        vertices = [scaled.plant] if len(plants) == 1 else [rescaled(plant, scaled) for plant in plants]
+        return scaled, vertices, minimised(vertices, where=where, time_limit=time_limit, P=P, tolerance=ROUGH)
+
+    for gain in GAINS:
+        try:
+            scaled, vertices, rough = attempt(gain)
+            while not 1 / GAMMA_RANGE <= rough.gamma <= GAMMA_RANGE and LEAST_GAIN < scaled.gain < 1 / LEAST_GAIN:
+                # Far from one gamma is only known roughly: not too far in one step.
+                scaled, vertices, rough = attempt(scaled.gain * float(np.clip(rough.gamma, 1e-3, 1e6)))
+        except TimeLimitError:
+            raise
+        except DesignError as error:
+            failure = failure or error
+            continue
+        return scaled, vertices, rough
+    sigma, word, pole = weakest_mode(autoscale(centre))
+    hint = ""
+    if word and sigma < 1e-4:
+        hint = (
+            f"; nearest to a violated assumption: the mode at {pole.real:.4g}{pole.imag:+.4g}j rad/s is "
+            f"hardly {word} (smallest singular value {sigma:.1g} of the scaled plant)"
+        )
+    assert failure is not None
+    raise type(failure)(f"{failure}{hint}", P) from None
