@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from platform_ctrl.certificates.certificate import Certificate, Verification, proved
-from platform_ctrl.certificates.closed_loop import ClosedLoop
+from platform_ctrl.certificates.closed_loop import ClosedLoop, closed
 from platform_ctrl.certificates.makers import h2_certificate, norm_certificate, stability_certificate
+from platform_ctrl.certificates.plant_set import plant_set_certificates
 
 __all__ = [
     "Certificate",
     "ClosedLoop",
     "Verification",
+    "closed",
     "h2_certificate",
     "norm_certificate",
+    "plant_set_certificates",
     "proved",
     "stability_certificate",
 ]

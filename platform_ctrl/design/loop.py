@@ -13,8 +13,9 @@ from platform_ctrl.analysis.bandwidth import bandwidth
 from platform_ctrl.analysis.feedback import closed_loop_arrays, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
+from platform_ctrl.certificates import Certificate, plant_set_certificates
 from platform_ctrl.design.blocks import Block
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, LoopSpec
 from platform_ctrl.requirements import CheckResult, loop_requirements
@@ -53,6 +54,10 @@ class LoopDesign:
         The loop's limits held against the measures.
     claims
         What the method claims, by name: for example ``gamma``.
+    certificates
+        Proofs that the loop is stable with each of its plants, and of the nominal plant's disk margin.
+    unproved
+        A line for each such claim without a proof.
     """
 
     loop: str
@@ -64,6 +69,8 @@ class LoopDesign:
     measures: LoopMeasures | None = None
     results: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
+    certificates: tuple[Certificate, ...] = ()
+    unproved: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -89,17 +96,18 @@ def certified(
 
     Raises
     ------
-    DesignError
+    NotCertifiedError
         The nominal closed loop is not stable.
     """
     K = StateArrays(*controller, dt=plants.period)
     measures = exact_measures(plants, K)
     if not measures.decay[0] > 0.0:
-        raise DesignError(
+        raise NotCertifiedError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
             f"loop; try {CURES[design.method]}",
             plants,
         )
+    certificates, unproved = plant_set_certificates(plants, K, measures.decay)
     return LoopDesign(
         loop=spec.name,
         name=design.name,
@@ -110,6 +118,8 @@ def certified(
         measures=measures,
         results=judged(spec, design.name, plants, measures),
         claims=claims,
+        certificates=certificates,
+        unproved=unproved,
     )
 
 
@@ -170,6 +180,7 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
     order_out = [list(controller.output_labels).index(q) for q in plants.torques]
     K = StateArrays(K.A, K.B[:, order_in], K.C[order_out], K.D[np.ix_(order_out, order_in)], plants.period)
     measures = exact_measures(plants, K)
+    certificates, unproved = plant_set_certificates(plants, K, measures.decay)
     return LoopDesign(
         loop=spec.name,
         name=name,
@@ -178,6 +189,8 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
         plants=plants,
         measures=measures,
         results=judged(spec, name, plants, measures),
+        certificates=certificates,
+        unproved=unproved,
     )
 
 

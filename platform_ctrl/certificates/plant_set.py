@@ -1,0 +1,77 @@
+"""The certificates of a sampled loop over its plant set: every plant stable, the nominal one with its disk margin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.certificates.certificate import Certificate
+from platform_ctrl.certificates.makers import norm_certificate, stability_certificate
+from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.frozen import FloatArray
+
+
+def plant_set_certificates(
+    plants: PlantSet, controller: StateArrays, decay: FloatArray
+) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
+    """Return what is proved of a loop, and what was measured but could not be proved.
+
+    Parameters
+    ----------
+    plants, controller
+        The loop, u = K y.
+    decay : (N,)
+        As measured: a plant with which the loop is unstable (not above 0) is not claimed to be stable.
+
+    Returns
+    -------
+    certificates
+        That the loop with every plant decays, each at its own rate, in the order of the plants; then, of the nominal
+        plant, the norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
+    unproved
+        A line for each claim without a proof.
+    """
+    proved: list[Certificate] = []
+    unproved: list[str] = []
+    for k in np.flatnonzero(decay > 0.0):
+        A, B, C, D = (x[k] for x in (plants.A, plants.B, plants.C, plants.D))
+        try:
+            proved.append(
+                stability_certificate(A, plants.period, B=B, C=C, D=D, controller=controller, label=plants.labels[k])
+            )
+        except NotCertifiedError as error:
+            unproved.append(str(error))
+    if decay[0] > 0.0:
+        for system, where in zip(sensitivity_plants(plants), ("torques", "pick-offs"), strict=True):
+            label = f"{plants.labels[0]}, (S − T)/2 at the {where}"
+            try:
+                proved.append(norm_certificate(*system, controller=controller, label=label))
+            except NotCertifiedError as error:
+                unproved.append(str(error))
+    return tuple(proved), tuple(unproved)
+
+
+def sensitivity_plants(plants: PlantSet) -> tuple[StateArrays, StateArrays]:
+    """Return the nominal plant with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
+
+    First at the torques: z = u + w/2, where w adds to the torque; then at the pick-offs: z = y − w/2, where w adds to
+    what they measure. (S − T)/2 = S − I/2, and nothing is rounded on the way.
+    """
+    A, B, C, D = (x[0] for x in (plants.A, plants.B, plants.C, plants.D))
+    (p, m), n = D.shape, len(A)
+    torque = StateArrays(
+        A,
+        np.hstack([B, B]),
+        np.vstack([np.zeros((m, n)), C]),
+        np.block([[0.5 * np.eye(m), np.eye(m)], [D, D]]),
+        plants.period,
+    )
+    pickoff = StateArrays(
+        A,
+        np.hstack([np.zeros((n, p)), B]),
+        np.vstack([C, C]),
+        np.block([[0.5 * np.eye(p), D], [np.eye(p), D]]),
+        plants.period,
+    )
+    return torque, pickoff
