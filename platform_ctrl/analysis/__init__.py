@@ -15,6 +15,7 @@ from platform_ctrl.analysis.bandwidth import (
     bandwidth,
     bandwidth_of_response,
 )
+from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
     Gang,
     closed_loop,
@@ -24,6 +25,7 @@ from platform_ctrl.analysis.feedback import (
     sensitivities,
     series_arrays,
 )
+from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
 from platform_ctrl.analysis.joining import joined
 from platform_ctrl.analysis.margins import DiskMargin, LoopMargins, disk_margin, disk_to_gain_phase, loop_margins
 from platform_ctrl.analysis.norms import (
@@ -33,7 +35,8 @@ from platform_ctrl.analysis.norms import (
     noise_rms,
     noise_rms_arrays,
 )
-from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
+from platform_ctrl.analysis.plant_set import PlantSet, plant_set
 from platform_ctrl.analysis.poles import (
     Damping,
     continuous_poles,
@@ -60,6 +63,7 @@ from platform_ctrl.analysis.sampled import (
 )
 
 __all__ = [
+    "Channel",
     "Damping",
     "DiskMargin",
     "Gang",
@@ -78,12 +82,15 @@ __all__ = [
     "damping_ratio",
     "disk_margin",
     "disk_to_gain_phase",
+    "exact_measures",
     "frequency_response",
     "frequency_response_arrays",
     "gang",
     "h2_norm",
     "hinf_norm",
     "hinf_norm_arrays",
+    "intersample_h2",
+    "intersample_norm",
     "is_stable",
     "joined",
     "loop_margins",
@@ -92,6 +99,7 @@ __all__ = [
     "minimum_damping",
     "noise_rms",
     "noise_rms_arrays",
+    "plant_set",
     "pole_arrays",
     "poles",
     "response_arrays",

@@ -82,7 +82,8 @@ def hinf_norm_arrays(
         return float(np.linalg.norm(D, 2)), 0.0
     A, B, C = scaled(A, B, C)
     s = continuous_poles(pole_arrays(A), dt)
-    on_axis = np.flatnonzero(np.abs(s.real) <= 1e-14 * np.abs(s))
+    # A pole at z = 0 is infinitely fast, not on the boundary.
+    on_axis = np.flatnonzero(np.isfinite(s) & (np.abs(s.real) <= 1e-14 * np.abs(s)))
     if on_axis.size:
         return math.inf, float(np.abs(s[on_axis[0]].imag))
     system = StateArrays(A, B, C, D, dt)

@@ -1,0 +1,287 @@
+"""One period of a sampled loop as one step: the lifted plant, equivalent in norm to continuous w and z.
+
+For a level γ the worst w of a period solves a linear-quadratic problem whose Hamiltonian maps state and costate over
+the period. Its three blocks A, G, Q are those of a discrete plant in which γ has become 1 (Bamieh and Pearson, Systems
+& Control Letters 18, 1992; Kabamba and Hara, IEEE Trans. Autom. Control 38, 1993). Instead of one long matrix
+exponential short ones are joined two by two: that keeps every number moderate, and shows at once where γ is too small
+for the period alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
+from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.arguments import positive, short
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+# Short enough that the exponential of the Hamiltonian over it is near the identity: no conjugate point inside.
+_SHORT = 0.4
+# Beyond so many of these a period is no period of this plant.
+_LONGEST = 1e15
+
+
+class PeriodExceedsLevel(Exception):
+    """Within a single period z is larger than the level allows: the level lies below the norm."""
+
+
+class SampledPlant(NamedTuple):
+    """A continuous plant with inputs [w, u] and outputs [z, y] in a sampled loop; see `sampled_plant`."""
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    D12: FloatArray
+    D22: FloatArray
+    period: float
+    whole: int
+    part: float
+
+    @property
+    def reach(self) -> int:
+        """Number of past controls that still act in a period."""
+        return self.whole + (1 if self.part > 0.0 else 0)
+
+
+class Step(NamedTuple):
+    """What a stretch of time does to the state v and the costate λ of ∫ z'z − w'w: v₁ = A v₀ + G λ₁, λ₀ = Q v₀ + A' λ₁.
+
+    G and Q are positive semidefinite: w reaches G^(1/2), and Q^(1/2) v₀ is what the worst w makes of v₀.
+    """
+
+    A: FloatArray
+    G: FloatArray
+    Q: FloatArray
+
+
+def sampled_plant(
+    P: control.StateSpace, nmeas: int, ncon: int, period: float, delay: float, where: str
+) -> SampledPlant:
+    """Split a continuous plant at its last `nmeas` outputs and `ncon` inputs; judge the sampler's and hold's data.
+
+    Raises
+    ------
+    ArgumentError
+        In the name of `where`.
+    """
+    A, B, C, D, dt = state_arrays(P, f"{where} (P)")
+    if dt != 0.0:
+        raise ArgumentError(
+            f"{where}: P has dt = {dt} s, expected a continuous plant; sampling is part of the analysis"
+        )
+    for name, number, total, what in (("nmeas", nmeas, C.shape[0], "outputs"), ("ncon", ncon, B.shape[1], "inputs")):
+        if not (isinstance(number, int | np.integer) and 1 <= number <= total):
+            raise ArgumentError(f"{where}: {name} = {short(number)}; P has {total} {what}, expected 1 to {total}")
+    period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)
+    whole = math.floor(delay / period + 1e-9)
+    part = delay / period - whole
+    part = 0.0 if part < 1e-9 else part
+    nz, nw = C.shape[0] - nmeas, B.shape[1] - ncon
+    D21 = D[nz:, :nw]
+    if np.any(D21):
+        row, column = np.argwhere(D21)[0]
+        raise ArgumentError(
+            f"{where}: {P.output_labels[nz + row]} has a direct path from {P.input_labels[column]} (D21 is not zero): "
+            "an ideal sampler has no finite norm there; put an anti-alias filter in front of the sampler"
+        )
+    return SampledPlant(
+        A, B[:, :nw], B[:, nw:], C[:nz], C[nz:], D[:nz, :nw], D[:nz, nw:], D[nz:, nw:], period, whole, part
+    )  # fmt: skip
+
+
+def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
+    """Return the discrete plant that stands for one period at a level γ.
+
+    Inputs [w, u], outputs [z, y]; a controller makes its norm from w to z less than one exactly if it makes
+    that of the sampled-data loop less than γ. At an infinite level w and z are instead scaled to one, so that the
+    products B B' and C' C are the Gramians of the period.
+
+    States: those of the plant, balanced, then the controls u[k-1], u[k-2], ... that the delay needs.
+
+    Raises
+    ------
+    PeriodExceedsLevel
+        The level lies below the norm, whatever the controller.
+    """
+    A, B1, B2, C1, C2, D11, D12, D22, period, _, part = plant
+    n, m, p = len(A), B2.shape[1], len(C2)
+    finite = math.isfinite(level)
+    root = math.sqrt(level) if finite else 1.0
+    if finite and D11.size and np.linalg.norm(D11, 2) >= level:
+        raise PeriodExceedsLevel
+    s = state_scaling(A, B1 / root, C1 / root)
+    A, B1, B2, C1, C2 = A * s / s[:, None], B1 / s[:, None] / root, B2 / s[:, None], C1 * s / root, C2 * s
+    D11, D12 = D11 / level, D12 / root
+    # The unit of a control is what it does to the states in a period, or to z at once.
+    unit = np.maximum(np.abs(B2).max(axis=0, initial=0.0) * period, np.abs(D12).max(axis=0, initial=0.0))
+    unit = np.where(unit > 0.0, 1.0 / np.where(unit > 0.0, unit, 1.0), 1.0)
+    late = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, (1.0 - part) * period, finite)
+    # v = [x, u₁, u₂]: u₁ acts before the delay's fractional part is over, u₂ after it.
+    first, second = list(range(n + m)), [*range(n), *range(n + m, n + 2 * m)]
+    whole = _embedded(late, second, n + 2 * m)
+    if part > 0.0:
+        early = _stretch(A, B1, B2 * unit, C1, D11, D12 * unit, part * period, finite)
+        whole = _joined(_embedded(early, first, n + 2 * m), whole, finite)
+    reach = plant.reach
+    size = n + reach * m
+    into = np.zeros((n + 2 * m, size + m))
+    into[:n, :n] = np.eye(n)
+    # Controls in the order [u[k-1], ..., u[k-reach], u[k]] behind x; u[k - j] as a column of `into`.
+    column = [size if j == 0 else n + (j - 1) * m for j in range(reach + 1)]
+    if part > 0.0:
+        into[n : n + m, column[plant.whole + 1] : column[plant.whole + 1] + m] = np.diag(1.0 / unit)
+    into[n + m :, column[plant.whole] : column[plant.whole] + m] = np.diag(1.0 / unit)
+    B_w = _factor(whole.G[:n, :n])
+    C_z = _factor(whole.Q).T @ into
+    state = np.zeros((size, size + m))
+    state[:n] = whole.A[:n] @ into
+    for j in range(reach):
+        state[n + j * m : n + (j + 1) * m, column[j] : column[j] + m] = np.eye(m)
+    y = np.zeros((p, size + m))
+    y[:, :n] = C2
+    y[:, column[reach] : column[reach] + m] += D22
+    nw, nz = B_w.shape[1], len(C_z)
+    return StateArrays(
+        A=state[:, :size],
+        B=np.hstack([np.vstack([B_w, np.zeros((reach * m, nw))]), state[:, size:]]),
+        C=np.vstack([C_z, y])[:, :size],
+        D=np.hstack([np.zeros((nz + p, nw)), np.vstack([C_z, y])[:, size:]]),
+        dt=period,
+    )
+
+
+def close(
+    lifted: StateArrays, plant: SampledPlant, controller: StateArrays
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C, D from w to z of a lifted plant with u = K y."""
+    m, p = plant.B2.shape[1], len(plant.C2)
+    nw, nz = lifted.B.shape[1] - m, len(lifted.C) - p
+    A, B, C, D = closed_loop_arrays(*lifted[:4], *controller[:4], torques=range(nw, nw + m), angles=range(nz, nz + p))
+    return A, B[:, :nw], C[m : m + nz], D[m : m + nz, :nw]
+
+
+def _stretch(
+    A: FloatArray,
+    B1: FloatArray,
+    B2: FloatArray,
+    C1: FloatArray,
+    D11: FloatArray,
+    D12: FloatArray,
+    duration: float,
+    finite: bool,
+) -> Step:
+    """Return the step over `duration` of the state [x, u], u held."""
+    n, m = B2.shape
+    F, B, C = np.zeros((n + m, n + m)), np.zeros((n + m, B1.shape[1])), np.hstack([C1, D12])
+    F[:n, :n], F[:n, n:] = A, B2
+    B[:n] = B1
+    if not finite:
+        return _repeated(*_halved(F, B @ B.T, C.T @ C, duration, level=False), finite)
+    inverse = np.linalg.inv(np.eye(D11.shape[1]) - D11.T @ D11)
+    F = F + B @ inverse @ D11.T @ C
+    G, Q = B @ inverse @ B.T, C.T @ (np.eye(len(C)) + D11 @ inverse @ D11.T) @ C
+    return _repeated(*_halved(F, G, Q, duration, level=True), finite)
+
+
+def _halved(F: FloatArray, G: FloatArray, Q: FloatArray, duration: float, level: bool) -> tuple[Step, int]:
+    """Return the step over duration/2^k, short enough for one exponential, and k."""
+    from scipy.linalg import expm
+
+    size = len(F)
+    none = np.zeros((size, size))
+    hamiltonian = np.block([[F, G], [-Q if level else none, -F.T]])
+    long = float(np.linalg.norm(np.block([[F, G], [Q, F.T]]), 1)) * duration
+    if not long < _LONGEST:
+        raise PeriodExceedsLevel
+    doublings = max(0, math.ceil(math.log2(long / _SHORT))) if long > 0.0 else 0
+    h = duration / 2.0**doublings
+    phi = expm(hamiltonian * h)
+    if level:
+        back = np.linalg.inv(phi[size:, size:])
+        return Step(back.T, _symmetric(phi[:size, size:] @ back), _symmetric(-back @ phi[size:, :size])), doublings
+    A = phi[:size, :size]
+    seen = expm(np.block([[-F.T, Q], [none, F]]) * h)[:size, size:]
+    return Step(A, _symmetric(phi[:size, size:] @ A.T), _symmetric(A.T @ seen)), doublings
+
+
+def _repeated(step: Step, doublings: int, finite: bool) -> Step:
+    for _ in range(doublings):
+        step = _joined(step, step, finite)
+    return step
+
+
+def _joined(first: Step, second: Step, finite: bool) -> Step:
+    """Return one step after the other; at an infinite level G and Q are Gramians and add up."""
+    middle, G, Q = np.eye(len(first.A)), first.G, second.Q
+    if finite:
+        # The eigenvalues of G Q are those of the symmetric B' Q B with G = B B'.
+        B = _factor(first.G)
+        gain = _symmetric(B.T @ second.Q @ B)
+        if gain.size and not np.linalg.eigvalsh(gain)[-1] < 1.0:
+            raise PeriodExceedsLevel
+        # (I − G Q)⁻¹ = I + B (I − B' Q B)⁻¹ B' Q: the symmetric core keeps G and Q of the whole positive.
+        core = np.linalg.inv(np.eye(len(gain)) - gain)
+        seen = second.Q @ B
+        middle, G, Q = middle + B @ core @ seen.T, B @ core @ B.T, second.Q + seen @ core @ seen.T
+    return Step(
+        second.A @ middle @ first.A,
+        _symmetric(second.G + second.A @ G @ second.A.T),
+        _symmetric(first.Q + first.A.T @ Q @ first.A),
+    )
+
+
+def _embedded(step: Step, where: list[int], size: int) -> Step:
+    """Return the step for a longer state of which it moves the entries `where`; the others stay."""
+    A, G, Q = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
+    index = np.ix_(where, where)
+    A[index], G[index], Q[index] = step.A, step.G, step.Q
+    return Step(A, G, Q)
+
+
+def _factor(square: FloatArray) -> FloatArray:
+    """Return B with B B' = a positive semidefinite matrix, one column for each direction above rounding."""
+    if square.size == 0:
+        return np.zeros((len(square), 0))
+    values, vectors = np.linalg.eigh(square)
+    kept = values > len(square) * np.finfo(float).eps * max(float(values[-1]), 0.0)
+    out: FloatArray = vectors[:, kept] * np.sqrt(values[kept])
+    return out
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    out: FloatArray = 0.5 * (matrix + matrix.T)
+    return out
+
+
+def period_noise(plant: SampledPlant) -> float:
+    """Return ∫₀ᵀ ∫₀ᵗ ‖C1 exp(A s) B1‖² ds dt: what the noise of a period does to z before the period is over."""
+    A, B1, C1 = plant.A, plant.B1, plant.C1
+    n = len(A)
+    if n == 0:
+        return 0.0
+    s = state_scaling(A, B1, C1)
+    A, B1, C1 = A * s / s[:, None], B1 / s[:, None], C1 * s
+    from scipy.linalg import expm
+
+    step, doublings = _halved(A, B1 @ B1.T, C1.T @ C1, plant.period, level=False)
+    h = plant.period / 2.0**doublings
+    # ∫₀ʰ (h − s) ‖C1 exp(A s) B1‖² ds over so short a time: Gauss's rule is exact to rounding.
+    node, weight = np.polynomial.legendre.leggauss(10)
+    at = 0.5 * h * (node + 1.0)
+    response = C1 @ expm(A * at[:, None, None]) @ B1
+    out = 0.5 * h * float(np.sum(weight * (h - at) * np.sum(response**2, axis=(-2, -1))))
+    for _ in range(doublings):
+        out = 2.0 * out + float(np.sum(step.Q * step.G))
+        step = _joined(step, step, finite=False)
+    return out
