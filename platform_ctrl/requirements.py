@@ -1,17 +1,30 @@
 """What a loop must do: one object that tunes, verifies, tests and reports.
 
-A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense.
+A requirement turns a measured value into a ratio that is at most 1 when it is met, whatever its sense. It is held
+against a plant set and a controller (`LoopRequirement.check`), against a closed loop with named signals
+(`LoopRequirement.check_closed_loop`), or against figures that were measured already (`LoopRequirement.ratios`).
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import Group, LoopMeasures
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, controller_gain, fastest
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
+from platform_ctrl.analysis.plant_set import Group, PlantSet
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
+from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import LoopLimits
+
+if TYPE_CHECKING:
+    import control
 
 Sense = Literal["at least", "at most"]
 Stage = Literal["decoupled", "coupled", "simulated"]
@@ -36,6 +49,28 @@ Kind = Literal[
 NOMINAL: tuple[Group, ...] = ("nominal",)
 SPREAD: tuple[Group, ...] = ("nominal", "spread", "Omega")
 FAULTS: tuple[Group, ...] = ("nominal", "faults")
+
+# What each kind is called where it is judged, its unit, its sense.
+_WORDS: dict[Kind, tuple[str, str, Sense]] = {
+    "stability": ("slowest decay", "1/s", "at least"),
+    "damping": ("damping", "", "at least"),
+    "fastest pole": ("fastest pole", "rad/s", "at most"),
+    "bandwidth": ("bandwidth", "Hz", "at least"),
+    "disk margin": ("disk margin", "", "at least"),
+    "sensitivity peak": ("sensitivity peak", "", "at most"),
+    "complementary peak": ("complementary peak", "", "at most"),
+    "tracking": ("tracking error", "", "at most"),
+    "Omega rejection": ("angle from Omega", "rad s/rad", "at most"),
+    "torque rejection": ("angle from torque", "rad/(N m)", "at most"),
+    "torque noise": ("torque noise, rms", "N m", "at most"),
+    "torque limit": ("torque at full Omega over its limit", "", "at most"),
+    "H-infinity norm": ("H-infinity norm", "", "at most"),
+    "H2 norm": ("H2 norm", "", "at most"),
+    "controller poles": ("fastest pole of the controller", "rad/s", "at most"),
+    "controller gain": ("gain of the controller", "N m/rad", "at most"),
+}
+# Kinds that a closed loop answers by itself, without knowing which of its signals are torques and angles.
+_OF_CLOSED_LOOP = ("stability", "damping", "fastest pole", "H-infinity norm", "H2 norm")
 
 
 @value
@@ -90,7 +125,7 @@ class Requirement:
     name
         The figure, in the field's words.
     limit, unit, sense
-        The bound.
+        The bound, > 0.
     hard
         Whether it has to be met; a soft one is a goal, made as small as the hard ones allow.
     """
@@ -103,6 +138,7 @@ class Requirement:
 
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when `measured` meets the bound; infinite when it is no number."""
+        measured = float(measured)
         if not np.isfinite(measured):
             return float("inf")
         if self.sense == "at most":
@@ -110,10 +146,8 @@ class Requirement:
         return self.limit / measured if measured > 0.0 else float("inf")
 
     def judge(self, measured: float, *, subject: str, stage: Stage, evidence: str, design: str = "") -> CheckResult:
-        """Hold `measured` against the bound."""
-        passed = bool(np.isfinite(measured)) and (
-            measured <= self.limit if self.sense == "at most" else measured >= self.limit
-        )
+        """Hold `measured` against the bound: met where the ratio is at most 1."""
+        ratio = self.ratio(measured)
         return CheckResult(
             name=self.name,
             subject=subject,
@@ -122,8 +156,8 @@ class Requirement:
             limit=self.limit,
             unit=self.unit,
             sense=self.sense,
-            ratio=self.ratio(measured),
-            passed=passed,
+            ratio=ratio,
+            passed=ratio <= 1.0,
             stage=stage,
             evidence=evidence,
             hard=self.hard,
@@ -136,7 +170,7 @@ STABLE = Requirement(name="slowest decay", limit=0.05, unit="1/s", sense="at lea
 
 @value
 class LoopRequirement(Requirement):
-    """A bound on a figure of one loop, of the nominal plant or of several plants of a set.
+    """A bound on a figure of one loop, of the nominal plant or of several plants of a set; see `requirement`.
 
     Attributes
     ----------
@@ -147,11 +181,14 @@ class LoopRequirement(Requirement):
     frequency
         "tracking": up to which frequency, rad/s. "controller gain": from which frequency on; None: from a tenth of the
         nutation frequency.
+    channel
+        "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
     """
 
     kind: Kind
     over: tuple[Group, ...] = NOMINAL
     frequency: float | None = None
+    channel: Channel | None = None
 
     @property
     def over_spread(self) -> bool:
@@ -159,41 +196,237 @@ class LoopRequirement(Requirement):
         return any(group != "nominal" for group in self.over)
 
     def figures(self, measures: LoopMeasures) -> FloatArray:
-        """Return the figures that this bound is held against, one or several."""
-        chosen = measures.of(self.over)
-        if self.kind == "bandwidth":
-            return np.array([measures.bandwidth / (2.0 * np.pi)])
-        if self.kind == "torque noise":
-            return measures.torque_noise
-        by_plant: dict[str, FloatArray] = {
-            "stability": measures.decay,
-            "disk margin": measures.disk_margin,
-            "damping": measures.damping,
-        }
-        out: FloatArray = by_plant[self.kind][chosen]
-        return out
+        """Return the figures that this bound is held against, one or several.
+
+        Raises
+        ------
+        ArgumentError
+            `measures` were taken without this requirement.
+        """
+        return measures.figures(self)
 
     def ratios(self, measures: LoopMeasures) -> FloatArray:
         """Return a ratio for every figure."""
         return np.array([self.ratio(float(figure)) for figure in self.figures(measures)])
 
+    def result(self, plants: PlantSet, measures: LoopMeasures, *, subject: str = "", design: str = "") -> CheckResult:
+        """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from."""
+        figures = self.figures(measures)
+        worst = int(figures.argmax() if self.sense == "at most" else figures.argmin())
+        if self.kind in OF_CONTROLLER:
+            where = "controller"
+        elif self.kind == "torque noise" and not self.over_spread:
+            where = f"torquer {plants.torques[worst]}"
+        elif self.over_spread:
+            where = plants.labels[np.flatnonzero(measures.of(self.over))[worst]]
+        else:
+            where = "nominal plant"
+        return self.judge(
+            float(figures[worst]),
+            subject=subject,
+            design=design,
+            stage="decoupled",
+            evidence=f"{where}; {len(plants.labels)} plants, sampled with delay and torquer lag",
+        )
+
+    def check(
+        self, plants: PlantSet, controller: control.StateSpace | StateArrays, *, subject: str = "", design: str = ""
+    ) -> CheckResult:
+        """Close `controller` around the plants and judge, peaks as norms: ``assert requirement.check(...).passed``.
+
+        Parameters
+        ----------
+        plants
+            The plants.
+        controller
+            u = K y with the set's sample period. A `control.StateSpace` is joined by its signals' names.
+        subject, design
+            Names for the result.
+
+        Raises
+        ------
+        ArgumentError
+            The controller does not fit the plants, or a channel names a signal that the closed loops do not have.
+        """
+        K = plants.joined(controller)
+        return self.result(plants, exact_measures(plants, K, (self,)), subject=subject, design=design)
+
+    def check_closed_loop(
+        self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
+    ) -> CheckResult:
+        """Judge a loop that is closed already, as a synthesis or `analysis.closed_loop` returns it.
+
+        Parameters
+        ----------
+        closed_loop
+            Continuous or sampled; a channel finds its signals by name.
+        subject, design
+            Names for the result.
+        above
+            "damping": poles slower than this, rad/s, do not count.
+
+        Raises
+        ------
+        ArgumentError
+            A kind that needs to know which signals are torques and angles, or a channel that does not fit.
+        """
+        one_of("check_closed_loop: kind", self.kind, _OF_CLOSED_LOOP)
+        arrays = state_arrays(closed_loop, "check_closed_loop")
+        z = pole_arrays(arrays.A)
+        decay = float(-spectral_abscissa(continuous_poles(z, arrays.dt)))
+        if self.kind == "stability":
+            found = decay
+        elif self.kind == "damping":
+            found = float(minimum_damping(z, above, arrays.dt))
+        elif self.kind == "fastest pole":
+            found = float(fastest(z, arrays.dt))
+        else:
+            channel = self.channel or Channel()
+            part = channel.of(arrays, closed_loop.input_labels, closed_loop.output_labels)
+            found = _norm(self.kind, part) if decay > 0.0 else float("inf")
+        evidence = f"closed loop with {arrays.A.shape[0]} states"
+        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence)
+
+    def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
+        """Judge a controller by itself: kinds "controller poles" and "controller gain" (from `frequency` on).
+
+        Raises
+        ------
+        ArgumentError
+            Another kind.
+        """
+        one_of("check_controller: kind", self.kind, sorted(OF_CONTROLLER))
+        K = state_arrays(controller, "check_controller")
+        if self.kind == "controller poles":
+            found = float(fastest(pole_arrays(K.A), K.dt))
+        else:
+            found = controller_gain(K, self.frequency or 0.0, np.zeros(0))
+        evidence = f"controller with {K.A.shape[0]} states"
+        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence)
+
+
+def requirement(
+    kind: Kind,
+    limit: float,
+    *,
+    over: tuple[Group, ...] = NOMINAL,
+    hard: bool = True,
+    frequency: float | None = None,
+    channel: Channel | None = None,
+    name: str | None = None,
+) -> LoopRequirement:
+    """Return a bound on a figure of a loop; the kind brings name, unit and sense.
+
+    Parameters
+    ----------
+    kind
+        ``"stability"`` (decay of the slowest pole, 1/s, at least), ``"damping"`` (at least), ``"fastest pole"``
+        (rad/s, in the w-plane of a sampled loop): together a pole region. ``"bandwidth"`` (Hz, at least), ``"disk
+        margin"`` (at least), ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and
+        output). ``"tracking"``: σ(S) at the plant's output up to `frequency`. ``"Omega rejection"``, ``"torque
+        rejection"``: peak gain from the platform's rate and from disturbing torques to the angles. ``"torque
+        noise"``: rms from pick-off noise, N m, of the worst torquer. ``"torque limit"``: torque amplitude over the
+        torquer's limit, for any sinusoidal platform rate in the ellipsoid with half-axes Omega. ``"H-infinity norm"``,
+        ``"H2 norm"`` of `channel`. ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad). All without a word
+        of their own: at most.
+    limit
+        > 0.
+    over
+        Of which groups of plants: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
+    hard
+        False for a goal.
+    frequency
+        rad/s, see `LoopRequirement`; required for "tracking".
+    channel
+        See `LoopRequirement`.
+    name
+        Instead of the kind's own.
+
+    Raises
+    ------
+    ArgumentError
+        An unknown kind or group, a limit that is not > 0, or a frequency or channel that is missing or means nothing.
+    """
+    one_of("requirement: kind", kind, get_args(Kind))
+    over = tuple(over)
+    for group in over or ("none",):
+        one_of("requirement: over", group, get_args(Group))
+    if kind == "tracking" and frequency is None:
+        raise ArgumentError("requirement: tracking without frequency; expected up to which frequency in rad/s")
+    if frequency is not None:
+        one_of("requirement: kind with a frequency", kind, ("tracking", "controller gain"))
+        frequency = positive("requirement: frequency", frequency)
+    if channel is not None:
+        one_of("requirement: kind with a channel", kind, ("H-infinity norm", "H2 norm"))
+    words, unit, sense = _WORDS[kind]
+    return LoopRequirement(
+        name=words if name is None else name,
+        limit=positive("requirement: limit", limit),
+        unit=unit,
+        sense=sense,
+        hard=hard,
+        kind=kind,
+        over=over,
+        frequency=frequency,
+        channel=channel,
+    )
+
 
 def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
-    """Return what `limits` ask of a loop; stability of every plant is always asked."""
+    """Return what `limits` ask of a loop; stability of every plant that something is asked of is always asked."""
+    always = [
+        requirement("stability", STABLE.limit),
+        requirement("stability", STABLE.limit, over=SPREAD, name="slowest decay over the spread"),
+    ]
+    if any(limit is not None for limit in (limits.disk_margin_faults, limits.damping_faults)):
+        always.append(requirement("stability", STABLE.limit, over=FAULTS, name="slowest decay with a fault"))
+    return (*always, *_asked(limits, hard=True))
+
+
+def hard_and_soft(
+    limits: LoopLimits, soft: LoopLimits
+) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:
+    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on."""
+    return loop_requirements(limits), _asked(soft, hard=False)
+
+
+def _asked(limits: LoopLimits, hard: bool) -> tuple[LoopRequirement, ...]:
     asked: list[LoopRequirement] = []
 
-    def ask(
-        name: str, limit: float | None, unit: str, sense: Sense, kind: Kind, over: tuple[Group, ...] = NOMINAL
-    ) -> None:
-        if limit is not None:
-            asked.append(LoopRequirement(name=name, limit=limit, unit=unit, sense=sense, kind=kind, over=over))
+    def ask(kind: Kind, limit: float | None, over: tuple[Group, ...] = NOMINAL, frequency: float | None = None) -> None:
+        if limit is None:
+            return
+        name = _WORDS[kind][0] + {NOMINAL: "", SPREAD: " over the spread", FAULTS: " with a fault"}[over]
+        name = name if hard else f"goal: {name}"
+        asked.append(requirement(kind, limit, over=over, hard=hard, frequency=frequency, name=name))
 
-    ask("slowest decay", STABLE.limit, STABLE.unit, STABLE.sense, "stability")
-    ask("slowest decay over the spread", STABLE.limit, STABLE.unit, STABLE.sense, "stability", SPREAD)
-    ask("bandwidth", limits.bandwidth_hz, "Hz", "at least", "bandwidth")
-    ask("disk margin", limits.disk_margin, "", "at least", "disk margin")
-    ask("damping", limits.damping, "", "at least", "damping")
-    ask("torque noise, rms", limits.torque_noise, "N m", "at most", "torque noise")
-    ask("disk margin over the spread", limits.disk_margin_spread, "", "at least", "disk margin", SPREAD)
-    ask("damping over the spread", limits.damping_spread, "", "at least", "damping", SPREAD)
+    ask("bandwidth", limits.bandwidth_hz)
+    ask("disk margin", limits.disk_margin)
+    ask("sensitivity peak", limits.sensitivity_peak)
+    ask("complementary peak", limits.complementary_peak)
+    ask("damping", limits.damping)
+    ask("fastest pole", limits.fastest_pole)
+    ask("tracking", limits.tracking, frequency=2.0 * np.pi * (limits.tracking_hz or 0.0) or None)
+    ask("Omega rejection", limits.Omega_rejection)
+    ask("torque rejection", limits.torque_rejection)
+    ask("torque noise", limits.torque_noise)
+    ask("torque limit", limits.torque_limit)
+    ask("controller poles", limits.controller_poles)
+    ask("controller gain", limits.controller_gain)
+    ask("disk margin", limits.disk_margin_spread, SPREAD)
+    ask("sensitivity peak", limits.sensitivity_peak_spread, SPREAD)
+    ask("complementary peak", limits.complementary_peak_spread, SPREAD)
+    ask("damping", limits.damping_spread, SPREAD)
+    ask("disk margin", limits.disk_margin_faults, FAULTS)
+    ask("damping", limits.damping_faults, FAULTS)
     return tuple(asked)
+
+
+def _norm(kind: Kind, part: StateArrays) -> float:
+    if kind == "H-infinity norm":
+        return hinf_norm_arrays(*part)[0]
+    if part.dt == 0.0 and np.any(part.D):
+        return float("inf")
+    import control
+
+    return h2_norm(control.StateSpace(*part[:4], part.dt, remove_useless_states=False))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 
 from platform_ctrl.analysis.arrays import StateArrays, state_space
-from platform_ctrl.analysis.plant_set import measure
+from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.blocks import first_order, gain, notch, series, side_by_side, stacked
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller, starting_values

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.plant_set import measure
+from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.hinf_loop import default_options, hinf_controller, weighted_plant
 from platform_ctrl.design.loop import certified

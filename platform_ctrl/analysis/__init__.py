@@ -27,6 +27,7 @@ from platform_ctrl.analysis.feedback import (
 )
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
 from platform_ctrl.analysis.joining import joined
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.margins import DiskMargin, LoopMargins, disk_margin, disk_to_gain_phase, loop_margins
 from platform_ctrl.analysis.norms import (
     h2_norm,
@@ -35,8 +36,7 @@ from platform_ctrl.analysis.norms import (
     noise_rms,
     noise_rms_arrays,
 )
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
-from platform_ctrl.analysis.plant_set import PlantSet, plant_set
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     Damping,
     continuous_poles,
@@ -99,7 +99,6 @@ __all__ = [
     "minimum_damping",
     "noise_rms",
     "noise_rms_arrays",
-    "plant_set",
     "pole_arrays",
     "poles",
     "response_arrays",

@@ -1,20 +1,20 @@
-"""Several sampled plants at once, and what a controller makes of them: the figures that requirements ask for."""
+"""Several sampled plants of one loop at once: what a controller has to stand."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.bandwidth import bandwidth_of_response
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
-from platform_ctrl.analysis.norms import noise_rms_arrays
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    import control
 
 # What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
 Group = Literal["nominal", "spread", "Omega", "faults"]
@@ -71,6 +71,33 @@ class PlantSet:
     response: ComplexArray
     Omega_response: ComplexArray
 
+    def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
+        """Return the arrays of a controller in the order of this set's angles and torques.
+
+        Raises
+        ------
+        ArgumentError
+            Other signals (a `control.StateSpace` is joined by their names), sizes or sample period.
+        """
+        K = controller if isinstance(controller, StateArrays) else state_arrays(controller, "controller")
+        if abs(K.dt - self.period) > 1e-9 * self.period:
+            raise ArgumentError(f"controller: has dt = {K.dt} s, the plants {self.period} s; expected the same")
+        if not isinstance(controller, StateArrays):
+            columns, rows = list(controller.input_labels), list(controller.output_labels)
+            if set(columns) != set(self.angles) or set(rows) != set(self.torques):
+                raise ArgumentError(
+                    f"controller: has inputs {columns} and outputs {rows}; expected {list(self.angles)} and "
+                    f"{list(self.torques)}"
+                )
+            at, of = [columns.index(name) for name in self.angles], [rows.index(name) for name in self.torques]
+            K = StateArrays(K.A, K.B[:, at], K.C[of], K.D[np.ix_(of, at)], K.dt)
+        if K.D.shape != (len(self.torques), len(self.angles)):
+            raise ArgumentError(
+                f"controller: has {K.D.shape[1]} inputs and {K.D.shape[0]} outputs; expected {len(self.angles)} and "
+                f"{len(self.torques)}"
+            )
+        return K
+
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices)."""
         index = np.asarray(chosen, dtype=np.intp)
@@ -86,39 +113,6 @@ class PlantSet:
             response=self.response[index],
             Omega_response=self.Omega_response[index],
         )
-
-
-@value
-class LoopMeasures:
-    """What a controller does to a plant set.
-
-    Attributes
-    ----------
-    bandwidth
-        Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches
-        1/sqrt(2), rad/s.
-    disk_margin : (N,)
-        1/‖(S − T)/2‖, all channels at once, the smaller of input and output; 0 where the loop is unstable.
-    damping : (N,)
-        Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
-    decay : (N,)
-        Decay rate of the slowest closed-loop pole, 1/s; negative where the loop is unstable.
-    torque_noise : (m,)
-        Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
-    groups
-        What each plant stands for, as in `PlantSet`.
-    """
-
-    bandwidth: float
-    disk_margin: FloatArray
-    damping: FloatArray
-    decay: FloatArray
-    torque_noise: FloatArray
-    groups: tuple[Group, ...]
-
-    def of(self, groups: Sequence[Group]) -> FloatArray:
-        """Return which plants belong to `groups`, truth values (N,)."""
-        return np.array([group in groups for group in self.groups], dtype=np.bool_)
 
 
 def tuning_grid(nutation: float, period: float) -> FloatArray:
@@ -153,7 +147,7 @@ def plant_set(
     does not turn and the torquers have no limits.
     """
     grid = tuning_grid(nutation, plants.dt)
-    others: tuple[Group, ...] = ("spread",) * (len(labels) - 1)
+    others: list[Group] = ["spread" for _ in labels[1:]]
     B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
     D_Omega = np.zeros((*plants.D.shape[:-1], 3))
     return PlantSet(
@@ -175,35 +169,3 @@ def plant_set(
         response=frequency_response_arrays(*plants, grid),
         Omega_response=frequency_response_arrays(plants.A, B_Omega, plants.C, D_Omega, plants.dt, grid),
     )
-
-
-def measure(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
-    """Measure `controller` (u = K y, same period) on every plant, on the set's frequency grid.
-
-    Margins between grid points are missed: certify with the norms of the closed loop.
-    """
-    K = frequency_response_arrays(*controller, plants.frequency)
-    p, m = plants.C.shape[-2], plants.B.shape[-1]
-    S_output, _ = sensitivities(-plants.response @ K)
-    # At the input S = I + K S_output P: one inverse serves both.
-    S_input = np.asarray(np.eye(m) + K @ S_output @ plants.response, dtype=np.complex128)
-    peak = np.maximum(_largest(S_output - 0.5 * np.eye(p)), _largest(S_input - 0.5 * np.eye(m)))
-    A, B, C, D = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *controller[:4])
-    poles = pole_arrays(A)
-    decay = -spectral_abscissa(continuous_poles(poles, plants.period))
-    torque_noise = noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], plants.noise)
-    return LoopMeasures(
-        bandwidth=float(min(bandwidth_of_response(plants.frequency, S[0]) for S in (S_output, S_input))),
-        disk_margin=np.where(decay > 0.0, 1.0 / peak.max(axis=-1), 0.0),
-        damping=minimum_damping(poles, plants.nutation / 10.0, plants.period),
-        decay=decay,
-        torque_noise=torque_noise,
-        groups=plants.groups,
-    )
-
-
-def _largest(matrices: ComplexArray) -> FloatArray:
-    """Largest singular values, (...): from the Hermitian square, which is faster in batches."""
-    square = matrices.conj().swapaxes(-1, -2) @ matrices
-    out: FloatArray = np.sqrt(np.linalg.eigvalsh(square)[..., -1])
-    return out

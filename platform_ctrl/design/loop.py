@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
-from platform_ctrl.analysis.bandwidth import bandwidth
-from platform_ctrl.analysis.feedback import closed_loop_arrays, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import hinf_norm_arrays
-from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
+from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.certificates import Certificate, plant_set_certificates
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, LoopSpec
-from platform_ctrl.requirements import CheckResult, loop_requirements
+from platform_ctrl.requirements import CheckResult, LoopRequirement, hard_and_soft
 
 if TYPE_CHECKING:
     import control
@@ -29,9 +27,6 @@ CURES = {
     "hinf": "a lower bandwidth_hz, or a larger backoff",
     "structured": "weaker limits, or another structure",
 }
-
-# Plants whose margin on the grid lies this near to the worst get the exact norm; the others keep the grid's figure.
-_NEAR_WORST = 1.25
 
 
 @value
@@ -52,6 +47,8 @@ class LoopDesign:
         Recomputed from the closed loop; None as above.
     results
         The loop's limits held against the measures.
+    goals
+        The loop's goals held against the measures: no verdict rests on them.
     claims
         What the method claims, by name: for example ``gamma``.
     certificates
@@ -68,6 +65,7 @@ class LoopDesign:
     plants: PlantSet | None = None
     measures: LoopMeasures | None = None
     results: tuple[CheckResult, ...] = ()
+    goals: tuple[CheckResult, ...] = ()
     claims: dict[str, float] = field(default_factory=dict)
     certificates: tuple[Certificate, ...] = ()
     unproved: tuple[str, ...] = ()
@@ -75,7 +73,7 @@ class LoopDesign:
     @property
     def passed(self) -> bool:
         """Whether every requirement is met; goals do not count."""
-        return all(result.passed or not result.hard for result in self.results)
+        return all(result.passed for result in self.results)
 
 
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
@@ -100,13 +98,14 @@ def certified(
         The nominal closed loop is not stable.
     """
     K = StateArrays(*controller, dt=plants.period)
-    measures = exact_measures(plants, K)
+    measures = exact_measures(plants, K, asked_of(spec))
     if not measures.decay[0] > 0.0:
         raise NotCertifiedError(
             f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
             f"loop; try {CURES[design.method]}",
             plants,
         )
+    results, goals = judged(spec, design.name, plants, measures)
     certificates, unproved = plant_set_certificates(plants, K, measures.decay)
     return LoopDesign(
         loop=spec.name,
@@ -116,70 +115,36 @@ def certified(
         options=options,
         plants=plants,
         measures=measures,
-        results=judged(spec, design.name, plants, measures),
+        results=results,
+        goals=goals,
         claims=claims,
         certificates=certificates,
         unproved=unproved,
     )
 
 
-def judged(spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures) -> tuple[CheckResult, ...]:
-    """Return the loop's limits held against `measures`."""
-    out = []
-    for requirement in loop_requirements(spec.limits):
-        figures = requirement.figures(measures)
-        worst = int(figures.argmax() if requirement.sense == "at most" else figures.argmin())
-        where = "nominal plant"
-        if requirement.kind == "torque noise":
-            where = f"torquer {plants.torques[worst]}"
-        elif requirement.over_spread:
-            where = plants.labels[worst]
-        out.append(
-            requirement.judge(
-                float(figures[worst]),
-                subject=spec.name,
-                design=design,
-                stage="decoupled",
-                evidence=f"{where}; {len(plants.labels)} plants, sampled with delay and torquer lag",
-            )
-        )
-    return tuple(out)
+def asked_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
+    """Return all limits and goals of a loop."""
+    hard, soft = hard_and_soft(spec.limits, spec.soft)
+    return (*hard, *soft)
 
 
-def exact_measures(plants: PlantSet, controller: StateArrays) -> LoopMeasures:
-    """Return the measures with margins as norms (not on a grid) wherever they decide anything."""
-    rough = measure(plants, controller)
-    named = state_space(controller, plants.angles, plants.torques)
-    margin = rough.disk_margin.copy()
-    alive = margin > 0.0
-    floor = margin[1:][alive[1:]].min(initial=np.inf)
-    for k in np.flatnonzero(alive & ((margin <= _NEAR_WORST * floor) | (np.arange(len(margin)) == 0))):
-        margin[k] = disk_margin_norm(sampled_plant(plants, int(k)), named)
-    nominal = sampled_plant(plants)
-    return dataclasses.replace(
-        rough,
-        bandwidth=min(bandwidth(nominal, named, at="input"), bandwidth(nominal, named, at="output")),
-        disk_margin=margin,
+def judged(
+    spec: LoopSpec, design: str, plants: PlantSet, measures: LoopMeasures
+) -> tuple[tuple[CheckResult, ...], tuple[CheckResult, ...]]:
+    """Return the loop's limits and its goals held against `measures`."""
+    hard, soft = (
+        tuple(requirement.result(plants, measures, subject=spec.name, design=design) for requirement in requirements)
+        for requirements in hard_and_soft(spec.limits, spec.soft)
     )
-
-
-def disk_margin_norm(plant: control.StateSpace, controller: control.StateSpace) -> float:
-    """Return 1/‖(S − T)/2‖ in the H-infinity norm, the smaller of input and output."""
-    norms = []
-    for at in ("input", "output"):
-        A, B, C, D, dt = closed_loop_with_sensitivity(plant, controller, at)
-        # (S − T)/2 = S − I/2.
-        norms.append(hinf_norm_arrays(A, B, C, D - 0.5 * np.eye(len(D)), dt)[0])
-    return 1.0 / max(norms)
+    return hard, soft
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured anew: nothing that was claimed is believed."""
-    K = state_arrays(controller, f"{spec.name}, {name}")
-    order_in = [list(controller.input_labels).index(a) for a in plants.angles]
-    order_out = [list(controller.output_labels).index(q) for q in plants.torques]
-    K = StateArrays(K.A, K.B[:, order_in], K.C[order_out], K.D[np.ix_(order_out, order_in)], plants.period)
-    measures = exact_measures(plants, K)
+    K = plants.joined(controller)
+    measures = exact_measures(plants, K, asked_of(spec))
+    results, goals = judged(spec, name, plants, measures)
     certificates, unproved = plant_set_certificates(plants, K, measures.decay)
     return LoopDesign(
         loop=spec.name,
@@ -188,7 +153,8 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
         controller=state_space(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,
-        results=judged(spec, name, plants, measures),
+        results=results,
+        goals=goals,
         certificates=certificates,
         unproved=unproved,
     )

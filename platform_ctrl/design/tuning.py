@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.plant_set import LoopMeasures, PlantSet, measure
+from platform_ctrl.analysis.loop_figures import OF_CONTROLLER
+from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.requirements import LoopRequirement
 
+BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], Block]
 
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
@@ -20,11 +24,11 @@ _IN_VIEW = 8
 
 def worst_ratio(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
     """Return the largest ratio of all requirements; beyond 10 for an unstable loop, more the faster it diverges."""
-    return _worst(measure(plants, StateArrays(*controller, dt=plants.period)), plants, requirements)
+    return _worst(measure(plants, StateArrays(*controller, dt=plants.period), requirements), plants, requirements)
 
 
 def _worst(measures: LoopMeasures, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> float:
-    growth = -float(measures.decay.min())
+    growth = -float(measures.decay[_stable(measures, requirements)].min())
     if not growth < 0.0:
         return 10.0 + min(growth / plants.nutation, 1e6) * 100.0
     ratios = (r.ratios(measures).max() for r in requirements)
@@ -87,7 +91,7 @@ def tune(
     best_ratio = np.inf
     current = best
     while left > 0:
-        measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period))
+        measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period), requirements)
         overall = _worst(measures, plants, requirements) + beyond(current)
         if overall < best_ratio:
             best, best_ratio = current, overall
@@ -120,10 +124,19 @@ def tune(
 
 def _worst_plants(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> list[int]:
     """Return plant numbers, the worst first."""
-    if not np.all(measures.decay > 0.0):
-        return [int(k) for k in np.argsort(measures.decay)]
-    ratios = np.zeros(len(measures.decay))
+    decay = np.where(_stable(measures, requirements), measures.decay, np.inf)
+    if not np.all(decay > 0.0):
+        return [int(k) for k in np.argsort(decay)]
+    ratios = np.zeros(len(decay))
     for requirement in requirements:
-        if requirement.over_spread:
-            ratios = np.maximum(ratios, requirement.ratios(measures))
+        if requirement.over_spread and requirement.kind not in OF_CONTROLLER:
+            asked = measures.of(requirement.over)
+            ratios[asked] = np.maximum(ratios[asked], requirement.ratios(measures))
     return [int(k) for k in np.argsort(-ratios)]
+
+
+def _stable(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> BoolArray:
+    """Return which plants have to be stable, (N,): those with a fault only where something is asked of them."""
+    if any("faults" in requirement.over for requirement in requirements):
+        return np.ones(len(measures.groups), dtype=np.bool_)
+    return np.logical_not(measures.of(("faults",)))

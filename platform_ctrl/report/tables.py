@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.plant_set import LoopMeasures
+from platform_ctrl.analysis.loop_measures import LoopMeasures
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.frozen import value
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.quantities import MINUS, compared, count, percent, plain, quantity
-from platform_ctrl.requirements import CheckResult
+from platform_ctrl.requirements import SPREAD, CheckResult
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -240,8 +240,9 @@ def measure_rows(outcome: LoopOutcome) -> list[MeasureRow]:
     """Return what the designs of a loop do, side by side: first what is asked, then what was measured besides."""
     designs = outcome.designs
     rows = []
-    for name in dict.fromkeys(one.name for design in designs for one in design.results):
-        found = [next((one for one in design.results if one.name == name), None) for design in designs]
+    judged = [(*design.results, *design.goals) for design in designs]
+    for name in dict.fromkeys(one.name for results in judged for one in results):
+        found = [next((one for one in results if one.name == name), None) for results in judged]
         first = next(one for one in found if one is not None)
         cells: list[tuple[str, bool | None]] = [
             ("\u2013", None) if one is None else (compared(one.value, one.limit, one.unit)[0], one.passed)
@@ -266,8 +267,9 @@ def _measured(measures: LoopMeasures) -> dict[str, str]:
         "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
     }
     if len(measures.disk_margin) > 1:
-        out["disk margin over the spread"] = plain(float(measures.disk_margin.min()))
-        out["damping over the spread"] = plain(float(measures.damping.min()))
+        spread = measures.of(SPREAD)
+        out["disk margin over the spread"] = plain(float(measures.disk_margin[spread].min()))
+        out["damping over the spread"] = plain(float(measures.damping[spread].min()))
     return out
 
 

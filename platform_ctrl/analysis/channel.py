@@ -1,0 +1,93 @@
+"""A part of a closed loop between named signals, with weights on both sides: what a norm is asked of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import series_arrays
+from platform_ctrl.arguments import known_name
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    import control
+
+Weight: TypeAlias = "float | FloatArray | control.StateSpace | None"
+
+
+@value
+class Channel:
+    """From some inputs of a closed loop to some of its outputs, weighted: ``W_out G W_in``.
+
+    Attributes
+    ----------
+    inputs, outputs
+        Names of the signals, in the weights' order; none: all that the system has.
+    input_weight, output_weight
+        None, a number, one number for each signal (k,), a matrix (outputs × inputs of the weight), or a system:
+        continuous for a continuous loop, with the loop's sample period for a sampled one.
+    """
+
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    input_weight: Weight = None
+    output_weight: Weight = None
+
+    def of(self, system: StateArrays, inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
+        """Return the weighted part of a system (or a stack of them) whose signals are named.
+
+        Raises
+        ------
+        ArgumentError
+            A name that the system does not have, or a weight that does not fit it.
+        """
+        columns = [known_name("inputs", name, inputs) for name in self.inputs] or list(range(len(inputs)))
+        rows = [known_name("outputs", name, outputs) for name in self.outputs] or list(range(len(outputs)))
+        A, B, C, D, dt = system
+        arrays = A, B[..., columns], C[..., rows, :], D[..., rows, :][..., columns]
+        if self.input_weight is not None:
+            weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")
+            if weight.D.shape[0] != len(columns):
+                raise ArgumentError(f"input_weight: has {weight.D.shape[0]} outputs; expected {len(columns)}")
+            arrays = series_arrays(*weight[:4], *arrays)
+        if self.output_weight is not None:
+            weight = weight_arrays(self.output_weight, len(rows), dt, "output_weight")
+            if weight.D.shape[1] != len(rows):
+                raise ArgumentError(f"output_weight: has {weight.D.shape[1]} inputs; expected {len(rows)}")
+            arrays = series_arrays(*arrays, *weight[:4])
+        return StateArrays(*arrays, dt=dt)
+
+
+def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
+    """Return a weight on `size` signals as arrays, with no states where it is constant.
+
+    Raises
+    ------
+    ArgumentError
+        It is no weight, or a system with another time base than `dt`.
+    """
+    if hasattr(weight, "nstates"):
+        own = state_arrays(weight, where)
+        if weight.dt is not None and abs(own.dt - dt) > 1e-9 * max(own.dt, dt):
+            raise ArgumentError(
+                f"{where}: has dt = {own.dt} s, the loop {dt} s; expected the same; "
+                "analysis.bilinear_to_discrete makes a sampled weight of a continuous one"
+            )
+        return own._replace(dt=dt)
+    try:
+        gain = np.asarray(weight, dtype=np.float64)
+    except (TypeError, ValueError):
+        gain = np.full((), np.nan)
+    if gain.ndim < 2:
+        gain = gain * np.eye(size) if gain.shape in ((), (size,)) else np.full((), np.nan)
+    if gain.ndim != 2 or not np.all(np.isfinite(gain)):
+        raise ArgumentError(
+            f"{where}: given {type(weight).__name__}; expected a finite number, {size} numbers, a matrix or a "
+            "control.StateSpace"
+        )
+    rows, columns = gain.shape
+    return StateArrays(np.zeros((0, 0)), np.zeros((0, columns)), np.zeros((rows, 0)), gain, dt)

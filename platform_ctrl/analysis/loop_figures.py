@@ -1,0 +1,325 @@
+"""Figures of closed loops of a plant set, kind by kind: on the set's grid for a tuner, or as norms for a verdict.
+
+Peaks are largest singular values of parts of the closed loop
+
+    [d, Omega, n] → [u, y]        u = K (y + n),  y = P (u + d) + P_Omega Omega
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.channel import Channel
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.norms import (
+    gains,
+    hinf_norm_arrays,
+    level_frequencies,
+    noise_rms_arrays,
+    resonances,
+)
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import (
+    continuous_poles,
+    minimum_damping,
+    pole_arrays,
+    spectral_abscissa,
+)
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.frozen import FloatArray
+
+# Figures that peak: a grid misses what lies between its points, so a verdict takes norms.
+PEAKS = frozenset(
+    {
+        "disk margin",
+        "sensitivity peak",
+        "complementary peak",
+        "tracking",
+        "Omega rejection",
+        "torque rejection",
+        "torque limit",
+        "H-infinity norm",
+    }
+)
+# Figures of the controller alone: the same for every plant.
+OF_CONTROLLER = frozenset({"controller poles", "controller gain"})
+
+
+class Asked(Protocol):
+    """What is asked for: a kind of figure with what it needs to be exact."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the figure."""
+
+    @property
+    def over(self) -> Sequence[str]:
+        """Of which groups of plants."""
+
+    @property
+    def frequency(self) -> float | None:
+        """Edge of a band, rad/s."""
+
+    @property
+    def channel(self) -> Channel | None:
+        """Between which signals, for a norm."""
+
+
+class LoopFigures:
+    """A controller closed around every plant of a set, each part worked out when it is first needed.
+
+    Parameters
+    ----------
+    plants
+        N plants with m torques and p angles.
+    controller
+        u = K y, same sample period.
+    """
+
+    def __init__(self, plants: PlantSet, controller: StateArrays) -> None:
+        self.plants = plants
+        self.controller = controller
+        self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
+
+    @cached_property
+    def arrays(self) -> StateArrays:
+        """Closed loops (N, ...): inputs torque disturbance, Omega, noise; outputs torques, angles, readings."""
+        plants, m = self.plants, self.m
+        B = np.concatenate([plants.B, plants.B_Omega], axis=-1)
+        D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
+        A, B, C, D = closed_loop_arrays(plants.A, B, plants.C, D, *self.controller[:4], torques=range(m))
+        D_read = D[..., m:, :].copy()
+        D_read[..., m + 3 :] += np.eye(self.p)
+        C, D = np.concatenate([C, C[..., m:, :]], axis=-2), np.concatenate([D, D_read], axis=-2)
+        return StateArrays(A, B, C, D, plants.period)
+
+    @cached_property
+    def own_arrays(self) -> StateArrays:
+        """Closed loops (N, ...) without Omega: inputs torque disturbance and noise; outputs torques and angles."""
+        plants = self.plants
+        arrays = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *self.controller[:4])
+        return StateArrays(*arrays, dt=plants.period)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the closed loops' inputs."""
+        names = self.plants
+        return [*names.torques, "Omega1", "Omega2", "Omega3", *(f"noise_{name}" for name in names.angles)]
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the closed loops' outputs; ``reading_`` is an angle with its noise: what the controller gets."""
+        names = self.plants
+        return [*names.torques, *names.angles, *(f"reading_{name}" for name in names.angles)]
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """Poles of the closed loops in z, (N, poles)."""
+        return pole_arrays(self.own_arrays.A)
+
+    @cached_property
+    def decay(self) -> FloatArray:
+        """Decay of the slowest pole, 1/s, (N,)."""
+        return np.asarray(-spectral_abscissa(continuous_poles(self.poles, self.plants.period)))
+
+    @cached_property
+    def K(self) -> ComplexArray:
+        """Response of the controller on the set's grid."""
+        return frequency_response_arrays(*self.controller, self.plants.frequency)
+
+    @cached_property
+    def S_output(self) -> ComplexArray:
+        """Sensitivity at the plants' output, (N, F, p, p)."""
+        return sensitivities(-self.plants.response @ self.K)[0]
+
+    @cached_property
+    def S_input(self) -> ComplexArray:
+        """Sensitivity at the plants' input, (N, F, m, m): I + K S_output P, one inverse serves both."""
+        return np.asarray(np.eye(self.m) + self.K @ self.S_output @ self.plants.response, dtype=np.complex128)
+
+    def figure(self, asked: Asked) -> FloatArray:
+        """Return a figure of every plant (N,), peaks on the grid; of the controller alone (1,)."""
+        if asked.kind in PEAKS:
+            return self._peak_figure(asked.kind, self._grid_peak(asked))
+        return _PLAIN[asked.kind](self, asked)
+
+    def exact(self, asked: Asked, k: int) -> float:
+        """Return a peaking figure of plant `k` as a norm."""
+        peak = np.array([self._norm(asked, k) if self.decay[k] > 0.0 else np.inf])
+        return float(self._peak_figure(asked.kind, peak)[0])
+
+    def _peak_figure(self, kind: str, peak: FloatArray) -> FloatArray:
+        if kind != "disk margin":
+            return peak
+        with np.errstate(divide="ignore"):
+            return np.where(np.isfinite(peak), 1.0 / peak, 0.0)
+
+    def _grid_peak(self, asked: Asked) -> FloatArray:
+        if asked.kind == "H-infinity norm":
+            part = self._part(asked)
+            responses = [frequency_response_arrays(*part, self.plants.frequency)]
+        else:
+            responses = _RESPONSES[asked.kind](self)
+        grid = self.plants.frequency
+        band = grid <= max(asked.frequency or np.inf, grid[0]) if asked.kind == "tracking" else slice(None)
+        peaks = [largest(response[:, band]).max(axis=-1, initial=0.0) for response in responses]
+        return np.where(self.decay > 0.0, np.max(peaks, axis=0), np.inf)
+
+    def _norm(self, asked: Asked, k: int) -> float:
+        norms = []
+        for A, B, C, D, dt in self._parts(asked, k):
+            if asked.kind == "tracking":
+                norms.append(band_peak(StateArrays(A, B, C, D, dt), asked.frequency or np.inf))
+            else:
+                norms.append(hinf_norm_arrays(A, B, C, D, dt)[0])
+        return max(norms, default=0.0)
+
+    def _part(self, asked: Asked) -> StateArrays:
+        return (asked.channel or Channel()).of(self.arrays, self.inputs, self.outputs)
+
+    def _parts(self, asked: Asked, k: int) -> list[StateArrays]:
+        """Return the systems whose norms make the figure of plant `k`."""
+        A, B, C, D, dt = self._part(asked) if asked.kind == "H-infinity norm" else self.arrays
+        A, B, C, D = (item[k] for item in (A, B, C, D))
+        m, p = self.m, self.p
+        d, rate, n = slice(0, m), slice(m, m + 3), slice(m + 3, m + 3 + p)
+        u, y = slice(0, m), slice(m, m + p)
+
+        def part(inputs: slice, outputs: slice, direct: float = 0.0) -> StateArrays:
+            there = D[outputs, inputs]
+            return StateArrays(A, B[:, inputs], C[outputs], there + direct * np.eye(*there.shape), dt)
+
+        # From d to u and from n to y the closed loop is -T = S - I.
+        match asked.kind:
+            case "H-infinity norm":
+                return [StateArrays(A, B, C, D, dt)]
+            case "disk margin":
+                return [part(d, u, 0.5), part(n, y, 0.5)]
+            case "sensitivity peak":
+                return [part(d, u, 1.0), part(n, y, 1.0)]
+            case "complementary peak":
+                return [part(d, u), part(n, y)]
+            case "tracking":
+                return [part(n, y, 1.0)]
+            case "Omega rejection":
+                return [part(rate, y)]
+            case "torque rejection":
+                return [part(d, y)]
+        share = self.plants.Omega / self.plants.torque_limit[:, None]
+        rows = [part(rate, slice(j, j + 1)) for j in range(m)]
+        return [one._replace(B=one.B * s, D=one.D * s) for one, s in zip(rows, share, strict=True)]
+
+
+def largest(matrices: ComplexArray) -> FloatArray:
+    """Return largest singular values, (...): from the smaller Hermitian square, which is faster in batches."""
+    adjoint = matrices.conj().swapaxes(-1, -2)
+    square = adjoint @ matrices if matrices.shape[-1] <= matrices.shape[-2] else matrices @ adjoint
+    out: FloatArray = np.sqrt(np.maximum(np.linalg.eigvalsh(square)[..., -1], 0.0))
+    return out
+
+
+def band_peak(system: StateArrays, top: float) -> float:
+    """Return the largest singular value of a stable system from 0 to `top` rad/s, at most the Nyquist frequency.
+
+    As the H-infinity norm: the Hamiltonian's eigenvalues propose frequencies until none within the band exceeds the
+    level.
+    """
+    top = min(top, np.inf if system.dt == 0.0 else np.pi / system.dt)
+    s = continuous_poles(pole_arrays(system.A), system.dt)
+    candidates = np.concatenate([[0.0, top], resonances(s)])
+    best = float(np.finfo(np.float64).tiny)
+    for _ in range(60):
+        found = float(gains(system, candidates[candidates <= top]).max(initial=0.0))
+        if found <= best:
+            break
+        best = found * (1.0 + 1e-9)
+        candidates = level_frequencies(system, best)
+    return best
+
+
+def fastest(poles: ComplexArray, period: float) -> FloatArray:
+    """Return the largest magnitude of the poles, rad/s, (...); of a sampled system in the w-plane.
+
+    There a pole is w = (2/T) (z - 1)/(z + 1): a delay (z = 0) counts 2/T, and a pole that rings at the Nyquist
+    frequency (z near -1) is as fast as can be.
+    """
+    size = np.abs(poles)
+    if period > 0.0:
+        with np.errstate(divide="ignore"):
+            size = 2.0 / period * np.abs(poles - 1.0) / np.abs(poles + 1.0)
+    out: FloatArray = size.max(axis=-1, initial=0.0)
+    return out
+
+
+def h2_norms(system: StateArrays) -> FloatArray:
+    """Return the H2 norms of a stack of sampled systems; infinite where one is not stable."""
+    A, B, C, D, _ = system
+    rms = noise_rms_arrays(A, B, C, D, np.ones(B.shape[-1]))
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
+
+
+def controller_gain(controller: StateArrays, from_frequency: float, frequency: FloatArray) -> float:
+    """Return the largest singular value of a controller from `from_frequency` on, on a grid and where it may peak."""
+    top = np.inf if controller.dt == 0.0 else np.pi / controller.dt
+    own = resonances(continuous_poles(pole_arrays(controller.A), controller.dt))
+    w = np.concatenate([frequency, own, [from_frequency]])
+    if np.isfinite(top):
+        w = np.append(w, top)
+    w = w[(w >= from_frequency) & (w <= top)]
+    return float(gains(controller, w).max(initial=0.0))
+
+
+def _torque_noise(loops: LoopFigures, asked: Asked) -> FloatArray:
+    A, B, C, D, _ = loops.own_arrays
+    m = loops.m
+    rms = noise_rms_arrays(A, B[..., m:], C[..., :m, :], D[..., :m, m:], loops.plants.noise)
+    out: FloatArray = rms.max(axis=-1, initial=0.0)
+    return out
+
+
+def _bandwidth(loops: LoopFigures, asked: Asked) -> FloatArray:
+    found = [bandwidth_of_response(loops.plants.frequency, S) for S in (loops.S_output, loops.S_input)]
+    return np.where(loops.decay > 0.0, np.minimum(*found), 0.0) / (2.0 * np.pi)
+
+
+def _controller_gain(loops: LoopFigures, asked: Asked) -> FloatArray:
+    start = loops.plants.nutation / 10.0 if asked.frequency is None else asked.frequency
+    return np.array([controller_gain(loops.controller, start, loops.plants.frequency)])
+
+
+# Figures that need no search for a peak.
+_PLAIN: dict[str, Callable[[LoopFigures, Asked], FloatArray]] = {
+    "stability": lambda loops, asked: loops.decay,
+    "damping": lambda loops, asked: minimum_damping(loops.poles, loops.plants.nutation / 10.0, loops.plants.period),
+    "fastest pole": lambda loops, asked: fastest(loops.poles, loops.plants.period),
+    "bandwidth": _bandwidth,
+    "torque noise": _torque_noise,
+    "H2 norm": lambda loops, asked: h2_norms(loops._part(asked)),
+    "controller poles": lambda loops, asked: fastest(pole_arrays(loops.controller.A), loops.plants.period)[None],
+    "controller gain": _controller_gain,
+}
+
+
+def _torque_shares(loops: LoopFigures) -> list[ComplexArray]:
+    share = loops.plants.Omega / loops.plants.torque_limit[:, None]
+    torque = loops.K @ loops.S_output @ loops.plants.Omega_response * share
+    return [torque[..., j : j + 1, :] for j in range(loops.m)]
+
+
+# Responses on the grid whose largest singular value makes a figure.
+_RESPONSES: dict[str, Callable[[LoopFigures], list[ComplexArray]]] = {
+    "disk margin": lambda loops: [loops.S_output - 0.5 * np.eye(loops.p), loops.S_input - 0.5 * np.eye(loops.m)],
+    "sensitivity peak": lambda loops: [loops.S_output, loops.S_input],
+    "complementary peak": lambda loops: [loops.S_output - np.eye(loops.p), loops.S_input - np.eye(loops.m)],
+    "tracking": lambda loops: [loops.S_output],
+    "Omega rejection": lambda loops: [loops.S_output @ loops.plants.Omega_response],
+    "torque rejection": lambda loops: [loops.S_output @ loops.plants.response],
+    "torque limit": _torque_shares,
+}
