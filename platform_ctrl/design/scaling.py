@@ -147,7 +147,9 @@ def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
     )
 
 
-def require_stabilisable(plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None) -> None:
+def require_stabilisable(
+    plant: Partition, P: StateSpace, where: str = "hinf", scaled: ScaledPlant | None = None
+) -> None:
     """Judge whether u can stabilise the plant from y.
 
     Parameters

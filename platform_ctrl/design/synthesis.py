@@ -132,6 +132,7 @@ def hinf(
     method: HinfMethod = "lmi",
     backoff: float = 0.02,
     time_limit: float = 60.0,
+    regularise: float | None = None,
 ) -> Synthesis:
     """Full-order H-infinity output feedback, certified by the actual closed loop.
 
@@ -153,6 +154,10 @@ def hinf(
         Relative distance from the least gamma, positive.
     time_limit
         Longest time that one call of the LMI solver may take, s.
+    regularise
+        Riccati route alone: what to add where an assumption does not hold, relative to scaled signals, for example
+        1e-3 (see `design.assumptions.Regularised`). `gamma` is still that of the plant as given, `gamma_optimal` that
+        of the changed one, and `residual` says what was added and what a tenth of it would do. None: it is an error.
 
     Returns
     -------
@@ -162,14 +167,18 @@ def hinf(
     ------
     ArgumentError
         P, nmeas, ncon, method or backoff do not make sense.
-    DesignError
-        An assumption does not hold (the message names it), the solver failed, or the controller does not reach
-        what was promised.
+    NotStabilisableError, IllPosedError
+        A mode is out of reach, or an assumption does not hold; the message names it.
+    UnscalableError, TimeLimitError, InfeasibleError
+        The route failed.
+    NotCertifiedError
+        The controller does not reach what was promised.
     """
     if not (np.isfinite(backoff) and backoff > 0):
         raise ArgumentError(f"hinf: backoff = {backoff!r}; expected a positive number such as 0.02")
     if not time_limit > 0:
         raise ArgumentError(f"hinf: time_limit = {time_limit!r}; expected a positive number of seconds")
+    require_regularisation("hinf", method, regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
     if method not in ("lmi", "riccati"):
         raise ArgumentError(f"hinf: method = {method!r}; expected 'lmi' or 'riccati'")
@@ -184,11 +193,27 @@ def hinf(
         else:
             from platform_ctrl.design.hinf_riccati import hinf_riccati
 
-            made, optimal, residual = hinf_riccati(scaled, backoff, P)
+            made, optimal, residual = hinf_riccati(scaled, backoff, P, regularise)
         made = out_of_w_plane(made, plant.dt)
     except np.linalg.LinAlgError as error:
         raise UnscalableError(f"hinf, {method}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
     return certify(P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {method}", residual=residual)
+
+
+def require_regularisation(where: str, method: str, size: float | None) -> None:
+    """Judge the size of a regularisation.
+
+    Raises
+    ------
+    ArgumentError
+        Not a number from 0 to 1, or a route that needs none.
+    """
+    if size is None:
+        return
+    if not (isinstance(size, int | float) and 0.0 < size < 1.0):
+        raise ArgumentError(f"{where}: regularise = {size!r}; expected a number between 0 and 1 such as 1e-3, or None")
+    if method != "riccati":
+        raise ArgumentError(f'{where}: regularise = {size!r} with method {method!r}; expected method="riccati"')
 
 
 def certify(
@@ -280,11 +305,11 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
     return poles
 
 
-def _without_rounding(
-    D: np.ndarray[Any, Any], plant: Partition, controller: Realisation
-) -> np.ndarray[Any, Any]:
+def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: Realisation) -> np.ndarray[Any, Any]:
     """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
-    size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(plant.D21)
+    size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(
+        plant.D21
+    )
     return np.zeros_like(D) if np.linalg.norm(D) <= DIRECT_ROUNDING * size else D
 
 
