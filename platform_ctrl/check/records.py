@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl import __version__
+from platform_ctrl.certificates import Certificate, Verification
 from platform_ctrl.check.coupled import CoupledCheck
+from platform_ctrl.check.proofs import Proofs
 from platform_ctrl.check.simulated import Run, largest
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.loop import LoopDesign
@@ -40,10 +42,10 @@ def result_record(result: JobResult) -> Record:
         "seed": job.seed,
         "versions": versions(),
         "subsystems": result.subsystems,
-        "controllers": [_controller(job, outcome.closed) for outcome in result.loops],
-        "alternatives": [_controller(job, design) for outcome in result.loops for design in outcome.alternatives],
+        "controllers": [_controller(result, outcome.closed) for outcome in result.loops],
+        "alternatives": [_controller(result, design) for outcome in result.loops for design in outcome.alternatives],
         "requirements": [_requirement(one) for one in result.requirements],
-        "coupled": _coupled(result.coupled),
+        "coupled": _coupled(result.coupled) | {"certificates": _certificates(result.proofs["", ""])},
         "runs": [run_record(job, run) for run in result.runs],
     }
     plain: Record = _plain(record)
@@ -76,7 +78,8 @@ def run_record(job: Job, run: Run) -> Record:
 def versions() -> dict[str, str]:
     """Return the versions of everything that the figures depend on."""
     own = {"platform_ctrl": __version__, "python": interpreter.python_version()}
-    return own | {name: metadata.version(name) for name in ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba")}
+    used = ("numpy", "scipy", "control", "cvxpy", "clarabel", "numba", "python-flint")
+    return own | {name: metadata.version(name) for name in used}
 
 
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
@@ -90,7 +93,7 @@ def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> Non
     write_whole(path, laid_out(record) + "\n")
 
 
-def _controller(job: Job, design: LoopDesign) -> Record:
+def _controller(result: JobResult, design: LoopDesign) -> Record:
     K, claims = design.controller, dict(design.claims)
     if design.measures is not None:
         claims |= {"disk_margin": design.measures.disk_margin[0], "damping": design.measures.damping[0]}
@@ -102,10 +105,37 @@ def _controller(job: Job, design: LoopDesign) -> Record:
         **{name: np.asarray(getattr(K, name), dtype=np.float64) for name in "ABCD"},
         "inputs": list(K.input_labels),
         "outputs": list(K.output_labels),
-        "delay": job.sampling.delay,
+        "delay": result.job.sampling.delay,
         "claims": claims,
+        "certificates": _certificates(result.proofs[design.loop, design.name]),
         "options": design.options,
     }
+
+
+def _certificates(proofs: Proofs) -> Record:
+    """Return all claims, and of the first plant, the nominal one, what proves them: its matrices and every X."""
+    pairs = list(zip(proofs.certificates, proofs.verifications, strict=True))
+    out: Record = {"proved": proofs.proved, "of": proofs.of, "unproved": proofs.unproved}
+    if pairs:
+        first = pairs[0][0].loops[0]
+        out["plant"] = {name: getattr(first, name) for name in "ABCD"}
+    shown = [k for k, (one, _) in enumerate(pairs) if k == 0 or one.claim != "stability"]
+    out["list"] = [_certificate(*pair, matrices=k in shown) for k, pair in enumerate(pairs)]
+    return out
+
+
+def _certificate(certificate: Certificate, found: Verification, matrices: bool) -> Record:
+    out: Record = {
+        "label": ", ".join(loop.label for loop in certificate.loops),
+        "claim": certificate.claim,
+        "bound": certificate.bound,
+        "proved": found.proved,
+        "margin": found.margin,
+    }
+    if matrices:
+        out["X"] = certificate.X
+        out |= {} if certificate.coordinates is None else {"coordinates": certificate.coordinates}
+    return out
 
 
 def _requirement(result: CheckResult) -> Record:
