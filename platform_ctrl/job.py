@@ -107,8 +107,9 @@ class LoopLimits:
         Peak gain from torques that disturb at the torquers to the angles, rad/(N m), at most.
     torque_noise
         Rms torque from pick-off noise, N m, per torquer, at most.
-    torque_limit
-        Torque amplitude that any platform rate within the job's Omega asks for, over the torquer's limit, at most.
+    torque_limit, torque_limit_hz
+        Torque amplitude that any platform rate within the job's Omega asks for, over the torquer's limit, at most; for
+        rates up to `torque_limit_hz`, None: of any frequency.
     controller_poles
         Largest magnitude of a pole of the controller, in the w-plane of a sampled one, rad/s, at most.
     controller_gain
@@ -127,6 +128,7 @@ class LoopLimits:
     torque_rejection: float | None = None
     torque_noise: float | None = None
     torque_limit: float | None = None
+    torque_limit_hz: float | None = None
     controller_poles: float | None = None
     controller_gain: float | None = None
     disk_margin_spread: float | None = None

@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, controller_gain, fastest
+from platform_ctrl.analysis.loop_figures import BANDED, OF_CONTROLLER, controller_gain, fastest
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet
@@ -179,8 +179,8 @@ class LoopRequirement(Requirement):
     over
         Of which groups of plants it is asked.
     frequency
-        "tracking": up to which frequency, rad/s. "controller gain": from which frequency on; None: from a tenth of the
-        nutation frequency.
+        "tracking", "torque limit": up to which frequency, rad/s; None: all. "controller gain": from which frequency on;
+        None: from a tenth of the nutation frequency.
     channel
         "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
     """
@@ -320,15 +320,14 @@ def requirement(
     Parameters
     ----------
     kind
-        ``"stability"`` (decay of the slowest pole, 1/s, at least), ``"damping"`` (at least), ``"fastest pole"``
-        (rad/s, in the w-plane of a sampled loop): together a pole region. ``"bandwidth"`` (Hz, at least), ``"disk
-        margin"`` (at least), ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and
-        output). ``"tracking"``: σ(S) at the plant's output up to `frequency`. ``"Omega rejection"``, ``"torque
-        rejection"``: peak gain from the platform's rate and from disturbing torques to the angles. ``"torque
-        noise"``: rms from pick-off noise, N m, of the worst torquer. ``"torque limit"``: torque amplitude over the
-        torquer's limit, for any sinusoidal platform rate in the ellipsoid with half-axes Omega. ``"H-infinity norm"``,
-        ``"H2 norm"`` of `channel`. ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad). All without a word
-        of their own: at most.
+        At least: ``"stability"`` (decay of the slowest pole, 1/s), ``"damping"``, ``"bandwidth"`` (Hz), ``"disk margin"``.
+        At most: ``"fastest pole"`` (rad/s, in the w-plane of a sampled loop; with stability and damping a pole region),
+        ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and output), ``"tracking"``
+        (σ(S) at the plant's output up to `frequency`), ``"Omega rejection"``, ``"torque rejection"`` (peak gain from
+        the platform's rate and from disturbing torques to the angles), ``"torque noise"`` (rms from pick-off noise, N m,
+        worst torquer), ``"torque limit"`` (torque amplitude over the torquer's limit, for any sinusoidal platform rate, up
+        to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity norm"``, ``"H2 norm"`` (of `channel`),
+        ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
     limit
         > 0.
     over
@@ -354,7 +353,7 @@ def requirement(
     if kind == "tracking" and frequency is None:
         raise ArgumentError("requirement: tracking without frequency; expected up to which frequency in rad/s")
     if frequency is not None:
-        one_of("requirement: kind with a frequency", kind, ("tracking", "controller gain"))
+        one_of("requirement: kind with a frequency", kind, (*sorted(BANDED), "controller gain"))
         frequency = positive("requirement: frequency", frequency)
     if channel is not None:
         one_of("requirement: kind with a channel", kind, ("H-infinity norm", "H2 norm"))
@@ -393,9 +392,10 @@ def hard_and_soft(
 def _asked(limits: LoopLimits, hard: bool) -> tuple[LoopRequirement, ...]:
     asked: list[LoopRequirement] = []
 
-    def ask(kind: Kind, limit: float | None, over: tuple[Group, ...] = NOMINAL, frequency: float | None = None) -> None:
+    def ask(kind: Kind, limit: float | None, over: tuple[Group, ...] = NOMINAL, edge_hz: float | None = None) -> None:
         if limit is None:
             return
+        frequency = None if edge_hz is None else 2.0 * np.pi * edge_hz
         name = _WORDS[kind][0] + {NOMINAL: "", SPREAD: " over the spread", FAULTS: " with a fault"}[over]
         name = name if hard else f"goal: {name}"
         asked.append(requirement(kind, limit, over=over, hard=hard, frequency=frequency, name=name))
@@ -406,11 +406,11 @@ def _asked(limits: LoopLimits, hard: bool) -> tuple[LoopRequirement, ...]:
     ask("complementary peak", limits.complementary_peak)
     ask("damping", limits.damping)
     ask("fastest pole", limits.fastest_pole)
-    ask("tracking", limits.tracking, frequency=2.0 * np.pi * (limits.tracking_hz or 0.0) or None)
+    ask("tracking", limits.tracking, edge_hz=limits.tracking_hz)
     ask("Omega rejection", limits.Omega_rejection)
     ask("torque rejection", limits.torque_rejection)
     ask("torque noise", limits.torque_noise)
-    ask("torque limit", limits.torque_limit)
+    ask("torque limit", limits.torque_limit, edge_hz=limits.torque_limit_hz)
     ask("controller poles", limits.controller_poles)
     ask("controller gain", limits.controller_gain)
     ask("disk margin", limits.disk_margin_spread, SPREAD)

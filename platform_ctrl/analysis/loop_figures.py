@@ -47,6 +47,8 @@ PEAKS = frozenset(
         "H-infinity norm",
     }
 )
+# Peaks that may be asked for up to a frequency only.
+BANDED = frozenset({"tracking", "torque limit"})
 # Figures of the controller alone: the same for every plant.
 OF_CONTROLLER = frozenset({"controller poles", "controller gain"})
 
@@ -167,15 +169,15 @@ class LoopFigures:
         else:
             responses = _RESPONSES[asked.kind](self)
         grid = self.plants.frequency
-        band = grid <= max(asked.frequency or np.inf, grid[0]) if asked.kind == "tracking" else slice(None)
+        band = grid <= max(_top(asked), grid[0])
         peaks = [largest(response[:, band]).max(axis=-1, initial=0.0) for response in responses]
         return np.where(self.decay > 0.0, np.max(peaks, axis=0), np.inf)
 
     def _norm(self, asked: Asked, k: int) -> float:
         norms = []
         for A, B, C, D, dt in self._parts(asked, k):
-            if asked.kind == "tracking":
-                norms.append(band_peak(StateArrays(A, B, C, D, dt), asked.frequency or np.inf))
+            if np.isfinite(_top(asked)):
+                norms.append(band_peak(StateArrays(A, B, C, D, dt), _top(asked)))
             else:
                 norms.append(hinf_norm_arrays(A, B, C, D, dt)[0])
         return max(norms, default=0.0)
@@ -274,6 +276,10 @@ def controller_gain(controller: StateArrays, from_frequency: float, frequency: F
         w = np.append(w, top)
     w = w[(w >= from_frequency) & (w <= top)]
     return float(gains(controller, w).max(initial=0.0))
+
+
+def _top(asked: Asked) -> float:
+    return asked.frequency if asked.kind in BANDED and asked.frequency is not None else np.inf
 
 
 def _torque_noise(loops: LoopFigures, asked: Asked) -> FloatArray:

@@ -114,6 +114,7 @@ class LoopLimitsTable(Table):
     torque_rejection: fields.Positive | None = None
     torque_noise: fields.Positive | None = None
     torque_limit: fields.Positive | None = None
+    torque_limit_hz: fields.Positive | None = None
     controller_poles: fields.Positive | None = None
     controller_gain: fields.Positive | None = None
     disk_margin_spread: fields.Positive | None = None

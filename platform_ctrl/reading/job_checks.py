@@ -31,6 +31,9 @@ LOOP_LIMITS = frozenset(field.name for field in dataclasses.fields(LoopLimits))
 # What a stabilisation loop is judged by; it has no plants of its own, so the other limits mean nothing there.
 STABILISATION_LIMITS = frozenset({"torque_noise"})
 
+# Limits that mean nothing without another one: (given, needed).
+NEEDED_BESIDE = (("tracking", "tracking_hz"), ("tracking_hz", "tracking"), ("torque_limit_hz", "torque_limit"))
+
 # What a manoeuvre of each mode needs; the keys of the other mode would be silently ignored.
 MODE_KEYS = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
 
@@ -78,7 +81,7 @@ def _sets(data: Data) -> Iterator[Mistake]:
                 if key in LOOP_LIMITS and key.endswith("_faults") and not (isinstance(faults, dict) and faults):
                     wrong = f"{key}: the job has no plants with faults"
                     yield Mistake((*path, key), f"{wrong}; expected [faults] with slow_rotor or weak_torquer")
-            for key, other in (("tracking", "tracking_hz"), ("tracking_hz", "tracking")):
+            for key, other in NEEDED_BESIDE:
                 if key in limits and other not in limits:
                     yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
 

@@ -21,8 +21,9 @@ def job_data(job: Job) -> dict[str, Any]:
     data: dict[str, Any] = {
         "schema": 1,
         "name": job.name,
-        "operation": {"Omega": job.Omega.tolist(), "seed": job.seed},
-        "spread": {"inertia": job.spread.inertia, "spin": job.spread.spin},
+        "operation": {"Omega": job.Omega.tolist(), "Omega_grid": job.Omega_grid, "seed": job.seed},
+        "spread": {"inertia": job.spread.inertia, "spin": job.spread.spin, "samples": job.spread.samples},
+        "faults": _given(dataclasses.asdict(job.faults)),
         "sampling": {"rate_hz": 1.0 / job.sampling.period, "delay": job.sampling.delay},
         "coupled": _given({"disk_margin": job.coupled.disk_margin, "coupling_cost": job.coupled.coupling_cost}),
         "loop": [],
@@ -30,24 +31,25 @@ def job_data(job: Job) -> dict[str, Any]:
         "plant": plant_data(job.platform),
     }
     for spec in job.loops:
-        limits = spec.limits
+        soft = _given(dataclasses.asdict(spec.soft))
         data["loop"].append(
             {
                 "name": spec.name,
                 "kind": spec.kind,
                 **({"gimbals": list(spec.gimbals)} if spec.gimbals else {}),
                 "use": spec.use,
-                "limits": _given(
+                "limits": _given(dataclasses.asdict(spec.limits)),
+                **({"soft": soft} if soft else {}),
+                "design": [
                     {
-                        "bandwidth_hz": limits.bandwidth_hz,
-                        "disk_margin": limits.disk_margin,
-                        "damping": limits.damping,
-                        "torque_noise": limits.torque_noise,
-                        "disk_margin_spread": limits.disk_margin_spread,
-                        "damping_spread": limits.damping_spread,
+                        "name": d.name,
+                        "method": d.method,
+                        "tune": d.tune,
+                        **_given({"structure": d.structure}),
+                        **d.options,
                     }
-                ),
-                "design": [{"name": d.name, "method": d.method, "tune": d.tune, **d.options} for d in spec.designs],
+                    for d in spec.designs
+                ],
             }
         )
     for manoeuvre in job.manoeuvres:
