@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_scaling
-from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
+from platform_ctrl.analysis.norms import gains, hinf_norm_arrays, resonances, stationary_covariance
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.certificates.certificate import Certificate, Claim
 from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, matrices_of
@@ -94,6 +94,7 @@ def norm_certificate(
     gamma: float | None = None,
     *,
     controller: StateArrays | None = None,
+    norm: float | None = None,
     label: str = "",
 ) -> Certificate:
     """Return a proved certificate that a system is stable and its H-infinity norm below `gamma`.
@@ -106,6 +107,8 @@ def norm_certificate(
         The bound that is claimed; default the norm and as little above it as can be proved.
     controller
         u = K y.
+    norm
+        The norm, where it is known already: it is not computed again.
     label
         What it is.
 
@@ -120,7 +123,7 @@ def norm_certificate(
     loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
     system = _rounded(loop, where)
     _require_stable(system, where, loop)
-    norm = _hinf(*system)
+    norm = _hinf(*system) if norm is None else float(norm)
     bounds = [float(gamma)] if gamma is not None else _just_above(norm)
     for bound in bounds:
         if bound > norm:
@@ -287,7 +290,12 @@ def _lyapunov(decay: float) -> Finder:
 def _slack(system: StateArrays, size: float) -> float:
     """Return e such that e times the norm from w to the states, added to z, changes the norm by about `size`."""
     n = len(system.A)
-    reach = _hinf(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)
+    states = StateArrays(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)
+    s = continuous_poles(pole_arrays(system.A), system.dt)
+    w = np.append(resonances(s), 0.0)
+    # Near the resonances is near enough: the peak between them is not much higher.
+    found = gains(states, w[w <= np.pi / system.dt] if system.dt > 0 else w)
+    reach = float(found[np.isfinite(found)].max(initial=0.0))
     return size / reach if reach > _NOTHING else 1.0
 
 

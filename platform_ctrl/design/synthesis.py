@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.certificates import Certificate, h2_certificate, norm_certificate
 from platform_ctrl.design.partition import (
     Partition,
     Realisation,
@@ -101,6 +102,9 @@ class Synthesis:
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
     norms
         Other norms of the closed loop that the route promised, recomputed, by name.
+    certificate
+        Proof that the loop of `plant` and `controller` is stable and its norm hardly above `gamma`:
+        ``certificate.verify()``.
     """
 
     plant: StateSpace
@@ -117,6 +121,7 @@ class Synthesis:
     residual: dict[str, float]
     norm: Norm = "hinf"
     norms: dict[str, float] = field(default_factory=dict)
+    certificate: Certificate | None = None
 
     @property
     def spectral_abscissa(self) -> float:
@@ -285,7 +290,22 @@ def certify(
         residual=dict(residual),
         norm=norm,
         norms={claim.name: _kept(claim, loop, plant.dt, method, None, P)[0] for claim in claims},
+        certificate=_certificate(P, loop, controller, plant.dt, norm, gamma),
     )
+
+
+def _certificate(
+    P: StateSpace, loop: Realisation, controller: Realisation, dt: float, norm: Norm, gamma: float
+) -> Certificate:
+    """Return the proof of the norm, of plant and controller as given."""
+    given = StateArrays(*state_arrays(P, "plant")[:4], dt=dt)
+    K = StateArrays(controller.A, controller.B, controller.C, controller.D, dt)
+    if norm == "hinf":
+        return norm_certificate(*given, controller=K, norm=gamma)
+    if dt == 0.0 and np.any(controller.D):
+        # What the controller's direct term cancels but for rounding: the proof is of the loop without it.
+        return h2_certificate(loop.A, loop.B, loop.C, loop.D)
+    return h2_certificate(*given, controller=K)
 
 
 def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace) -> ComplexArray:
