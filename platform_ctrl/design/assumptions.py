@@ -72,9 +72,10 @@ def require_full_rank(scaled: ScaledPlant, P: StateSpace, where: str) -> None:
         )
     if scaled.measurement_rank < ny:
         lost = np.abs(scaled.measurement[scaled.measurement_rank :]).sum(axis=0)
+        quiet = named(lost, P.output_labels[-ny:])
         raise IllPosedError(
-            f"{where}: D21 has row rank {scaled.measurement_rank}; expected full row rank {ny}: no w "
-            f"disturbs {named(lost, P.output_labels[-ny:])} directly; add a small noise on every measurement in w, or {WAYS_OUT}",
+            f"{where}: D21 has row rank {scaled.measurement_rank}; expected full row rank {ny}: no w disturbs {quiet} "
+            f"directly; add a small noise on every measurement in w, or {WAYS_OUT}",
             P,
         )
 

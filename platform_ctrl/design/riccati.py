@@ -125,6 +125,7 @@ def relative_residual(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
 ) -> float:
     """Return the residual of the equation at X relative to the largest of its terms."""
+    terms: tuple[FloatArray, ...]
     if discrete:
         terms = (A.T @ X @ A, -X, Q)
         cross, weight = A.T @ X @ B + N, R + B.T @ X @ B

@@ -74,13 +74,14 @@ def _unit_controls(B2: FloatArray, D12: FloatArray) -> tuple[FloatArray, int]:
 def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     """Scale a plant: D22 shifted out, D12 and D21 to unit columns and rows, time, states; the norm scales by `gain`.
 
-    Time is measured by the geometric mean of the poles' moduli, states by Osborne's balancing of [A B; C 0].
+    Time is measured by the geometric mean of the poles' moduli (of a sampled plant by its period, so that poles stay
+    where they are), states by Osborne's balancing of [A B; C 0].
     """
     root = np.sqrt(gain)
     moduli = np.abs(np.linalg.eigvals(plant.A))
     # Poles at 0 come out at the level of rounding, defective ones well above it: they say nothing about time.
     moduli = moduli[moduli > 1e-6 * np.max(moduli, initial=0.0)]
-    rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size else 1.0
+    rate = float(np.exp(np.mean(np.log(moduli)))) if moduli.size and not plant.dt else 1.0
 
     A, B1, C1 = plant.A / rate, plant.B1 / rate / root, plant.C1 / root
     S, control_rank = _unit_controls(plant.B2 / rate, plant.D12 / root)
@@ -96,6 +97,7 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
         plant=Partition(
             A=A / d[:, None] * d, B1=B1 / d[:, None], B2=B2 / d[:, None], C1=C1 * d, C2=C2 * d,
             D11=plant.D11 / gain, D12=D12, D21=D21, D22=np.zeros_like(plant.D22),
+            dt=plant.dt,
         ),
         state=d, rate=rate, control=S, measurement=St.T, gain=gain, D22=plant.D22,
         control_rank=control_rank, measurement_rank=measurement_rank,
