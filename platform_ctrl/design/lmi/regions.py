@@ -1,0 +1,102 @@
+"""Pole regions as matrix inequalities (Chilali and Gahinet 1996), and the modes that no controller moves into one.
+
+A region is {s : L + M s + M' s* < 0}. All eigenvalues of A lie in it if some V > 0 satisfies
+L ⊗ V + M ⊗ (V A) + M' ⊗ (V A)' < 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from platform_ctrl.design.scaling import ScaledPlant
+from platform_ctrl.errors import ArgumentError, IllPosedError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.requirements import LoopRequirement
+
+REGIONS = ("stability", "damping", "fastest pole")
+# A mode whose pencil [A − sI, B2] (or its dual) has a singular value below this share of A cannot be moved.
+FIXED = 1e-9
+
+
+@value
+class Region:
+    """L and M of a region, (k, k), and the requirement that it stands for."""
+
+    asked: LoopRequirement
+    L: FloatArray
+    M: FloatArray
+
+    def contains(self, s: complex) -> bool:
+        """Whether a pole lies in it."""
+        return float(np.linalg.eigvalsh(self.L + s * self.M + np.conj(s) * self.M.T)[-1]) < 0
+
+
+def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tighter: float = 1.0) -> Region:
+    """Return the region of a requirement.
+
+    Parameters
+    ----------
+    asked
+        "stability" (slowest decay), "damping" or "fastest pole".
+    period
+        Sample period, s: then the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there,
+        exactly; a damping is taken for that of w, which is near that of ln z as long as the poles are slow.
+    rate
+        Unit of s, rad/s.
+    tighter
+        How many times more than the limit is asked, >= 1; a damping comes closer to 1 by it.
+
+    Raises
+    ------
+    ArgumentError
+        A bound of the wrong sense or size.
+    """
+    limit, kind = asked.limit, asked.kind
+    sense = "at most" if kind == "fastest pole" else "at least"
+    if asked.sense != sense or not (math.isfinite(limit) and limit > 0) or (kind == "damping" and limit >= 1):
+        below = " below 1" if kind == "damping" else ""
+        raise ArgumentError(f"{asked.name}: given {asked.sense} {limit!r}; expected {sense} a positive number{below}")
+    disc = np.array([[0.0, 1.0], [0.0, 0.0]])
+    if kind == "damping":
+        cosine = 1 - (1 - limit) / tighter
+        sine = math.sqrt(1 - cosine**2)
+        # The sector |arg(−s)| < θ, cos θ the damping.
+        return Region(asked=asked, L=np.zeros((2, 2)), M=np.array([[sine, cosine], [-cosine, sine]]))
+    if kind == "fastest pole":
+        return Region(asked=asked, L=-limit / tighter / rate * np.eye(2), M=disc)
+    decay = limit * tighter
+    if period == 0.0:
+        return Region(asked=asked, L=np.array([[2 * decay / rate]]), M=np.eye(1))
+    # |z| < exp(−decay T) between its two real points.
+    near = 2 / period * math.tanh(decay * period / 2)
+    far = 4 / period**2 / near
+    centre, radius = (near + far) / 2 / rate, (far - near) / 2 / rate
+    return Region(asked=asked, L=np.array([[-radius, centre], [centre, -radius]]), M=disc)
+
+
+def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P: object) -> None:
+    """Raise an IllPosedError that names a mode outside a region, in units of `scaled`, that no controller moves.
+
+    Such modes, as a rule poles of weights, are poles of every closed loop.
+    """
+    plant = scaled.plant
+    size = max(1.0, float(np.linalg.norm(plant.A, 2)))
+    for pole in np.linalg.eigvals(plant.A):
+        outside = [one.asked for one in wanted if not one.contains(complex(pole))]
+        shifted = plant.A - pole * np.eye(len(plant.A))
+        for text, pencil in (
+            ("no control u moves it", np.hstack([shifted, plant.B2])),
+            ("no measurement y sees it", np.vstack([shifted, plant.C2])),
+        ):
+            if outside and float(np.linalg.svd(pencil, compute_uv=False)[-1]) < FIXED * size:
+                real = complex(pole) * scaled.rate
+                asked = outside[0]
+                raise IllPosedError(
+                    f"{where}: the mode at {real.real:.4g}{real.imag:+.4g}j rad/s violates {asked.name} {asked.sense} "
+                    f"{asked.limit:.4g}, and {text}; expected such modes, as a rule poles of weights, within the "
+                    "region: ask for less, or give the weight another pole",
+                    P,
+                )
