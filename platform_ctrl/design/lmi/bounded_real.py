@@ -208,7 +208,7 @@ def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: Realisa
     CK = np.linalg.solve(M, (hat.C - D @ p.C2 @ X).T).T
     inner = hat.A - Y @ (p.A + p.B2 @ D @ p.C2) @ X - N @ BK @ p.C2 @ X - Y @ p.B2 @ CK @ M.T
     AK = np.linalg.solve(M, np.linalg.solve(N, inner).T).T
-    return Realisation(A=AK, B=BK, C=CK, D=D)
+    return Realisation(A=np.asarray(AK), B=np.asarray(BK, dtype=np.float64), C=np.asarray(CK, dtype=np.float64), D=D)
 
 
 def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:

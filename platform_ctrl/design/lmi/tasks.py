@@ -79,7 +79,9 @@ def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequiremen
     """
     if not requirements:
         raise ArgumentError(f"{where}: no requirements; expected at least one, of kind {_kinds()}")
-    norms, regions, controller = [], [], []
+    norms: list[LoopRequirement] = []
+    regions: list[LoopRequirement] = []
+    controller: list[LoopRequirement] = []
     for asked in requirements:
         if not isinstance(asked, LoopRequirement) or asked.kind not in (*NORMS, *REGIONS, CONTROLLER):
             kind = getattr(asked, "kind", type(asked).__name__)
