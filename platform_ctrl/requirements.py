@@ -14,7 +14,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_figures import BANDED, OF_CONTROLLER, controller_gain, fastest
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_figures
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
@@ -211,14 +211,16 @@ class LoopRequirement(Requirement):
 
     def result(self, plants: PlantSet, measures: LoopMeasures, *, subject: str = "", design: str = "") -> CheckResult:
         """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from."""
-        figures = self.figures(measures)
+        return self._worst(plants, self.figures(measures), subject, design)
+
+    def _worst(self, plants: PlantSet, figures: FloatArray, subject: str, design: str) -> CheckResult:
         worst = int(figures.argmax() if self.sense == "at most" else figures.argmin())
         if self.kind in OF_CONTROLLER:
             where = "controller"
         elif self.kind == "torque noise" and not self.over_spread:
             where = f"torquer {plants.torques[worst]}"
         elif self.over_spread:
-            where = plants.labels[np.flatnonzero(measures.of(self.over))[worst]]
+            where = plants.labels[np.flatnonzero(plants.of(self.over))[worst]]
         else:
             where = "nominal plant"
         return self.judge(
@@ -246,10 +248,16 @@ class LoopRequirement(Requirement):
         Raises
         ------
         ArgumentError
-            The controller does not fit the plants, or a channel names a signal that the closed loops do not have.
+            The controller does not fit the plants, the set has no plant of the groups, or a channel names a signal
+            that the closed loops do not have.
         """
         K = plants.joined(controller)
-        return self.result(plants, exact_measures(plants, K, (self,)), subject=subject, design=design)
+        if self.kind not in OF_CONTROLLER and not plants.of(self.over).any():
+            raise ArgumentError(
+                f"{self.name}: asked over {', '.join(self.over)}; expected a set with such plants, here "
+                f"{', '.join(dict.fromkeys(plants.groups))}"
+            )
+        return self._worst(plants, exact_figures(plants, K, self), subject, design)
 
     def check_closed_loop(
         self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
@@ -320,14 +328,14 @@ def requirement(
     Parameters
     ----------
     kind
-        At least: ``"stability"`` (decay of the slowest pole, 1/s), ``"damping"``, ``"bandwidth"`` (Hz), ``"disk margin"``.
-        At most: ``"fastest pole"`` (rad/s, in the w-plane of a sampled loop; with stability and damping a pole region),
-        ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and output), ``"tracking"``
-        (σ(S) at the plant's output up to `frequency`), ``"Omega rejection"``, ``"torque rejection"`` (peak gain from
-        the platform's rate and from disturbing torques to the angles), ``"torque noise"`` (rms from pick-off noise, N m,
-        worst torquer), ``"torque limit"`` (torque amplitude over the torquer's limit, for any sinusoidal platform rate, up
-        to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity norm"``, ``"H2 norm"`` (of `channel`),
-        ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
+        At least: ``"stability"`` (decay of the slowest pole, 1/s), ``"damping"``, ``"bandwidth"`` (Hz), ``"disk
+        margin"``. At most: ``"fastest pole"`` (rad/s, in the w-plane of a sampled loop; with stability and damping a
+        pole region), ``"sensitivity peak"``, ``"complementary peak"`` (‖S‖, ‖T‖, the larger of plant input and
+        output), ``"tracking"`` (σ(S) at the plant's output up to `frequency`), ``"Omega rejection"``, ``"torque
+        rejection"`` (peak gain from the platform's rate and from disturbing torques to the angles), ``"torque noise"``
+        (rms from pick-off noise, N m, worst torquer), ``"torque limit"`` (torque amplitude over the torquer's limit,
+        for any sinusoidal platform rate, up to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity
+        norm"``, ``"H2 norm"`` (of `channel`), ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
     limit
         > 0.
     over

@@ -235,7 +235,7 @@ def band_peak(system: StateArrays, top: float) -> float:
     top = min(top, np.inf if system.dt == 0.0 else np.pi / system.dt)
     s = continuous_poles(pole_arrays(system.A), system.dt)
     candidates = np.concatenate([[0.0, top], resonances(s)])
-    best = float(np.finfo(np.float64).tiny)
+    best = 0.0
     for _ in range(60):
         found = float(gains(system, candidates[candidates <= top]).max(initial=0.0))
         if found <= best:

@@ -7,18 +7,15 @@ from collections.abc import Sequence
 from dataclasses import field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import StateArrays, state_space
 from platform_ctrl.analysis.bandwidth import bandwidth, bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, PEAKS, Asked, LoopFigures
 from platform_ctrl.analysis.norms import noise_rms_arrays
-from platform_ctrl.analysis.plant_set import Group, PlantSet
+from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-
-BoolArray = NDArray[np.bool_]
 
 # A figure by what makes it: its kind, the edge of its band, the signals between which it is taken.
 Key = tuple[str, float | None, Channel | None]
@@ -62,7 +59,7 @@ class LoopMeasures:
 
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,)."""
-        return np.array([group in groups for group in self.groups], dtype=np.bool_)
+        return members(self.groups, groups)
 
     def figures(self, asked: Asked) -> FloatArray:
         """Return what is asked for: a figure of every plant that it is asked of; nominal noise of every torquer.
@@ -100,23 +97,34 @@ def exact_measures(plants: PlantSet, controller: StateArrays, asked: Sequence[As
     """Return the measures with peaks as norms (not on a grid) wherever they decide anything."""
     loops = LoopFigures(plants, controller)
     rough = _measured(loops, asked)
-    margin = _Own(kind="disk margin")
     watched = [rough.of(groups) for groups in (("nominal",), *_WATCHED)]
     watched += [rough.of(one.over) for one in asked if one.kind == "disk margin"]
     further = dict(rough.further)
     for one in asked:
         if _key(one) in further and one.kind in PEAKS:
             further[_key(one)] = _refined(loops, one, further[_key(one)], [rough.of(one.over)])
-    K = state_space(controller, plants.angles, plants.torques)
-    nominal = state_space(
-        StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period), plants.torques, plants.angles
-    )
     return dataclasses.replace(
         rough,
-        bandwidth=min(bandwidth(nominal, K, at="input"), bandwidth(nominal, K, at="output")),
-        disk_margin=_refined(loops, margin, rough.disk_margin, watched),
+        bandwidth=_nominal_bandwidth(plants, controller),
+        disk_margin=_refined(loops, _Own(kind="disk margin"), rough.disk_margin, watched),
         further=further,
     )
+
+
+def exact_figures(plants: PlantSet, controller: StateArrays, asked: Asked) -> FloatArray:
+    """Return one figure as `LoopMeasures.figures` does of `exact_measures`, without measuring anything else."""
+    loops = LoopFigures(plants, controller)
+    if _nominal_alone(asked):
+        if asked.kind == "bandwidth":
+            return np.array([_nominal_bandwidth(plants, controller) / (2.0 * np.pi)])
+        return _nominal_noise(loops)
+    figures = loops.figure(asked)
+    if asked.kind in OF_CONTROLLER:
+        return figures
+    chosen = plants.of(asked.over)
+    figures = _refined(loops, asked, figures, [chosen]) if asked.kind in PEAKS else figures
+    out: FloatArray = figures[chosen]
+    return out
 
 
 @value
@@ -130,8 +138,7 @@ class _Own:
 
 
 def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
-    plants, m = loops.plants, loops.m
-    A, B, C, D, _ = loops.own_arrays
+    plants = loops.plants
     further: dict[Key, FloatArray] = {}
     for one in asked:
         if not _nominal_alone(one) and one.kind not in ("stability", "damping", "disk margin"):
@@ -142,7 +149,7 @@ def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
         disk_margin=loops.figure(_Own(kind="disk margin")),
         damping=loops.figure(_Own(kind="damping")),
         decay=loops.decay,
-        torque_noise=noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], plants.noise),
+        torque_noise=_nominal_noise(loops),
         groups=plants.groups,
         further=further,
     )
@@ -163,6 +170,19 @@ def _refined(loops: LoopFigures, asked: Asked, figures: FloatArray, watched: Seq
     for k in np.flatnonzero(near):
         out[k] = loops.exact(asked, int(k))
     return out
+
+
+def _nominal_bandwidth(plants: PlantSet, controller: StateArrays) -> float:
+    K = state_space(controller, plants.angles, plants.torques)
+    arrays = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+    nominal = state_space(arrays, plants.torques, plants.angles)
+    return min(bandwidth(nominal, K, at="input"), bandwidth(nominal, K, at="output"))
+
+
+def _nominal_noise(loops: LoopFigures) -> FloatArray:
+    A, B, C, D, _ = loops.own_arrays
+    m = loops.m
+    return noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], loops.plants.noise)
 
 
 def _key(asked: Asked) -> Key:

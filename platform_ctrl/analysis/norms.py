@@ -95,7 +95,8 @@ def hinf_norm_arrays(
     if dt == 0.0 and direct > best:
         best, frequency = direct, math.inf
     if best == 0.0:
-        best = np.finfo(float).tiny
+        # Nothing comes through at any of the frequencies that its poles single out.
+        return 0.0, 0.0
     for _ in range(60):
         found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
         if found > best * (1.0 + tolerance):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
@@ -15,6 +16,8 @@ from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
     import control
+
+BoolArray = NDArray[np.bool_]
 
 # What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
 Group = Literal["nominal", "spread", "Omega", "faults"]
@@ -98,6 +101,10 @@ class PlantSet:
             )
         return K
 
+    def of(self, groups: Sequence[str]) -> BoolArray:
+        """Return which plants belong to `groups`, truth values (N,)."""
+        return members(self.groups, groups)
+
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices)."""
         index = np.asarray(chosen, dtype=np.intp)
@@ -113,6 +120,11 @@ class PlantSet:
             response=self.response[index],
             Omega_response=self.Omega_response[index],
         )
+
+
+def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
+    """Return which entries of `groups` are among `of`."""
+    return np.array([group in of for group in groups], dtype=np.bool_)
 
 
 def tuning_grid(nutation: float, period: float) -> FloatArray:
