@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 NEAR_AXIS = 1e-7
 # Singular values below this share of the size of A mean that rank is lost.
 LOST = 1e-10
+# A direct path that is left over, relative to D11, counts as none.
+DIRECT = 1e-10
 WAYS_OUT = 'give method="lmi", which needs none of this, or regularise=1e-3'
 
 
@@ -120,6 +122,44 @@ def require_no_zero_on_axis(scaled: ScaledPlant, P: StateSpace, where: str) -> N
         f"{where}: {what} at {place} in the states {named(states * scaled.state, P.state_labels)}; expected no zero on "
         f"the imaginary axis; shift the weight with that pole or zero to the left, or {WAYS_OUT}",
         P,
+    )
+
+
+def without_direct_path(plant: Partition, P: StateSpace, where: str) -> tuple[Partition, FloatArray]:
+    """Return the plant with the gain D_K closed that cancels D11, and D_K.
+
+    The columns of D12 and rows of D21 are orthonormal or zero.
+
+    Raises
+    ------
+    IllPosedError
+        No gain cancels D11: every closed loop would pass white noise, with an infinite norm.
+    """
+    p = plant
+    if not np.any(p.D11):
+        return p, np.zeros((p.D12.shape[1], p.D21.shape[0]))
+    gain = -p.D12.T @ p.D11 @ p.D21.T
+    rest = p.D11 + p.D12 @ gain @ p.D21
+    if np.linalg.norm(rest) > DIRECT * np.linalg.norm(p.D11):
+        z, w = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
+        raise IllPosedError(
+            f"{where}: D11 has a direct path from {P.input_labels[int(w)]} to {P.output_labels[int(z)]} that no gain "
+            "from y to u cancels, so that the norm is infinite; expected D11 = 0; put a low-pass on that w or z",
+            P,
+        )
+    return (
+        Partition(
+            A=p.A + p.B2 @ gain @ p.C2,
+            B1=p.B1 + p.B2 @ gain @ p.D21,
+            B2=p.B2,
+            C1=p.C1 + p.D12 @ gain @ p.C2,
+            C2=p.C2,
+            D11=np.zeros_like(p.D11),
+            D12=p.D12,
+            D21=p.D21,
+            D22=p.D22,
+        ),
+        gain,
     )
 
 

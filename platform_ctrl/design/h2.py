@@ -11,12 +11,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.design.assumptions import regularised, require_full_rank, require_no_zero_on_axis, zero_on_axis
+from platform_ctrl.design.assumptions import (
+    regularised,
+    require_full_rank,
+    require_no_zero_on_axis,
+    without_direct_path,
+    zero_on_axis,
+)
 from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
 from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, require_stabilisable, unscale
 from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation
-from platform_ctrl.errors import ArgumentError, IllPosedError, UnscalableError
+from platform_ctrl.errors import ArgumentError, UnscalableError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -25,8 +31,6 @@ if TYPE_CHECKING:
 WHERE = "h2, riccati"
 # The recomputed norm may exceed the optimum by this share.
 TOLERANCE = 1e-6
-# A direct path that is left over, relative to D11, counts as none.
-DIRECT = 1e-10
 NO_SOLUTION = (
     "has no stabilising solution in the scaled units; expected modes on the stability boundary well within reach of u "
     'and y, and no zeros near it; give method="lmi", or regularise=1e-3'
@@ -119,42 +123,6 @@ def h2(
     )
 
 
-def without_direct_path(plant: Partition, P: StateSpace, where: str) -> tuple[Partition, FloatArray]:
-    """Return the plant with the gain D_K closed that cancels D11, and D_K; D12 and D21 have orthonormal columns, rows.
-
-    Raises
-    ------
-    IllPosedError
-        No gain cancels D11: every closed loop would pass white noise, with an infinite norm.
-    """
-    p = plant
-    if not np.any(p.D11):
-        return p, np.zeros((p.D12.shape[1], p.D21.shape[0]))
-    gain = -p.D12.T @ p.D11 @ p.D21.T
-    rest = p.D11 + p.D12 @ gain @ p.D21
-    if np.linalg.norm(rest) > DIRECT * np.linalg.norm(p.D11):
-        z, w = np.unravel_index(int(np.argmax(np.abs(rest))), rest.shape)
-        raise IllPosedError(
-            f"{where}: D11 has a direct path from {P.input_labels[int(w)]} to {P.output_labels[int(z)]} that no gain "
-            "from y to u cancels, so that the norm is infinite; expected D11 = 0; put a low-pass on that w or z",
-            P,
-        )
-    return (
-        Partition(
-            A=p.A + p.B2 @ gain @ p.C2,
-            B1=p.B1 + p.B2 @ gain @ p.D21,
-            B2=p.B2,
-            C1=p.C1 + p.D12 @ gain @ p.C2,
-            C2=p.C2,
-            D11=np.zeros_like(p.D11),
-            D12=p.D12,
-            D21=p.D21,
-            D22=p.D22,
-        ),
-        gain,
-    )
-
-
 def _continuous(
     plant: Partition, P: StateSpace, regularise: float | None
 ) -> tuple[Realisation, float, dict[str, float]]:
@@ -241,10 +209,10 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, di
     (X, F, W), (Y, Lt, S) = for_X, for_Y
     L = -Lt.T  # the predictor's gain
     square = float(np.trace(p.D11.T @ p.D11 + p.B1.T @ X @ p.B1) + np.trace(W @ F @ Y @ F.T))
-    present = np.zeros((len(F), len(p.C2)))
+    present: FloatArray = np.zeros((len(F), len(p.C2)))
     if direct:
         F0 = -np.linalg.solve(W, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
-        present = np.linalg.solve(S, (F @ Y @ p.C2.T + F0 @ p.D21.T).T).T
+        present = np.asarray(np.linalg.solve(S, (F @ Y @ p.C2.T + F0 @ p.D21.T).T).T)
         square -= float(np.trace(W @ present @ S @ present.T))
     B = p.B2 @ present + L
     made = Realisation(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
