@@ -43,7 +43,7 @@ def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tight
         "stability" (slowest decay), "damping" or "fastest pole".
     period
         Sample period, s: then the region is one of the w-plane, w = (2/T) (z − 1)/(z + 1). A decay is a disc there,
-        exactly; a damping is taken for that of w, which is near that of ln z as long as the poles are slow.
+        exactly; a damping is a sector that is narrow enough for poles up to 1/T rad/s.
     rate
         Unit of s, rad/s.
     tighter
@@ -61,7 +61,7 @@ def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tight
         raise ArgumentError(f"{asked.name}: given {asked.sense} {limit!r}; expected {sense} a positive number{below}")
     disc = np.array([[0.0, 1.0], [0.0, 0.0]])
     if kind == "damping":
-        cosine = 1 - (1 - limit) / tighter
+        cosine = 1 - (1 - _sector(limit, period)) / tighter
         sine = math.sqrt(1 - cosine**2)
         # The sector |arg(−s)| < θ, cos θ the damping.
         return Region(asked=asked, L=np.zeros((2, 2)), M=np.array([[sine, cosine], [-cosine, sine]]))
@@ -70,11 +70,23 @@ def region(asked: LoopRequirement, period: float = 0.0, rate: float = 1.0, tight
     decay = limit * tighter
     if period == 0.0:
         return Region(asked=asked, L=np.array([[2 * decay / rate]]), M=np.eye(1))
-    # |z| < exp(−decay T) between its two real points.
+    # |z| < exp(−decay T) is the disc |w + c|² < c² − 4/T². Its c is large: 2 Re w + 4/T²/c + |w|²/c < 0.
     near = 2 / period * math.tanh(decay * period / 2)
-    far = 4 / period**2 / near
-    centre, radius = (near + far) / 2 / rate, (far - near) / 2 / rate
-    return Region(asked=asked, L=np.array([[-radius, centre], [centre, -radius]]), M=disc)
+    centre = (near + 4 / period**2 / near) / 2 / rate
+    return Region(
+        asked=asked,
+        L=np.diag([4 / (period * rate) ** 2 / centre, -1.0]),
+        M=np.array([[1.0, 0.0], [1 / math.sqrt(centre), 0.0]]),
+    )
+
+
+def _sector(damping: float, period: float) -> float:
+    """The damping in the w-plane that is enough for `damping` of poles up to 1 / `period`, rad/s."""
+    if period == 0.0:
+        return damping
+    s = np.linspace(0.0, 1.0, 101)[1:] * complex(-damping, math.sqrt(1 - damping**2))
+    w = np.tanh(s / 2)
+    return float(np.max(-w.real / np.abs(w)))
 
 
 def require_movable(scaled: ScaledPlant, wanted: Sequence[Region], where: str, P: object) -> None:
