@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import StateArrays
@@ -27,6 +27,7 @@ from platform_ctrl.certificates import (
     stability_certificate,
 )
 from platform_ctrl.certificates.balls import balls, positive_definite
+from platform_ctrl.certificates.precise import stabilising
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 
@@ -73,7 +74,7 @@ def test_norms_are_proved_just_above_what_analysis_finds(seed: int, order: int, 
     found = norm_certificate(A, B, C, D, dt)
     assert found.verify().proved
     norm = analysis.hinf_norm(system)[0]
-    assert norm < found.bound <= norm * (1 + 1.1e-3)
+    assert norm < found.bound <= norm * (1 + 1.1e-4)
     energy = h2_certificate(A, B, C, D if dt > 0 else None, dt)
     assert energy.verify().proved
     if dt == 0:
@@ -184,19 +185,41 @@ def test_a_loop_that_decays_slowly_at_a_fast_sample_rate_is_proved(order: int) -
     assert norm_certificate(A, np.ones((order, 1)) * units[:, None], np.ones((1, order)) / units, [[0.0]], 1 / 2000)
 
 
-def test_coordinates_save_what_rounding_of_x_would_lose() -> None:
-    """A companion matrix with poles from 1e-3 to 1e6 1/s: X in its own states has a condition beyond doubles."""
-    coefficients = np.poly([-1e-3, -1.0, -1e3, -1e6])
+@pytest.mark.parametrize("dt", [0.0, 1e-3])
+def test_poles_ten_decades_apart_are_proved_with_many_bits(dt: float) -> None:
+    """From 1e-4 to 1e6 1/s; as a companion matrix no X in doubles proves anything in its own states."""
+    poles = -np.array([1e-4, 2.0, 1e3, 1e6])
+    coefficients = np.poly(poles)
     A = np.eye(4, k=1)
     A[-1] = -coefficients[1:][::-1]
-    B, C = np.eye(4)[:, 3:], coefficients[-1] * np.eye(4)[:1]
-    found = norm_certificate(A, B, C, [[0.0]])
-    assert found.coordinates is not None
+    B, C, D = np.eye(4)[:, 3:], coefficients[-1] * np.eye(4)[:1], np.zeros((1, 1))
+    if dt > 0:
+        # Sampled lags in a row.
+        z = np.exp(poles * dt)
+        A = np.diag(z) + np.diag(1 - z[1:], -1)
+        B, C = (1 - z[0]) * np.eye(4)[:, :1], np.eye(4)[3:]
+    found = norm_certificate(A, B, C, D, dt)
     assert found.verify().proved
-    assert found.bound == pytest.approx(1.0, rel=1e-2)
-    singular = dataclasses.replace(found, coordinates=np.zeros((4, 4))).verify()
-    assert not singular.proved
-    assert "coordinates are singular" in singular.reason
+    assert found.bound == pytest.approx(1.0, rel=1e-5)
+    assert stability_certificate(A, dt).bound == pytest.approx(1e-4, rel=0.02)
+    energy = h2_certificate(A, B, C, D, dt)
+    assert energy.verify().proved
+    assert energy.bound == pytest.approx(analysis.h2_norm(control.StateSpace(A, B, C, D, dt)), rel=1e-4)
+    if dt == 0:
+        assert found.coordinates is not None
+        singular = dataclasses.replace(found, coordinates=np.zeros((4, 4))).verify()
+        assert not singular.proved
+        assert "coordinates are singular" in singular.reason
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_the_riccati_solution_of_many_bits_is_that_of_scipy(dt: float) -> None:
+    A, B, C, D = random_system(4, 5, 0.5, dt)
+    gamma = 1.3 * analysis.hinf_norm(control.StateSpace(A, B, C, D, dt))[0]
+    solve = solve_discrete_are if dt > 0 else solve_continuous_are
+    theirs = solve(A, B, C.T @ C, D.T @ D - gamma**2 * np.eye(2), s=C.T @ D)
+    mine = stabilising(closed(StateArrays(A, B, C, D, dt)), np.eye(5), 0.0, gamma)
+    np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=1e-10)
 
 
 def test_the_closed_loop_is_that_of_the_given_plant_and_controller_in_exact_arithmetic() -> None:

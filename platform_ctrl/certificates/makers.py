@@ -1,7 +1,7 @@
 """How the matrix of a certificate is found: in floating point, without an LMI solver; the proof is made afterwards.
 
-Every matrix is looked for in balanced states (powers of two, exact). Where its condition eats the digits of the
-proof, it is looked for again in the coordinates in which the first attempt is the identity.
+Every matrix is looked for in doubles, in balanced states (powers of two, exact). Where that does not prove the claim,
+it is looked for with hundreds of bits and rounded in the coordinates of the modes (`precise`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ from platform_ctrl.analysis.norms import gains, hinf_norm_arrays, resonances, st
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.certificates.certificate import Certificate, Claim
 from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, matrices_of
+from platform_ctrl.certificates.precise import modes, stabilising
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray
 
 # Shares of the true decay rate that are claimed, and how far above the true norm: the first that can be proved.
 _SHARES = (0.99, 0.9, 0.5, 0.1)
-_ABOVE = (2e-7, 9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
+_ABOVE = (9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
 
 # A norm that is not told from zero.
 _NOTHING = 1e-100
 
+# From a balanced system, in doubles; and from the closed loop, its rounded form and coordinates, with many bits.
 Finder = Callable[[StateArrays], FloatArray]
+PreciseFinder = Callable[[ClosedLoop, StateArrays, FloatArray], FloatArray | None]
 
 
 def stability_certificate(
@@ -75,7 +78,7 @@ def stability_certificate(
         claimed = [share * rate for share in _SHARES] + [0.0] if np.isfinite(rate) else [0.0]
     for bound in claimed:
         if bound < rate:
-            for certificate in _attempts("stability", bound, loop, system, _lyapunov(bound)):
+            for certificate in _attempts("stability", bound, loop, system, *_lyapunov(bound)):
                 if certificate.verify().proved:
                     return certificate
     raise NotCertifiedError(
@@ -127,7 +130,7 @@ def norm_certificate(
     bounds = [float(gamma)] if gamma is not None else _just_above(norm)
     for bound in bounds:
         if bound > norm:
-            for certificate in _attempts("norm", bound, loop, system, _bounded_real(bound, norm)):
+            for certificate in _attempts("norm", bound, loop, system, *_bounded_real(bound, norm)):
                 if certificate.verify().proved:
                     return certificate
     raise NotCertifiedError(
@@ -177,7 +180,7 @@ def h2_certificate(
     bounds = [float(bound)] if bound is not None else _just_above(norm)
     for claimed in bounds:
         if claimed > norm:
-            for certificate in _attempts("h2", claimed, loop, system, _observability(claimed, norm)):
+            for certificate in _attempts("h2", claimed, loop, system, *_observability(claimed, norm)):
                 if certificate.verify().proved:
                     return certificate
     raise NotCertifiedError(
@@ -226,30 +229,25 @@ def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
 
 
 def _attempts(
-    claim: Claim, bound: float, loop: ClosedLoop, system: StateArrays, finder: Finder
+    claim: Claim, bound: float, loop: ClosedLoop, system: StateArrays, finder: Finder, precise: PreciseFinder
 ) -> Iterator[Certificate]:
-    """Yield candidates: in balanced states, then in the coordinates in which the first is the identity."""
+    """Yield candidates: in balanced states by floating point, then in the coordinates of the modes by many bits."""
     s = state_scaling(*system[:3])
-    scaled = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
-    first = _tried(finder, scaled)
-    if first is None:
+    first = _tried(finder, _in_coordinates(system, np.diag(1.0 / s), np.diag(s)))
+    if first is not None:
+        X = first / s / s[:, None]
+        if np.all(np.isfinite(X)):
+            yield Certificate(claim=claim, bound=bound, loops=(loop,), X=X)
+    if len(s) == 0:
         return
-    X = first / s / s[:, None]
-    if np.all(np.isfinite(X)):
-        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=X)
-    T = np.eye(len(s))
-    for _ in range(2):
-        try:
-            T = np.asarray(np.linalg.cholesky(first).T @ T, dtype=np.float64)
-            inverse = np.asarray(np.linalg.inv(T), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return
-        moved = _in_coordinates(scaled, T, inverse)
-        found = _tried(finder, moved)
-        if found is None:
-            return
-        first = found
-        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=first, coordinates=T / s)
+    try:
+        T = modes(system)
+        moved = _in_coordinates(system, T, np.asarray(np.linalg.inv(T), dtype=np.float64))
+    except np.linalg.LinAlgError:
+        return
+    found = precise(loop, moved, T) if np.all(np.isfinite(T)) else None
+    if found is not None:
+        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=found, coordinates=T)
 
 
 def _in_coordinates(system: StateArrays, T: FloatArray, inverse: FloatArray) -> StateArrays:
@@ -278,13 +276,13 @@ def _gramian(A: FloatArray, Q: FloatArray, dt: float) -> FloatArray:
     return np.asarray(solve_continuous_lyapunov(A.T, -Q), dtype=np.float64)
 
 
-def _lyapunov(decay: float) -> Finder:
+def _lyapunov(decay: float) -> tuple[Finder, PreciseFinder]:
     def find(system: StateArrays) -> FloatArray:
         A, eye = system.A, np.eye(len(system.A))
         moved = A * np.exp(decay * system.dt) if system.dt > 0 else A + decay * eye
         return _gramian(moved, eye, system.dt)
 
-    return find
+    return find, lambda loop, moved, T: stabilising(loop, T, None, decay=decay)
 
 
 def _slack(system: StateArrays, size: float) -> float:
@@ -299,41 +297,47 @@ def _slack(system: StateArrays, size: float) -> float:
     return size / reach if reach > _NOTHING else 1.0
 
 
-def _bounded_real(bound: float, norm: float) -> Finder:
+def _bounded_real(bound: float, norm: float) -> tuple[Finder, PreciseFinder]:
     """X of the stabilising solution for [z, e x], e so small that the norm stays below the bound.
 
     Then the inequality for z alone holds with e²I to spare.
     """
+    # ‖[z, ex]‖² <= norm² + e² reach²: a third of what is between norm² and bound².
+    between = max(bound**2 - norm**2, 0.0)
+    spare, level = np.sqrt(between / 3.0), np.sqrt(norm**2 + 2.0 / 3.0 * between)
 
     def find(system: StateArrays) -> FloatArray:
         from scipy.linalg import solve_continuous_are, solve_discrete_are
 
         A, B, C, D, dt = system
         n, m = len(A), B.shape[1]
-        # ‖[z, ex]‖² <= norm² + e² reach²: a third of what is between norm² and bound².
-        e = _slack(system, np.sqrt(max(bound**2 - norm**2, 0.0) / 3.0))
         if n == 0:
             return np.zeros((0, 0))
-        if m == 0 or not np.any(B):
-            return _gramian(A, C.T @ C + e * e * np.eye(n), dt)
-        level = np.sqrt(norm**2 + 2.0 / 3.0 * (bound**2 - norm**2))
+        e = _slack(system, spare)
+        if not np.any(B):
+            return _gramian(A, np.asarray(C.T @ C + e * e * np.eye(n), dtype=np.float64), dt)
         # In units of the level: Q, R, S of order one.
         Q = (C.T @ C + e * e * np.eye(n)) / level**2
         R = D.T @ D / level**2 - np.eye(m)
         S = C.T @ D / level**2
         solve = solve_discrete_are if dt > 0 else solve_continuous_are
-        return np.asarray(solve(A, B, Q, R, s=S), dtype=np.float64) * level**2
+        return np.asarray(solve(A, B, Q, R, s=S) * level**2, dtype=np.float64)
 
-    return find
+    return find, lambda loop, moved, T: stabilising(loop, T, _slack(moved, spare) ** 2, gamma=level)
 
 
-def _observability(bound: float, norm: float) -> Finder:
+def _observability(bound: float, norm: float) -> tuple[Finder, PreciseFinder]:
+    def weight(system: StateArrays, spare: FloatArray) -> float:
+        size = float(np.trace(system.B.T @ spare @ system.B))
+        return 0.5 * (bound**2 - norm**2) / size if size > 0 else 1.0
+
     def find(system: StateArrays) -> FloatArray:
-        A, B, C, _, dt = system
-        n = len(A)
-        spare = _gramian(A, np.eye(n), dt)
-        size = float(np.trace(B.T @ spare @ B))
-        e2 = 0.5 * (bound**2 - norm**2) / size if size > 0 else 1.0
-        return np.asarray(_gramian(A, C.T @ C, dt) + e2 * spare, dtype=np.float64)
+        spare = _gramian(system.A, np.eye(len(system.A)), system.dt)
+        X = _gramian(system.A, system.C.T @ system.C, system.dt) + weight(system, spare) * spare
+        return np.asarray(X, dtype=np.float64)
 
-    return find
+    def precise(loop: ClosedLoop, moved: StateArrays, T: FloatArray) -> FloatArray | None:
+        spare = _tried(lambda system: _gramian(system.A, np.eye(len(system.A)), system.dt), moved)
+        return None if spare is None else stabilising(loop, T, weight(moved, spare))
+
+    return find, precise
