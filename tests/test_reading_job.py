@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 import pickle
 import random
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.job import Method
+from platform_ctrl.job import LoopLimits, Method
 from platform_ctrl.reading import read_job
 from platform_ctrl.reading.job import OPTIONS
 from test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
@@ -105,6 +106,15 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "seed a fraction": (put(0.5, "operation", "seed"), ["seed = 0.5", "a whole number >= 0"]),
     "spread too large": (put(0.95, "spread", "spin"), ["[spread]", "spin = 0.95", "from 0 to 0.9"]),
     "spread negative": (put(-0.1, "spread", "inertia"), ["[spread]", "inertia = -0.1", "from 0 to 0.9"]),
+    "a fraction of a sample": (put(2.5, "spread", "samples"), ["[spread]", "samples = 2.5", "from 0 to 1000"]),
+    "samples of nothing": (
+        put({"samples": 4}, "spread"),
+        ["[spread]", "samples = 4: neither inertia nor spin has a spread", "inertia or spin > 0"],
+    ),
+    "a grid of one point": (put(1, "operation", "Omega_grid"), ["Omega_grid = 1", "a whole number from 2 to 9"]),
+    "a rotor that is too fast": (put({"slow_rotor": 1.5}, "faults"), ["[faults]", "slow_rotor = 1.5", "from 0 to 1"]),
+    "a torquer without torque": (put({"weak_torquer": 0}, "faults"), ["[faults]", "weak_torquer = 0", "a share > 0"]),
+    "fault unknown": (put({"slow_rotors": 1}, "faults"), ['unknown key "slow_rotors"', 'did you mean "slow_rotor"?']),
     "rate zero": (put(0, "sampling", "rate_hz"), ["[sampling]", "rate_hz = 0", "a number > 0"]),
     "rate without a period": (put(1e-310, "sampling", "rate_hz"), ["rate_hz = 1e-310", "a number > 0"]),
     "delay negative": (put(-1e-4, "sampling", "delay"), ["[sampling]", "delay = -0.0001", "a number >= 0"]),
@@ -180,6 +190,36 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "loop limit unknown": (
         put(1, "loop", 0, "limits", "dampign"),
         [f"{CAGING}: [loop.limits]", 'unknown key "dampign"', 'did you mean "damping"?'],
+    ),
+    "limit on faults of a job without": (
+        put(0.1, "loop", 0, "limits", "damping_faults"),
+        [f"{CAGING}: [loop.limits]", "damping_faults: the job has no plants with faults", "slow_rotor or weak_torquer"],
+    ),
+    "goal on faults of a job without": (
+        put({"disk_margin_faults": 0.1}, "loop", 0, "soft"),
+        [f"{CAGING}: [loop.soft]", "disk_margin_faults: the job has no plants with faults"],
+    ),
+    "tracking up to nowhere": (
+        put(0.1, "loop", 0, "limits", "tracking"),
+        [f"{CAGING}: [loop.limits]", 'missing key "tracking_hz": tracking means nothing without it'],
+    ),
+    "tracking nothing": (put({"tracking_hz": 5}, "loop", 0, "soft"), ["[loop.soft]", 'missing key "tracking"']),
+    "a band without a torque limit": (
+        put(5, "loop", 0, "limits", "torque_limit_hz"),
+        ['missing key "torque_limit": torque_limit_hz means nothing without it'],
+    ),
+    "goal zero": (put({"bandwidth_hz": 0}, "loop", 0, "soft"), [f"{CAGING}: [loop.soft]", "bandwidth_hz = 0", "> 0"]),
+    "goals of a stabilisation loop": (
+        put({"torque_noise": 0.1}, "loop", 1, "soft"),
+        [SERVO, "soft: no method of a stabilisation loop minimises anything", "leave the table out"],
+    ),
+    "structure unknown": (
+        put({"name": "machine", "method": "structured", "structure": "PI"}, "loop", 0, "design", 1),
+        ['structure = "PI"', 'expected "cross-axis" or'],
+    ),
+    "structure of another method": (
+        put("pid", "loop", 0, "design", 0, "structure"),
+        [HAND, 'unknown key "structure"'],
     ),
     "coupled limit negative": (put(-1, "coupled", "disk_margin"), ["[coupled]", "disk_margin = -1", "> 0"]),
     "coupled limit unknown": (put(1, "coupled", "disc_margin"), ["[coupled]", 'did you mean "disk_margin"?']),
@@ -309,6 +349,58 @@ def test_what_is_read_is_the_job() -> None:
     assert (turn.limits, push.limits) == ({"angle": 0.003}, {"attitude": 1.0})
 
 
+def test_the_set_of_plants_and_the_goals_are_read() -> None:
+    data = job()
+    data["operation"]["Omega_grid"] = 3
+    data["spread"]["samples"] = 16
+    data["faults"] = {"slow_rotor": 0, "weak_torquer": 0.5}
+    caging = data["loop"][0]
+    caging["limits"] |= {
+        "damping_faults": 0.01,
+        "tracking": 0.1,
+        "tracking_hz": 5,
+        "torque_limit": 1,
+        "Omega_rejection": 2,
+    }
+    caging["soft"] = {"bandwidth_hz": 60, "sensitivity_peak_spread": 2}
+    caging["design"].append({"name": "simple", "method": "structured", "structure": "cross-axis"})
+    read = read_job(data)
+    assert (read.Omega_grid, read.spread.samples) == (3, 16)
+    assert (read.faults.slow_rotor, read.faults.weak_torquer) == (0.0, 0.5)
+    limits, soft = read.loops[0].limits, read.loops[0].soft
+    assert (limits.damping_faults, limits.tracking, limits.tracking_hz) == (0.01, 0.1, 5.0)
+    assert (limits.torque_limit, limits.torque_limit_hz, limits.Omega_rejection) == (1.0, None, 2.0)
+    assert (soft.bandwidth_hz, soft.sensitivity_peak_spread, soft.damping) == (60.0, 2.0, None)
+    assert [design.structure for design in read.loops[0].designs] == [None, None, "cross-axis"]
+
+
+def test_every_limit_can_be_a_goal() -> None:
+    names = [field.name for field in dataclasses.fields(LoopLimits)]
+    data = job() | {"faults": {"slow_rotor": 0.5}}
+    data["loop"][0]["limits"] = dict.fromkeys(names, 0.5)
+    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    loop = read_job(data).loops[0]
+    assert dataclasses.asdict(loop.limits) == dict.fromkeys(names, 0.5)
+    assert dataclasses.asdict(loop.soft) == dict.fromkeys(names, 0.25)
+
+
+def test_a_job_is_written_and_read_back_whole() -> None:
+    from platform_ctrl.report.record import job_data
+
+    names = [field.name for field in dataclasses.fields(LoopLimits)]
+    data = job() | {"faults": {"slow_rotor": 0.5}}
+    data["operation"]["Omega_grid"] = 4
+    data["spread"]["samples"] = 3
+    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    data["loop"][0]["design"].append({"name": "simple", "method": "structured", "structure": "pid", "order": 2})
+    read = read_job(data)
+    again = read_job(job_data(read))
+    assert job_data(again) == job_data(read)
+    assert (again.Omega_grid, again.spread.samples, again.faults.slow_rotor) == (4, 3, 0.5)
+    assert again.loops[0].soft.tracking_hz == 0.25
+    assert again.loops[0].designs[2].structure == "pid"
+
+
 def test_what_may_be_left_out_asks_for_nothing() -> None:
     data = job()
     for key in ("spread", "coupled", "manoeuvre"):
@@ -319,6 +411,13 @@ def test_what_may_be_left_out_asks_for_nothing() -> None:
     assert (read.spread.inertia, read.spread.spin, read.seed, read.manoeuvres) == (0.0, 0.0, 0, ())
     assert read.coupled.disk_margin is None
     assert read.loops[0].limits.bandwidth_hz is None
+    assert read.loops[0].soft.bandwidth_hz is None
+    assert (read.Omega_grid, read.spread.samples, read.faults.slow_rotor, read.faults.weak_torquer) == (
+        2,
+        0,
+        None,
+        None,
+    )
 
 
 def test_the_example_is_read_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

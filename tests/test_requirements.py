@@ -13,6 +13,7 @@ from platform_ctrl import check, design
 from platform_ctrl.analysis import Channel, closed_loop, exact_measures, frequency_response, measure
 from platform_ctrl.analysis.loop_figures import PEAKS
 from platform_ctrl.analysis.plant_set import Group
+from platform_ctrl.check.records import result_record
 from platform_ctrl.design.loop import remeasured
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError
@@ -434,6 +435,8 @@ def test_the_tuner_reaches_a_limit_of_a_new_kind_and_leaves_unasked_faults_alone
     tuned = dataclasses.replace(spec.designs[0], options={}, tune=True)
     spec = dataclasses.replace(spec, designs=(tuned,), use=tuned.name, limits=limits)
     stopped = dataclasses.replace(job, loops=(spec,), faults=Faults(slow_rotor=0.0))
+    untuned = dataclasses.replace(spec, designs=(dataclasses.replace(tuned, tune=False),))
+    assert not design.loops(dataclasses.replace(stopped, loops=(untuned,)))[0].closed.passed
     (outcome,) = design.loops(stopped)
     assert outcome.closed.passed, [(one.name, one.ratio) for one in outcome.closed.results]
 
@@ -451,3 +454,6 @@ def test_checks_of_the_whole_hold_goals_beside_the_verdict(job):
     assert result.passed
     (goal,) = result.loops[0].closed.goals
     assert not goal.passed
+    record = result_record(result)
+    assert [(one["name"], one["passed"]) for one in record["controllers"][0]["goals"]] == [("goal: bandwidth", False)]
+    assert "goal: bandwidth" not in [one["name"] for one in record["requirements"]]

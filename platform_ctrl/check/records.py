@@ -109,6 +109,7 @@ def _controller(result: JobResult, design: LoopDesign) -> Record:
         "claims": claims,
         "certificates": _certificates(result.proofs[design.loop, design.name]),
         "options": design.options,
+        "goals": [_requirement(one) for one in design.goals],
     }
 
 
