@@ -92,16 +92,37 @@ class Quadratic:
 
 
 def quadratic_hinf(
-    plants: Sequence[Partition], backoff: float, time_limit: float, P: object, where: str = "hinf, lmi"
+    plants: Sequence[Partition],
+    backoff: float,
+    time_limit: float,
+    P: object,
+    where: str = "hinf, lmi",
+    needed: Sequence[int] = (),
 ) -> Quadratic:
     """Controllers for plants that share B2, C2, D12, D21 and D22.
+
+    Parameters
+    ----------
+    plants
+        One, or several.
+    backoff
+        Relative distance from the least gamma.
+    time_limit
+        Of one call of the solver, s.
+    P
+        Attached to errors.
+    where
+        For messages.
+    needed
+        Indices of plants whose convex hull holds them all; none: all are needed.
 
     Raises
     ------
     InfeasibleError, UnscalableError, TimeLimitError, IllPosedError
         The solver failed, or what it returned does not satisfy the inequalities; `P` is attached.
     """
-    scaled, vertices, least = _rough(plants, time_limit, P, where)
+    needed = list(needed) or list(range(len(plants)))
+    scaled, vertices, least = _rough(plants, needed, time_limit, P, where)
     T, failure = np.diag(scaled.state), None
     for attempt in ROUNDS:
         change = balancing(least)
@@ -110,11 +131,12 @@ def quadratic_hinf(
         own = float(np.sqrt(np.trace(least.X @ least.Y) / len(least.X)))
         bound = max(LARGEST_MEAN, LEAST_ROOM * own)
         try:
-            least = minimised(vertices, where=where, time_limit=time_limit, P=P, tolerance=FINE)
+            hull = [vertices[k] for k in needed]
+            least = minimised(hull, where=where, time_limit=time_limit, P=P, tolerance=FINE)
             level = (1 + backoff) * least.gamma
             margin = max(LEAST_STRICTNESS, attempt.strictness * min(backoff, 0.02)) * level
             best = separated(
-                vertices, level, margin, bound,
+                hull, level, margin, bound,
                 reward=attempt.reward, where=where, time_limit=time_limit, P=P, tolerance=attempt.tolerance,
             )  # fmt: skip
             residual = _strict(vertices, best, scaled.gain, P, where)
@@ -128,11 +150,12 @@ def quadratic_hinf(
         n = len(T)
         back = np.eye(2 * n)
         back[:n, :n] = np.linalg.inv(T)
+        # Scaled time: x'V x counts in units of 1 / rate.
+        V = back.T @ V @ back / scaled.rate
         return Quadratic(
             controllers=tuple(unscale(controller, scaled) for controller in made),
             least=least.gamma * scaled.gain,
-            # Scaled time: x'V x counts in units of 1 / rate.
-            lyapunov=back.T @ V @ back / scaled.rate,
+            lyapunov=0.5 * (V + V.T),
             residual=residual,
         )
     assert failure is not None
@@ -173,7 +196,7 @@ def _strict(vertices: Sequence[Partition], best: Pair, gain: float, P: object, w
 
 
 def _rough(
-    plants: Sequence[Partition], time_limit: float, P: object, where: str
+    plants: Sequence[Partition], needed: Sequence[int], time_limit: float, P: object, where: str
 ) -> tuple[ScaledPlant, list[Partition], Pair]:
     """Scaled plants whose least gamma is near one, and the solver's first answer for them."""
     failure: DesignError | None = None
@@ -182,7 +205,8 @@ def _rough(
     def attempt(gain: float) -> tuple[ScaledPlant, list[Partition], Pair]:
         scaled = autoscale(centre, gain)
         vertices = [scaled.plant] if len(plants) == 1 else [rescaled(plant, scaled) for plant in plants]
-        return scaled, vertices, minimised(vertices, where=where, time_limit=time_limit, P=P, tolerance=ROUGH)
+        hull = [vertices[k] for k in needed]
+        return scaled, vertices, minimised(hull, where=where, time_limit=time_limit, P=P, tolerance=ROUGH)
 
     for gain in GAINS:
         try:

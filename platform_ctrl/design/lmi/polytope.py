@@ -1,0 +1,162 @@
+"""Plants that are affine in parameters of a box: their vertices, which of them are needed, and what lies between."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import real_array
+from platform_ctrl.design.partition import Partition, Realisation, partition
+from platform_ctrl.errors import ArgumentError, IllPosedError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Entries that differ by less than this share of the largest of their matrix are the same; also what affine means.
+SAME = 1e-9
+# Vertices at most: 2^10.
+MOST_PARAMETERS = 10
+
+
+@value
+class Box:
+    """Names of parameters and their bounds, (p,) each."""
+
+    names: tuple[str, ...]
+    low: FloatArray
+    high: FloatArray
+
+    def vertices(self) -> FloatArray:
+        """Return the corners, (corners, p); a parameter whose bounds are equal has one end."""
+        ends = [sorted({a, b}) for a, b in zip(self.low.tolist(), self.high.tolist(), strict=True)]
+        return np.array(list(itertools.product(*ends)), dtype=np.float64).reshape(-1, len(self.names))
+
+    def shares(self, parameters: ArrayLike) -> FloatArray:
+        """Return the convex coordinates of a point, in the order of `vertices`.
+
+        Raises
+        ------
+        ArgumentError
+            The point lies outside.
+        """
+        point = real_array("parameters", parameters, (len(self.names),))
+        out = np.ones(1)
+        for name, x, a, b in zip(self.names, point, self.low, self.high, strict=True):
+            slack = SAME * max(abs(a), abs(b))
+            if not a - slack <= x <= b + slack:
+                raise ArgumentError(f"parameters: {name} = {x:.6g}; expected within [{a:.6g}, {b:.6g}]")
+            share = np.array([1.0]) if a == b else np.clip(np.array([b - x, x - a]) / (b - a), 0.0, 1.0)
+            out = np.outer(out, share).ravel()
+        return out
+
+
+def box(names: Sequence[str], low: ArrayLike, high: ArrayLike, where: str) -> Box:
+    """Return a box.
+
+    Raises
+    ------
+    ArgumentError
+        Too many parameters, or bounds of the wrong shape or order.
+    """
+    names = tuple(names)
+    a, b = (real_array(f"{where}: {word}", x, (len(names),)) for word, x in (("low", low), ("high", high)))
+    if not np.all(a <= b):
+        raise ArgumentError(f"{where}: low exceeds high; expected low <= high for each of {', '.join(names)}")
+    if np.sum(a < b) > MOST_PARAMETERS:
+        raise ArgumentError(f"{where}: {np.sum(a < b)} varying parameters; expected at most {MOST_PARAMETERS}")
+    return Box(names=names, low=a, high=b)
+
+
+def combined(matrices: Sequence[Realisation], shares: FloatArray) -> Realisation:
+    """Return the convex combination of realisations in common states."""
+    A, B, C, D = (np.tensordot(shares, np.array([getattr(one, name) for one in matrices]), axes=1) for name in "ABCD")
+    return Realisation(A=A, B=B, C=C, D=D)
+
+
+def vertex_plants(
+    plant: Callable[[FloatArray], StateSpace], corners: Box, nmeas: int, ncon: int, where: str
+) -> tuple[list[StateSpace], list[Partition]]:
+    """Return the plants at the vertices, after making sure that the one in between is what it should be.
+
+    Raises
+    ------
+    ArgumentError
+        Plants of different sizes, a sampled one, or a dependence that is not affine.
+    """
+    points = corners.vertices()
+    systems = [plant(point) for point in points]
+    parts = [partition(system, nmeas, ncon) for system in systems]
+    require_alike(systems, where)
+    # Affine: at two points that lie on no edge.
+    for share in (0.5, 0.3):
+        weights = share ** np.arange(1, len(corners.names) + 1)
+        point = corners.low + weights * (corners.high - corners.low)
+        there, mean = plant(point), _mean(systems, corners.shares(point))
+        for name, expected in zip("ABCD", mean, strict=True):
+            size = max(float(np.max(np.abs(getattr(system, name)), initial=0.0)) for system in systems)
+            if np.max(np.abs(getattr(there, name) - expected), initial=0.0) > SAME * size:
+                raise ArgumentError(
+                    f"{where}: {name} of the plant is not affine in {', '.join(corners.names)}; expected it affine: "
+                    "take its monomials for parameters, as parameter_varying does"
+                )
+    return systems, parts
+
+
+def _mean(systems: Sequence[StateSpace], shares: FloatArray) -> list[FloatArray]:
+    return [np.tensordot(shares, np.array([getattr(one, name) for one in systems]), axes=1) for name in "ABCD"]
+
+
+def require_alike(systems: Sequence[StateSpace], where: str) -> None:
+    """Raise an ArgumentError where plants have different numbers of states or signals."""
+    shapes = [(one.nstates, one.ninputs, one.noutputs) for one in systems]
+    other = next((shape for shape in shapes if shape != shapes[0]), None)
+    if other is not None:
+        raise ArgumentError(f"{where}: plants of (states, inputs, outputs) {shapes[0]} and {other}; expected all alike")
+
+
+def require_common(parts: Sequence[Partition], names: Sequence[str], system: StateSpace, where: str) -> None:
+    """Raise an IllPosedError that names the signal where a matrix that all plants must share differs between them."""
+    u, y = system.input_labels[-parts[0].B2.shape[1] :], system.output_labels[-len(parts[0].C2) :]
+    for name in names:
+        stack = np.array([getattr(part, name) for part in parts])
+        difference = np.ptp(stack, axis=0)
+        size = float(np.max(np.abs(stack), initial=0.0))
+        if np.max(difference, initial=0.0) <= SAME * size:
+            continue
+        row, column = np.unravel_index(int(np.argmax(difference)), difference.shape)
+        if name in ("B2", "D12"):
+            signal, cure = f"control {u[column]!r}", "a lag between the controller and this control"
+        else:
+            signal, cure = f"measurement {y[row]!r}", "a lag between this measurement and the controller"
+        raise IllPosedError(
+            f"{where}: {name} depends on the parameters ({signal}); expected B2, C2, D12, D21 and D22 constant: put "
+            f"{cure}, which moves the dependence into A",
+            system,
+        )
+
+
+def needed(parts: Sequence[Partition]) -> list[int]:
+    """Indices of plants whose convex hull holds all of them: parameters that act alike leave fewer than the box has."""
+    data = np.array([np.concatenate([p.A.ravel(), p.B1.ravel(), p.C1.ravel(), p.D11.ravel()]) for p in parts])
+    size = np.max(np.abs(data), axis=0)
+    data = (data - data.mean(axis=0))[:, size > 0] / size[size > 0]
+    U, sigma, _ = np.linalg.svd(data, full_matrices=False)
+    rank = int(np.sum(sigma > 1e-13 * max(1.0, sigma[0]) * len(sigma)))
+    if rank == 0:
+        return [0]
+    points = U[:, :rank] * sigma[:rank]
+    if rank == 1:
+        return sorted({int(np.argmin(points)), int(np.argmax(points))})
+    if len(parts) <= 2**rank:
+        return list(range(len(parts)))
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return sorted(int(k) for k in ConvexHull(points / sigma[:rank]).vertices)
+    except QhullError:
+        return list(range(len(parts)))

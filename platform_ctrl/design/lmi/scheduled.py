@@ -1,0 +1,208 @@
+"""Gain-scheduled output feedback with a proof for any motion of the parameters (Apkarian, Gahinet and Becker 1995).
+
+The plant is affine in parameters rho(t) of a box, for example in Omega and its products. One Lyapunov matrix serves all
+vertices, so it serves every rho in the box and every rho(t), however fast it changes; the controller at rho is the
+combination of the vertices' controllers with the convex coordinates of rho.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.norms import hinf_norm_arrays
+from platform_ctrl.arguments import positive
+from platform_ctrl.certificates.certificate import Certificate, proved
+from platform_ctrl.certificates.closed_loop import ClosedLoop
+from platform_ctrl.design.lmi.polytope import Box, box, combined, needed, require_common, vertex_plants
+from platform_ctrl.design.lmi.quadratic import quadratic_hinf
+from platform_ctrl.design.partition import Partition, Realisation, closed_loop
+from platform_ctrl.design.scaling import require_stabilisable
+from platform_ctrl.errors import NotCertifiedError, UnscalableError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.parameter_varying import monomial_values
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+WHERE = "scheduled, lmi"
+# What the certified bound may exceed the solver's level by.
+SLACK = (1.0, 1.001, 1.01)
+
+
+@value
+class Scheduled:
+    """A controller that follows the parameters, with the proof that it may.
+
+    Attributes
+    ----------
+    box
+        Parameters and their bounds.
+    plants, controllers
+        At the vertices, in the order of ``box.vertices()``; the controllers in common states, u = K y.
+    nmeas, ncon
+        Number of measurements and of controls.
+    gamma
+        For any rho(t) in the box, and x = 0 at the start, the energy of z is below gamma² times that of w.
+    gamma_optimal
+        The least gamma with a common Lyapunov matrix.
+    norms : (vertices,)
+        H-infinity norms of the closed loops frozen at the vertices.
+    backoff
+        Relative distance from the least gamma.
+    certificate
+        One Lyapunov matrix for all vertices, proved for these matrices.
+    residual
+        Figures of merit of the route by name, in scaled units.
+    """
+
+    box: Box
+    plants: tuple[StateSpace, ...]
+    controllers: tuple[StateSpace, ...]
+    nmeas: int
+    ncon: int
+    gamma: float
+    gamma_optimal: float
+    norms: FloatArray
+    backoff: float
+    certificate: Certificate
+    residual: dict[str, float]
+
+    @property
+    def lyapunov(self) -> FloatArray:
+        """X of the certificate: x'Xx falls along every motion, x the states of plant and controller."""
+        return self.certificate.X
+
+    def at(self, parameters: ArrayLike) -> StateSpace:
+        """Return the controller at parameter values (p,); its states keep their meaning while these change.
+
+        Raises
+        ------
+        ArgumentError
+            The point lies outside the box.
+        """
+        return _combined(self.controllers, self.box.shares(parameters))
+
+    def controller(self, Omega: ArrayLike) -> StateSpace:
+        """Return the controller at a platform rate (3,), rad/s, where the parameters are monomials of Omega.
+
+        Raises
+        ------
+        ArgumentError
+            Outside the range, or a parameter that is no monomial of Omega.
+        """
+        return self.at(monomial_values(self.box.names, Omega))
+
+    def plant(self, parameters: ArrayLike) -> StateSpace:
+        """Return the plant at parameter values (p,)."""
+        return _combined(self.plants, self.box.shares(parameters))
+
+
+def scheduled(
+    plant: Callable[[FloatArray], StateSpace],
+    names: Sequence[str],
+    low: ArrayLike,
+    high: ArrayLike,
+    nmeas: int,
+    ncon: int,
+    *,
+    backoff: float = 0.02,
+    time_limit: float = 60.0,
+) -> Scheduled:
+    """Gain-scheduled H-infinity output feedback for a plant that is affine in parameters.
+
+    Parameters
+    ----------
+    plant
+        ``plant(rho)`` is the continuous plant with inputs [w, u] and outputs [z, y] at parameter values (p,). It is
+        affine in them, and what u drives and y sees directly (B2, C2, D12, D21, D22) does not depend on them.
+    names, low, high
+        Parameters and their bounds (p,).
+    nmeas, ncon
+        Number of measurements y and of controls u: the last outputs and the last inputs.
+    backoff
+        Relative distance from the least gamma, positive.
+    time_limit
+        Longest time that one call of the solver may take, s.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not make sense, or the plant is not affine.
+    IllPosedError
+        B2, C2, D12, D21 or D22 depends on the parameters; the message names the signal.
+    NotStabilisableError
+        At a vertex no controller stabilises the plant.
+    InfeasibleError, UnscalableError, TimeLimitError
+        No common Lyapunov matrix was found.
+    NotCertifiedError
+        The proof for the controllers as returned failed.
+    """
+    import control
+
+    backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
+    corners = box(names, low, high, WHERE)
+    systems, parts = vertex_plants(plant, corners, nmeas, ncon, WHERE)
+    require_common(parts, ("B2", "C2", "D12", "D21", "D22"), systems[0], WHERE)
+    for system, part in zip(systems, parts, strict=True):
+        require_stabilisable(part, system, WHERE)
+    try:
+        found = quadratic_hinf(parts, backoff, time_limit, systems, WHERE, needed(parts))
+    except np.linalg.LinAlgError as error:
+        raise UnscalableError(f"{WHERE}: {str(error).lower()} within the scaled problem", systems) from None
+    level = (1 + backoff) * found.least
+    certificate = _certificate(parts, found.controllers, level, found.lyapunov, systems)
+    u, y = systems[0].input_labels[-ncon:], systems[0].output_labels[-nmeas:]
+    loops = [closed_loop(part, K) for part, K in zip(parts, found.controllers, strict=True)]
+    return Scheduled(
+        box=corners,
+        plants=tuple(systems),
+        controllers=tuple(
+            control.StateSpace(K.A, K.B, K.C, K.D, inputs=y, outputs=u, remove_useless_states=False)
+            for K in found.controllers
+        ),
+        nmeas=nmeas,
+        ncon=ncon,
+        gamma=certificate.bound,
+        gamma_optimal=found.least,
+        norms=np.array([hinf_norm_arrays(one.A, one.B, one.C, one.D, 0.0)[0] for one in loops]),
+        backoff=backoff,
+        certificate=certificate,
+        residual=found.residual,
+    )
+
+
+def _certificate(
+    parts: Sequence[Partition], controllers: Sequence[Realisation], level: float, V: FloatArray, problem: object
+) -> Certificate:
+    """The proof for all vertices with one matrix, at the level or hardly above it."""
+    loops = tuple(
+        ClosedLoop(
+            A=p.A, B=np.hstack([p.B1, p.B2]), C=np.vstack([p.C1, p.C2]), D=np.block([[p.D11, p.D12], [p.D21, p.D22]]),
+            A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=f"vertex {number + 1}",
+        )
+        for number, (p, K) in enumerate(zip(parts, controllers, strict=True))
+    )  # fmt: skip
+    failure: NotCertifiedError | None = None
+    for slack in SLACK:
+        bound = slack * level
+        try:
+            return proved(Certificate(claim="norm", bound=bound, loops=loops, X=level * V), problem)
+        except NotCertifiedError as error:
+            failure = error
+    assert failure is not None
+    raise NotCertifiedError(f"{WHERE}: {failure}; give a larger backoff", problem) from None
+
+
+def _combined(systems: Sequence[StateSpace], shares: FloatArray) -> StateSpace:
+    import control
+
+    mean = combined([Realisation(A=s.A, B=s.B, C=s.C, D=s.D) for s in systems], shares)
+    first = systems[0]
+    return control.StateSpace(
+        mean.A, mean.B, mean.C, mean.D,
+        inputs=first.input_labels, outputs=first.output_labels, remove_useless_states=False,
+    )  # fmt: skip
