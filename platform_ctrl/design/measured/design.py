@@ -1,0 +1,471 @@
+"""A MIMO PID from measured frequency responses: the largest integral gain under limits at every frequency.
+
+The least singular value of Ki is what is maximised: at low frequencies the angle answers a torque disturbance with ‖P
+S‖ → ω ‖Ki⁻¹‖, whatever the plant. Convex-concave procedure (Boyd, Hast and Åström, Int. J. Robust Nonlinear Control
+26, 2016): from a controller that stabilises, first the limits are approached, then the gain is raised, each step a
+convex problem within the limits (see `restriction`). The result is a local optimum.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray, state_space
+from platform_ctrl.arguments import positive, real_array
+from platform_ctrl.design.measured.contour import Contour, contour
+from platform_ctrl.design.measured.encirclements import unstable_poles
+from platform_ctrl.design.measured.limits import Bound, limits_along, ratios
+from platform_ctrl.design.measured.pid import Pattern, basis, controller_response, masks, realisation
+from platform_ctrl.design.measured.responses import Measured, measured_plants
+from platform_ctrl.design.measured.restriction import Restriction, Sample
+from platform_ctrl.design.measured.start import candidates
+from platform_ctrl.errors import (
+    ArgumentError,
+    InfeasibleError,
+    NotCertifiedError,
+    NotStabilisableError,
+    TimeLimitError,
+    UnscalableError,
+)
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    import control
+
+# A filter of a sampled controller that is not given: roll-off at 0.4 of the sample rate.
+_SAMPLED_FILTER = 1.0 / (2.0 * np.pi * 0.4)
+# Frequencies of each plant that take part at first; those that turn out to be violated join.
+_FIRST = 60
+_JOINING = 10
+# The gain has risen, or the miss has fallen, by less than these shares in so many steps: it is at its end.
+_PROGRESS = 2e-3
+_NEARER = 0.01
+_PATIENCE = 2
+_BROKEN = 1.03
+# More than any restriction is missed by.
+_ANY_MISS = 1e6
+_HALVINGS = 6
+_HZ = 1.0 / (2.0 * np.pi)
+
+IndexArray = NDArray[np.intp]
+Record = tuple[float, float]
+
+
+@value
+class ClosedLoopResponse:
+    """Responses of one closed loop at the measured frequencies, complex (N, n, n).
+
+    Attributes
+    ----------
+    frequency : (N,)
+        rad/s.
+    S, T
+        Sensitivity and complementary sensitivity at the angles.
+    S_input, T_input
+        At the torques.
+    torque_per_noise
+        K S, N m/rad.
+    angle_per_torque
+        P S_input, rad/(N m).
+    limits
+        What was asked of each, by name, (N,); of a disk margin 1/α for ‖(S − T)/2‖.
+    ratios
+        What is reached over what was asked, by name, (N,): at most 1.
+    """
+
+    frequency: FloatArray
+    S: ComplexArray
+    T: ComplexArray
+    S_input: ComplexArray
+    T_input: ComplexArray
+    torque_per_noise: ComplexArray
+    angle_per_torque: ComplexArray
+    limits: dict[str, FloatArray]
+    ratios: dict[str, FloatArray]
+
+
+@value
+class MeasuredDesign:
+    """A controller designed from measured responses, and what it does there.
+
+    Attributes
+    ----------
+    controller
+        u = K y, continuous or sampled; inputs are the measured angles, outputs the torques.
+    gains : (3, n, n)
+        Kp, Ki and Kd.
+    filter_time
+        Of the rate action, s.
+    objective
+        Least singular value of Ki.
+    responses
+        Of the closed loop with each measured plant.
+    unstable_poles
+        Of the closed loop with each plant, by the generalised Nyquist criterion: all 0.
+    start : (3, n, n)
+        Gains that the iterations began with.
+    history : (steps, 2)
+        Least singular value of Ki, and the worst ratio of all limits, after each step.
+    """
+
+    controller: control.StateSpace
+    gains: FloatArray
+    filter_time: float
+    objective: float
+    responses: tuple[ClosedLoopResponse, ...]
+    unstable_poles: tuple[int, ...]
+    start: FloatArray
+    history: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+def measured_pid(
+    measurement: control.FRD | Sequence[control.FRD],
+    *,
+    dead_time: float = 0.0,
+    period: float | None = None,
+    hold: bool = False,
+    filter_time: float | None = None,
+    pattern: Pattern | ArrayLike = "full",
+    sensitivity_peak: Bound = 2.0,
+    complementary_peak: Bound | None = None,
+    disk_margin: Bound | None = None,
+    torque_per_noise: Bound | None = None,
+    angle_per_torque: Bound | None = None,
+    resonance_damping: float | None = 0.05,
+    start: ArrayLike | MeasuredDesign | None = None,
+    unstable: int = 0,
+    integrators: int | None = None,
+    steps: int = 40,
+    time_limit: float = 300.0,
+) -> MeasuredDesign:
+    """Return the PID controller with the largest integral gain that keeps every limit at every measured frequency.
+
+    Parameters
+    ----------
+    measurement
+        Torques to angles, as many of both; several for plants that one controller has to serve.
+    dead_time
+        Delay that the measurement does not hold yet, s; taken exactly.
+    period
+        Sample period of the controller, s; default that of the measurement, 0 for a continuous controller. A
+        measurement without a period is believed to be what the sampled controller sees, unless `hold`.
+    hold
+        Whether the measurement lacks the hold of a sampled controller.
+    filter_time
+        Of the rate action, s; default for a sampled controller 0.4 periods, that is 0.4 of the sample rate.
+    pattern
+        Which gains are free: ``"full"``, ``"diagonal"``, ``"cross-axis"`` (two angles: integral action across,
+        rate action along), or zeros and ones (n, n) or (3, n, n).
+    sensitivity_peak, complementary_peak
+        Largest ‖S‖ and ‖T‖, at angles and at torques.
+    disk_margin
+        Least 1/‖(S − T)/2‖, at both.
+    torque_per_noise
+        Largest ‖K S‖, N m/rad.
+    angle_per_torque
+        Largest ‖P S‖, rad/(N m).
+    resonance_damping
+        What a resonance that the data do not resolve has to be damped like: there ‖P S‖ ≤ ‖R‖/(ζ ν), R the residue at
+        its pole jν. Without it nothing keeps the controller from cancelling nutation by a zero in place of damping
+        it.
+    start
+        Gains (3, n, n) that stabilise every plant, or an earlier result; default found from the data.
+    unstable
+        Number of unstable poles of each plant.
+    integrators
+        Number of its poles at s = 0; default read from the data.
+    steps
+        Most convex problems to be solved.
+    time_limit
+        Longest time in all, s.
+
+    Every limit is a number, or a function of frequencies in rad/s.
+
+    Raises
+    ------
+    ArgumentError
+        An argument makes no sense.
+    NotStabilisableError
+        No stabilising start was found.
+    InfeasibleError
+        The procedure does not get within the limits; the message says which one fails, and where.
+    NotCertifiedError
+        The data do not decide whether the loop is stable.
+    TimeLimitError
+        The time was over before the limits were met.
+    """
+    plants = measured_plants(measurement, dead_time, period, hold)
+    n = len(plants.torques)
+    free = masks(pattern, n)
+    tau = _filter_time(filter_time, plants.period)
+    asked: dict[str, Bound | None] = {
+        "sensitivity_peak": sensitivity_peak,
+        "complementary_peak": complementary_peak,
+        "disk_margin": disk_margin,
+        "torque_per_noise": torque_per_noise,
+        "angle_per_torque": angle_per_torque,
+        "resonance_damping": resonance_damping,
+    }
+    if sensitivity_peak is None:
+        raise ArgumentError("measured_pid: sensitivity_peak = None; expected a limit: it is what keeps the loop stable")
+    search = _Search(
+        plants, free, tau, asked, unstable, integrators, time.monotonic() + positive("time_limit", time_limit)
+    )
+    begun = search.start(start)
+    gains, history = search.improved(begun, steps)
+    return _result(search, gains, begun, history)
+
+
+class _Search:
+    """The plants with their limits, and the steps that improve a controller."""
+
+    def __init__(
+        self,
+        plants: Measured,
+        free: FloatArray,
+        filter_time: float,
+        asked: dict[str, Bound | None],
+        unstable: int,
+        integrators: int | None,
+        end: float,
+    ) -> None:
+        self.plants, self.free, self.filter_time = plants, free, filter_time
+        self.unstable, self.integrators, self.end = unstable, integrators, end
+        self.contours = [contour(w, P) for w, P in zip(plants.frequency, plants.response, strict=True)]
+        self.samples = [
+            Sample(P=path.P, actions=basis(path.s, filter_time, plants.period), limits=limits_along(path, asked))
+            for path in self.contours
+        ]
+
+    def controller(self, gains: FloatArray) -> Callable[[ComplexArray], ComplexArray]:
+        return lambda s: controller_response(gains, basis(s, self.filter_time, self.plants.period))
+
+    def unstable_poles(self, gains: FloatArray) -> tuple[int, ...]:
+        """Unstable poles of each closed loop.
+
+        Raises
+        ------
+        NotCertifiedError
+            The data do not decide it.
+        """
+        return tuple(
+            unstable_poles(path, self.controller(gains), self.unstable, self.integrators) for path in self.contours
+        )
+
+    def worst(self, gains: FloatArray) -> tuple[float, str, float]:
+        """Largest ratio of all limits, which limit, and at what frequency in rad/s."""
+        found = []
+        for sample, path in zip(self.samples, self.contours, strict=True):
+            K = controller_response(gains, sample.actions)
+            for limit in sample.limits:
+                ratio = ratios(limit, sample.P, K)
+                k = int(ratio.argmax())
+                found.append((float(ratio[k]), limit.name, float(path.frequency[k])))
+        return max(found)
+
+    def start(self, given: ArrayLike | MeasuredDesign | None) -> FloatArray:
+        """Return gains that stabilise every plant."""
+        n = self.free.shape[-1]
+        if given is not None:
+            gains = (
+                given.gains
+                if isinstance(given, MeasuredDesign)
+                else real_array("measured_pid: start", given, (3, n, n))
+            )
+            if np.any(gains[self.free == 0.0]):
+                raise ArgumentError("measured_pid: start has gains that the pattern leaves out; expected zeros there")
+            unstable = self.unstable_poles(gains)
+            if any(unstable):
+                raise NotStabilisableError(
+                    f"measured_pid: with the given start the closed loop has {max(unstable)} unstable poles; "
+                    f"expected none; "
+                    "leave start out, or give weaker gains",
+                    self.plants,
+                )
+            return gains
+        best: tuple[float, FloatArray] | None = None
+        undecided: NotCertifiedError | None = None
+        for w, P in zip(self.plants.frequency, self.plants.response, strict=True):
+            for candidate in candidates(w, P):
+                gains = candidate * self.free
+                if np.linalg.matrix_rank(gains[1]) < n:
+                    continue
+                worst = self.worst(gains)[0]
+                if best is not None and worst >= best[0]:
+                    continue
+                try:
+                    if not any(self.unstable_poles(gains)):
+                        best = (worst, gains)
+                except NotCertifiedError as error:
+                    undecided = undecided or error
+        if best is None:
+            why = f"; for the strongest one: {undecided}" if undecided else ""
+            raise NotStabilisableError(
+                "measured_pid: none of the weak controllers read from the data is seen to stabilise every plant; "
+                "give start, the "
+                f"gains (3, {n}, {n}) of one that does{why}",
+                self.plants,
+            )
+        return best[1]
+
+    def improved(self, gains: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+        """Return the best gains that were reached within the limits, and the history."""
+        active = [np.union1d(_spread(len(path.s), _FIRST), np.flatnonzero(path.residue)) for path in self.contours]
+        history = [self._record(gains)]
+        while True:
+            chosen = [sample.only(index) for sample, index in zip(self.samples, active, strict=True)]
+            restriction = Restriction(chosen, self.free, self.plants)
+            gains = self._within(restriction, chosen, gains, history, steps)
+            gains = self._raised(restriction, gains, history, steps)
+            joined = [self._joined(sample, index, gains) for sample, index in zip(self.samples, active, strict=True)]
+            if all(len(new) == len(old) for new, old in zip(joined, active, strict=True)):
+                return gains, np.array(history)
+            active = joined
+
+    def _within(
+        self, restriction: Restriction, chosen: list[Sample], gains: FloatArray, history: list[Record], steps: int
+    ) -> FloatArray:
+        """Bring a controller within the limits."""
+        stalled, last = 0, np.inf
+        while max(float(_worst_ratios(sample, gains).max()) for sample in chosen) > 1.0:
+            if len(history) > steps or stalled > _PATIENCE:
+                worst, name, at = self.worst(gains)
+                raise InfeasibleError(
+                    f"measured_pid: {name} is {worst:.3g} times its limit at {at * _HZ:.4g} Hz after "
+                    f"{len(history) - 1} steps, "
+                    "and no step brings every limit nearer; expected at most 1; loosen it, free more gains, or give "
+                    "another start",
+                    self.plants,
+                )
+            step = restriction.step(gains, miss=_ANY_MISS, time_limit=self._left())
+            gains = self._stable_part(gains, step.gains)
+            history.append(self._record(gains))
+            stalled = stalled + 1 if step.miss > (1.0 - _NEARER) * last else 0
+            last = min(last, step.miss)
+        return gains
+
+    def _raised(self, restriction: Restriction, gains: FloatArray, history: list[Record], steps: int) -> FloatArray:
+        """Raise the integral gain of a controller that is within the limits."""
+        stalled = 0
+        # A limit that breaks between the frequencies that take part ends it: they join first.
+        while len(history) <= steps and stalled < _PATIENCE and history[-1][1] < _BROKEN:
+            before = history[-1][0]
+            try:
+                found = restriction.step(gains, miss=0.0, time_limit=self._left()).gains
+            except UnscalableError:
+                # The present controller is within the limits: it stays.
+                break
+            gains = self._stable_part(gains, found)
+            history.append(self._record(gains))
+            stalled = stalled + 1 if history[-1][0] < (1.0 + _PROGRESS) * before else 0
+        return gains
+
+    def _left(self) -> float:
+        left = self.end - time.monotonic()
+        if left <= 0.0:
+            raise TimeLimitError(
+                "measured_pid: the time is over; give a larger time_limit, or fewer steps", self.plants
+            )
+        return left
+
+    def _stable_part(self, old: FloatArray, new: FloatArray) -> FloatArray:
+        """Go from `old` as far towards `new` as the loop stays stable between the frequencies that take part."""
+        failure = ""
+        for k in range(_HALVINGS):
+            trial = old + 0.5**k * (new - old)
+            try:
+                if not any(self.unstable_poles(trial)):
+                    return trial
+                failure = "the closed loop is unstable"
+            except NotCertifiedError as error:
+                failure = str(error)
+        raise NotCertifiedError(
+            f"measured_pid: no part of a step is seen to keep the loop stable: {failure}", self.plants
+        )
+
+    def _record(self, gains: FloatArray) -> Record:
+        return float(np.linalg.svd(gains[1], compute_uv=False)[-1]), self.worst(gains)[0]
+
+    def _joined(self, sample: Sample, index: IndexArray, gains: FloatArray) -> IndexArray:
+        """Frequencies that take part, with the worst of those where a limit is violated."""
+        worst = _worst_ratios(sample, gains)
+        violated = np.flatnonzero(worst > 1.0)
+        violated = violated[np.argsort(-worst[violated])][:_JOINING]
+        return np.union1d(index, violated)
+
+
+def _worst_ratios(sample: Sample, gains: FloatArray) -> FloatArray:
+    K = controller_response(gains, sample.actions)
+    return np.asarray(np.max([ratios(limit, sample.P, K) for limit in sample.limits], axis=0), dtype=np.float64)
+
+
+def _spread(N: int, most: int) -> IndexArray:
+    return np.asarray(np.unique(np.linspace(0, N - 1, min(N, most)).round()), dtype=np.intp)
+
+
+def _filter_time(given: float | None, period: float) -> float:
+    if given is not None:
+        return positive("measured_pid: filter_time", given)
+    if period == 0.0:
+        raise ArgumentError(
+            "measured_pid: filter_time is missing; a continuous controller needs the time constant of its rate "
+            "action in s"
+        )
+    return _SAMPLED_FILTER * period
+
+
+def _result(search: _Search, gains: FloatArray, begun: FloatArray, history: FloatArray) -> MeasuredDesign:
+    """The design, everything recomputed from gains and data.
+
+    Raises
+    ------
+    NotCertifiedError
+        A limit is violated, or the loop is not seen to be stable.
+    """
+    plants = search.plants
+    worst, name, at = search.worst(gains)
+    unstable = search.unstable_poles(gains)
+    if worst > 1.0 or any(unstable):
+        raise NotCertifiedError(
+            f"measured_pid: {name} is {worst:.6g} times its limit at {at * _HZ:.4g} Hz, {max(unstable)} unstable "
+            f"poles; expected "
+            "at most 1 and none; give more steps",
+            plants,
+        )
+    controller = realisation(gains, search.filter_time, plants.period)
+    return MeasuredDesign(
+        controller=state_space(controller, plants.angles, plants.torques, name="measured PID"),
+        gains=gains,
+        filter_time=search.filter_time,
+        objective=float(np.linalg.svd(gains[1], compute_uv=False)[-1]),
+        responses=tuple(
+            _closed_loop(path, sample, gains) for path, sample in zip(search.contours, search.samples, strict=True)
+        ),
+        unstable_poles=unstable,
+        start=begun,
+        history=history,
+    )
+
+
+def _closed_loop(path: Contour, sample: Sample, gains: FloatArray) -> ClosedLoopResponse:
+    sample = sample.only(np.flatnonzero(path.residue == 0.0))
+    P, K = sample.P, controller_response(gains, sample.actions)
+    eye = np.eye(P.shape[-1])
+    S, S_input = (np.asarray(np.linalg.inv(eye - L), dtype=np.complex128) for L in (P @ K, K @ P))
+    return ClosedLoopResponse(
+        frequency=path.frequency[path.residue == 0.0],
+        S=S,
+        T=eye - S,
+        S_input=S_input,
+        T_input=eye - S_input,
+        torque_per_noise=K @ S,
+        angle_per_torque=P @ S_input,
+        limits={limit.name: limit.bound for limit in sample.limits},
+        ratios={limit.name: ratios(limit, P, K) for limit in sample.limits},
+    )

@@ -1,0 +1,109 @@
+"""The limits of a measured design: the largest gain of a closed-loop response, at every frequency.
+
+With Z = I − P K (at the angles) or I − K P (at the torques), S = Z⁻¹ and T = I − S,
+
+    sensitivity peak       ‖S‖ ≤ m                 c = 0
+    complementary peak     ‖S − I‖ ≤ m             c = 1
+    disk margin            ‖S − I/2‖ ≤ m = 1/α     c = 1/2
+
+have one form: ‖S − c I‖ ≤ m exactly if the least singular value of Z + a I is at least r, with a = c/(m² − c²) and
+r = m/(m² − c²): Z has to stay out of a ball. The other two compare Z with something known or linear in K:
+
+    torque per noise       ‖K S‖ ≤ m               Z* Z ≥ K* K / m²
+    angle per torque       ‖P S‖ ≤ m               Z* Z ≥ P* P / m²
+    resonance damping ζ    the same, near a pole jν with residue R that the data do not resolve, m = ‖R‖/(ζ ν)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.arguments import short
+from platform_ctrl.design.measured.contour import Contour
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+# A number, or its value over frequencies in rad/s.
+Bound = float | Callable[[FloatArray], FloatArray]
+
+CENTRES = {"sensitivity_peak": 0.0, "complementary_peak": 1.0, "disk_margin": 0.5}
+# Those that compare P S.
+OF_ANGLE = ("angle_per_torque", "resonance_damping")
+
+
+@value
+class Limit:
+    """One limit over the frequencies of one plant.
+
+    Attributes
+    ----------
+    name
+        As it is asked for.
+    bound : (N,)
+        m; of a disk margin its inverse; infinite where nothing is asked.
+    """
+
+    name: str
+    bound: FloatArray
+
+
+def limits_along(path: Contour, asked: dict[str, Bound | None]) -> tuple[Limit, ...]:
+    """Return the limits that are asked for, along the contour of a plant.
+
+    Raises
+    ------
+    ArgumentError
+        A limit is no positive number, or one that no loop can keep.
+    """
+    out = []
+    for name, m in asked.items():
+        if m is None:
+            continue
+        bound = _bound(name, m, path.frequency)
+        if name == "resonance_damping":
+            near = path.residue > 0.0
+            bound = np.where(near, path.residue / (bound * path.frequency), np.inf)
+        if np.isfinite(bound).any():
+            out.append(Limit(name=name, bound=bound))
+    return tuple(out)
+
+
+def _bound(name: str, asked: Bound, frequency: FloatArray) -> FloatArray:
+    try:
+        given = np.asarray(asked(frequency) if callable(asked) else asked, dtype=np.float64)
+        m = np.broadcast_to(given, frequency.shape)
+    except (TypeError, ValueError):
+        raise ArgumentError(
+            f"measured_pid: {name} is {short(asked)}; expected a number, or a function of frequencies in rad/s that "
+            f"returns as many"
+        ) from None
+    least, most = (1.0 if name in ("sensitivity_peak", "complementary_peak") else 0.0), np.inf
+    if name == "disk_margin":
+        most = 2.0
+    if name == "resonance_damping":
+        most = 1.0
+    if not np.all((m > least) & (m < most) | (m == np.inf) & (most == np.inf)):
+        range_of = f"> {least:g}" if most == np.inf else f"between {least:g} and {most:g}"
+        raise ArgumentError(f"measured_pid: {name} = {short(asked)}; expected numbers {range_of}")
+    return np.asarray(1.0 / m if name == "disk_margin" else m)
+
+
+def ratios(limit: Limit, P: ComplexArray, K: ComplexArray) -> FloatArray:
+    """Return what is reached over the limit, (N,): at most 1 where it is kept."""
+    eye = np.eye(P.shape[-1])
+    S_output, S_input = np.linalg.inv(eye - P @ K), np.linalg.inv(eye - K @ P)
+    if limit.name in CENTRES:
+        c = CENTRES[limit.name]
+        reached = np.maximum(_gain(S_output - c * eye), _gain(S_input - c * eye))
+    else:
+        reached = _gain(P @ S_input if limit.name in OF_ANGLE else K @ S_output)
+    return np.asarray(reached / limit.bound)
+
+
+def _gain(matrices: Any) -> FloatArray:
+    out: FloatArray = np.linalg.norm(matrices, 2, axis=(-2, -1))
+    return out

@@ -1,0 +1,101 @@
+"""The PID controllers u = K y with one gain matrix for each action, continuous or sampled.
+
+    K = Kp + Ki / s + Kd s / (filter_time s + 1)
+
+Sampled by Tustin's rule, s = (2/T) (z − 1)/(z + 1); responses are then taken at z = exp(jωT), exactly. All channels
+of one pick-off share their integrator and their filter.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.arguments import one_of
+from platform_ctrl.design.blocks import first_order, gain, series, side_by_side, stacked
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+Pattern = Literal["full", "diagonal", "cross-axis"]
+ACTIONS = ("proportional", "integral", "derivative")
+
+
+def basis(s: ComplexArray, filter_time: float, period: float) -> ComplexArray:
+    """Return the responses of the three actions at points s, complex (N, 3)."""
+    p = s
+    if period > 0.0:
+        # Half the sample rate itself is infinity in Tustin's plane: kept a little below.
+        half = 0.5 * s * period
+        near = half.real + 1j * np.minimum(half.imag, 0.5 * np.pi * (1.0 - 1e-9))
+        p = np.asarray(2.0 / period * np.tanh(near), dtype=np.complex128)
+    return np.stack([np.ones_like(p), 1.0 / p, p / (filter_time * p + 1.0)], axis=-1)
+
+
+def controller_response(gains: FloatArray, actions: ComplexArray) -> ComplexArray:
+    """Return K, complex (N, n, n), from `gains` (3, n, n) and the responses of the actions (N, 3)."""
+    return np.asarray(np.einsum("kb,bij->kij", actions, gains), dtype=np.complex128)
+
+
+def realisation(gains: FloatArray, filter_time: float, period: float) -> StateArrays:
+    """Return the controller's state-space arrays: two states for each pick-off."""
+    n = gains.shape[-1]
+    if period == 0.0:
+        integrator = (np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+        # s/(τ s + 1) = 1/τ − (1/τ)/(τ s + 1)
+        rate = (
+            np.array([[-1.0 / filter_time]]),
+            np.array([[1.0 / filter_time]]),
+            np.array([[-1.0 / filter_time]]),
+            np.array([[1.0 / filter_time]]),
+        )
+    else:
+        integrator = first_order(0.0, 1.0, 1.0, 0.0, period)
+        rate = first_order(1.0, 0.0, filter_time, 1.0, period)
+    each = stacked(gain(1.0), integrator, rate)
+    # Outputs of all pick-offs: [y, ∫y, ẏ] one after another.
+    mix = np.concatenate([gains[:, :, k].T for k in range(n)], axis=1)
+    return StateArrays(*series(side_by_side(*[each] * n), gain(mix)), dt=period)
+
+
+def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:
+    """Return which gains are free, (3, n, n) of zeros and ones.
+
+    ``"cross-axis"`` is that of a caged gyro: integral action across, rate action along, proportional action in both.
+
+    Raises
+    ------
+    ArgumentError
+        No pattern, or one that leaves an angle or a torque without integral action.
+    """
+    eye, full = np.eye(n), np.ones((n, n))
+    if isinstance(pattern, str):
+        one_of("measured_pid: pattern", pattern, ("full", "diagonal", "cross-axis"))
+        if pattern == "cross-axis" and n != 2:
+            raise ArgumentError(f"measured_pid: pattern 'cross-axis' needs two angles, given {n}; give the masks")
+        chosen: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {
+            "full": (full, full, full),
+            "diagonal": (eye, eye, eye),
+            "cross-axis": (full, full - eye, eye),
+        }
+        return np.array(chosen[pattern])
+    given = np.asarray(pattern)
+    if (
+        given.shape not in ((n, n), (3, n, n))
+        or given.dtype.kind not in "biuf"
+        or not np.all((given == 0) | (given == 1))
+    ):
+        raise ArgumentError(
+            f"measured_pid: pattern has shape {given.shape}; expected 'full', 'diagonal', 'cross-axis', or zeros and "
+            f"ones "
+            f"of shape ({n}, {n}) or (3, {n}, {n}) for the proportional, integral and derivative gains"
+        )
+    out = np.broadcast_to(given.astype(np.float64), (3, n, n)).copy()
+    random = out[1] * np.random.default_rng(0).uniform(1.0, 2.0, (n, n))
+    if np.linalg.matrix_rank(random) < n:
+        raise ArgumentError(
+            "measured_pid: pattern lets the integral gain be singular only; expected integral action on every angle"
+        )
+    return out

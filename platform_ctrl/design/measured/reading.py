@@ -1,0 +1,175 @@
+"""A measured frequency response from a CSV file: every pair of output and input in two columns.
+
+::
+
+    frequency_hz, alpha9/Q9 re, alpha9/Q9 im, alpha9/Q10 re, alpha9/Q10 im, ...
+    0.5, -0.0012, ...
+
+The first column is ``frequency_hz`` or ``frequency_rad_s``. The others are named output/input and what they hold:
+``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg``. Lines that begin with # are comments.
+Columns are parted by commas, semicolons or tabs.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.arguments import positive
+from platform_ctrl.errors import InputError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.reading.mistakes import given, one_line, suggestion
+from platform_ctrl.reading.source import path_of, read_text
+
+if TYPE_CHECKING:
+    import control
+
+_FREQUENCIES = {"frequency_hz": 2.0 * np.pi, "frequency_rad_s": 1.0}
+_PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg")
+_FORMS = ({"re", "im"}, {"magnitude", "phase_deg"}, {"magnitude_db", "phase_deg"})
+_FEWEST = 3
+
+Line = tuple[int, list[str]]
+
+
+def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float | None = None) -> control.FRD:
+    """Return a measured frequency response with the names of its signals.
+
+    Parameters
+    ----------
+    source
+        Path of a CSV file, or an open text file. Its header names ``frequency_hz`` or ``frequency_rad_s`` first, then
+        two columns for every pair: ``alpha9/Q9 re`` and ``alpha9/Q9 im``, or ``alpha9/Q9 magnitude`` (or
+        ``magnitude_db``) and ``alpha9/Q9 phase_deg``.
+    period
+        Sample period, s, where commands and pick-off were sampled: the response is then that of the sampled plant, its
+        hold included.
+
+    Returns
+    -------
+    control.FRD
+        Inputs and outputs in the order in which the header names them first; ``dt`` the period, or 0.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line of it makes no sense; the message names the line.
+    """
+    if hasattr(source, "read"):
+        label, text = one_line(str(getattr(source, "name", "measurement"))), str(source.read())
+    else:
+        path = path_of(source, "the path of a CSV file")
+        label, text = one_line(str(path)), read_text(path, "a CSV file")
+    (number, header), *lines = _lines(label, text)
+    unit, outputs, inputs, columns = _columns(f"{label}, line {number}", header)
+    numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines]).reshape(len(lines), -1)
+    if len(lines) < _FEWEST:
+        raise InputError(f"{label}: {len(lines)} frequencies; expected at least {_FEWEST}")
+    frequency = unit * numbers[:, 0]
+    _judge_frequency(label, header[0], [k for k, _ in lines], numbers[:, 0])
+    dt = 0.0
+    if period is not None:
+        dt = positive("read_measurement: period", period)
+        if frequency[-1] > np.pi / dt * (1.0 + 1e-9):
+            raise InputError(
+                f"{label}, line {lines[-1][0]}: {header[0]} = {numbers[-1, 0]:g} lies above half the sample rate, "
+                f"{np.pi / dt / unit:g}; expected frequencies up to there"
+            )
+    response = np.empty((len(outputs), len(inputs), len(lines)), dtype=np.complex128)
+    for (output, given_input), parts in columns.items():
+        response[outputs.index(output), inputs.index(given_input)] = _value(numbers, parts)
+    control = import_module("control")
+    return control.FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
+
+
+def _lines(label: str, text: str) -> list[Line]:
+    """The lines that are neither empty nor comments, with their numbers in the file; the header is the first."""
+    kept = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if not kept:
+        raise InputError(f"{label}: is empty; expected a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
+    head = kept[0][1]
+    mark = max(",;\t", key=head.count)
+    out: list[Line] = []
+    for k, line in kept:
+        try:
+            [cells] = csv.reader(io.StringIO(line), delimiter=mark, strict=True)
+        except (csv.Error, ValueError) as error:
+            raise InputError(f"{label}, line {k}: is not CSV: {one_line(str(error))}") from None
+        out.append((k, [cell.strip() for cell in cells]))
+    return out
+
+
+def _columns(
+    where: str, header: list[str]
+) -> tuple[float, list[str], list[str], dict[tuple[str, str], dict[str, int]]]:
+    """Unit of the frequency, names of outputs and inputs, and the columns of every pair by what they hold."""
+    if header[0] not in _FREQUENCIES:
+        raise InputError(f"{where}: the first column is {given(header[0])}; expected frequency_hz or frequency_rad_s")
+    outputs: list[str] = []
+    inputs: list[str] = []
+    columns: dict[tuple[str, str], dict[str, int]] = {}
+    for k, name in enumerate(header[1:], 1):
+        pair, _, part = name.rpartition(" ")
+        output, slash, an_input = (word.strip() for word in pair.partition("/"))
+        if not (output and slash and an_input):
+            raise InputError(f'{where}: column {k + 1} is {given(name)}; expected a name such as "alpha9/Q9 re"')
+        if part not in _PARTS:
+            raise InputError(
+                f"{where}: column {k + 1} is {given(name)}, which holds {given(part)}: {suggestion(part, _PARTS)}"
+            )
+        held = columns.setdefault((output, an_input), {})
+        if part in held:
+            raise InputError(f"{where}: {given(name)} stands there twice; expected it once")
+        held[part] = k
+        outputs += [output] if output not in outputs else []
+        inputs += [an_input] if an_input not in inputs else []
+    if not columns:
+        raise InputError(f'{where}: there are no columns but the frequency; expected some such as "alpha9/Q9 re"')
+    for output in outputs:
+        for an_input in inputs:
+            held = columns.get((output, an_input), {})
+            if set(held) not in _FORMS:
+                has = f"has {', '.join(held)}" if held else "is missing"
+                raise InputError(
+                    f"{where}: {output}/{an_input} {has}; expected re and im, or magnitude (or magnitude_db) and "
+                    f"phase_deg, "
+                    "for every pair of output and input"
+                )
+    return _FREQUENCIES[header[0]], outputs, inputs, columns
+
+
+def _numbers(where: str, header: list[str], row: list[str]) -> list[float]:
+    if len(row) != len(header):
+        raise InputError(f"{where}: has {len(row)} columns; expected {len(header)} as in the header")
+    out = []
+    for name, cell in zip(header, row, strict=True):
+        try:
+            number = float(cell)
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            raise InputError(f"{where}: {name} = {given(cell)}; expected a finite number")
+        out.append(number)
+    return out
+
+
+def _judge_frequency(label: str, name: str, lines: list[int], frequency: FloatArray) -> None:
+    before = 0.0
+    for line, f in zip(lines, frequency, strict=True):
+        if not f > before:
+            raise InputError(f"{label}, line {line}: {name} = {f:g} after {before:g}; expected rising frequencies > 0")
+        before = float(f)
+
+
+def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
+    held = {part: numbers[:, k] for part, k in parts.items()}
+    if "re" in held:
+        return np.asarray(held["re"] + 1j * held["im"], dtype=np.complex128)
+    size = held["magnitude"] if "magnitude" in held else 10.0 ** (held["magnitude_db"] / 20.0)
+    return np.asarray(size * np.exp(1j * np.radians(held["phase_deg"])), dtype=np.complex128)
