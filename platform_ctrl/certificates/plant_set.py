@@ -1,4 +1,4 @@
-"""The certificates of a sampled loop over its plant set: every plant stable, the nominal one with its disk margin."""
+"""The certificates of a sampled loop over its plant set: stable with every plant, and what disk margin it has."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from platform_ctrl.frozen import FloatArray
 
 
 def plant_set_certificates(
-    plants: PlantSet, controller: StateArrays, decay: FloatArray
+    plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, asked: FloatArray
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
     """Return what is proved of a loop, and what was measured but could not be proved.
 
@@ -21,14 +21,17 @@ def plant_set_certificates(
     ----------
     plants, controller
         The loop, u = K y.
-    decay : (N,)
-        As measured: a plant with which the loop is unstable (not above 0) is not claimed to be stable.
+    decay, margin : (N,)
+        Decay rate and disk margin with each plant as measured. What is unstable is not claimed to be stable.
+    asked : (N,)
+        Disk margin that is asked for with each plant, 0: none. Where the measured one is larger, the asked one is
+        proved; with the nominal plant that which it has.
 
     Returns
     -------
     certificates
-        That the loop with every plant decays, each at its own rate, in the order of the plants; then, of the nominal
-        plant, the norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
+        That the loop with every plant decays, each at its own rate, in the order of the plants; then bounds of the
+        norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
     unproved
         A line for each claim without a proof.
     """
@@ -42,23 +45,25 @@ def plant_set_certificates(
             )
         except NotCertifiedError as error:
             unproved.append(str(error))
-    if decay[0] > 0.0:
-        for system, where in zip(sensitivity_plants(plants), ("torques", "pick-offs"), strict=True):
-            label = f"{plants.labels[0]}, (S − T)/2 at the {where}"
+    for k in np.flatnonzero((decay > 0.0) & ((asked < margin) & (asked > 0.0) | (np.arange(len(decay)) == 0))):
+        # With the nominal plant the norm itself; with the others what is asked, for which their norm is known.
+        known = {} if k == 0 else {"gamma": 1.0 / float(asked[k]), "norm": 1.0 / float(margin[k])}
+        for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
+            label = f"{plants.labels[k]}, (S − T)/2 at the {where}"
             try:
-                proved.append(norm_certificate(*system, controller=controller, label=label))
+                proved.append(norm_certificate(*system, controller=controller, label=label, **known))
             except NotCertifiedError as error:
                 unproved.append(str(error))
     return tuple(proved), tuple(unproved)
 
 
-def sensitivity_plants(plants: PlantSet) -> tuple[StateArrays, StateArrays]:
-    """Return the nominal plant with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
+def sensitivity_plants(plants: PlantSet, k: int = 0) -> tuple[StateArrays, StateArrays]:
+    """Return plant `k` with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
 
     First at the torques: z = u + w/2, where w adds to the torque; then at the pick-offs: z = y − w/2, where w adds to
     what they measure. (S − T)/2 = S − I/2, and nothing is rounded on the way.
     """
-    A, B, C, D = (x[0] for x in (plants.A, plants.B, plants.C, plants.D))
+    A, B, C, D = (x[k] for x in (plants.A, plants.B, plants.C, plants.D))
     (p, m), n = D.shape, len(A)
     torque = StateArrays(
         A,

@@ -115,19 +115,20 @@ def _controller(result: JobResult, design: LoopDesign) -> Record:
 
 def _certificates(proofs: Proofs) -> Record:
     """Return all claims, and of the first plant, the nominal one, what proves them: its matrices and every X."""
-    pairs = list(zip(proofs.certificates, proofs.verifications, strict=True))
     out: Record = {"proved": proofs.proved, "of": proofs.of, "unproved": proofs.unproved}
-    if pairs:
-        first = pairs[0][0].loops[0]
+    if proofs.certificates:
+        first = proofs.certificates[0].loops[0]
         out["plant"] = {name: getattr(first, name) for name in "ABCD"}
-    shown = [k for k, (one, _) in enumerate(pairs) if k == 0 or one.claim != "stability"]
-    out["list"] = [_certificate(*pair, matrices=k in shown) for k, pair in enumerate(pairs)]
+    out["list"] = []
+    for certificate, found in zip(proofs.certificates, proofs.verifications, strict=True):
+        label = certificate.loops[0].label
+        out["list"].append(_certificate(certificate, found, matrices=label.partition(", ")[0] == first.label))
     return out
 
 
 def _certificate(certificate: Certificate, found: Verification, matrices: bool) -> Record:
     out: Record = {
-        "label": ", ".join(loop.label for loop in certificate.loops),
+        "label": certificate.loops[0].label,
         "claim": certificate.claim,
         "bound": certificate.bound,
         "proved": found.proved,

@@ -52,7 +52,8 @@ class LoopDesign:
     claims
         What the method claims, by name: for example ``gamma``.
     certificates
-        Proofs that the loop is stable with each of its plants, and of the nominal plant's disk margin.
+        Proofs that the loop is stable with each of its plants, of the disk margin that is asked for with each, and of
+        the nominal one.
     unproved
         A line for each such claim without a proof.
     """
@@ -106,7 +107,7 @@ def certified(
             plants,
         )
     results, goals = judged(spec, design.name, plants, measures)
-    certificates, unproved = plant_set_certificates(plants, K, measures.decay)
+    certificates, unproved = proofs(spec, plants, K, measures)
     return LoopDesign(
         loop=spec.name,
         name=design.name,
@@ -140,12 +141,24 @@ def judged(
     return hard, soft
 
 
+def proofs(
+    spec: LoopSpec, plants: PlantSet, controller: StateArrays, measures: LoopMeasures
+) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
+    """Return the certificates of stability and of the disk margins that `spec` asks for, and what is left unproved."""
+    asked = np.zeros(len(plants.labels))
+    for requirement in asked_of(spec):
+        if requirement.kind == "disk margin" and requirement.hard:
+            chosen = measures.of(requirement.over)
+            asked[chosen] = np.maximum(asked[chosen], requirement.limit)
+    return plant_set_certificates(plants, controller, measures.decay, measures.disk_margin, asked)
+
+
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
     """Return an existing controller as a design of `spec`, measured anew: nothing that was claimed is believed."""
     K = plants.joined(controller)
     measures = exact_measures(plants, K, asked_of(spec))
     results, goals = judged(spec, name, plants, measures)
-    certificates, unproved = plant_set_certificates(plants, K, measures.decay)
+    certificates, unproved = proofs(spec, plants, K, measures)
     return LoopDesign(
         loop=spec.name,
         name=name,
