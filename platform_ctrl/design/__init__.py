@@ -2,8 +2,24 @@
 
 from __future__ import annotations
 
+from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.jobs import LoopOutcome, loops
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.design.synthesis import Synthesis, hinf
+from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
+from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
 
-__all__ = ["LoopDesign", "LoopOutcome", "Synthesis", "hinf", "loops"]
+__all__ = [
+    "Claim",
+    "Estimator",
+    "LoopDesign",
+    "LoopOutcome",
+    "LqgDesign",
+    "StateFeedback",
+    "Synthesis",
+    "h2",
+    "hinf",
+    "loops",
+    "lqe",
+    "lqg",
+    "lqr",
+]

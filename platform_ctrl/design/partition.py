@@ -124,6 +124,23 @@ def out_of_w_plane(K: Realisation, period: float) -> Realisation:
     return Realisation(A=A, B=B, C=C, D=D)
 
 
+def with_direct_path(K: Realisation, D22: FloatArray) -> Realisation:
+    """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The loop around D22 is not well posed.
+    """
+    shift = np.linalg.inv(np.eye(len(K.D)) + K.D @ D22)
+    return Realisation(
+        A=K.A - K.B @ D22 @ shift @ K.C,
+        B=K.B @ (np.eye(K.B.shape[1]) - D22 @ shift @ K.D),
+        C=shift @ K.C,
+        D=shift @ K.D,
+    )
+
+
 def closed_loop(plant: Partition, K: Realisation) -> Realisation:
     """Lower linear fractional transformation of a plant and u = K y, states [x, xK].
 

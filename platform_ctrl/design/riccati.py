@@ -11,7 +11,6 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack, solve_continuous_lyapunov, solve_discrete_are
 
 from platform_ctrl.frozen import FloatArray
 
@@ -49,6 +48,8 @@ def stabilising(H: FloatArray) -> Subspace:
 
     X makes A − S X stable and solves A'X + XA − XSX + Q = 0.
     """
+    from scipy.linalg import lapack
+
     n = len(H) // 2
     size = float(np.linalg.norm(H))
     if not np.isfinite(size):
@@ -79,6 +80,8 @@ def continuous_solution(
     X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: the least of ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive
     definite.
     """
+    from scipy.linalg import solve_continuous_lyapunov
+
     into = np.linalg.solve(R, np.hstack([B.T, N.T]))
     n = len(A)
     left = A - B @ into[:, n:]
@@ -107,6 +110,8 @@ def discrete_solution(
     X solves A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0: the least of Σ x'Qx + 2 x'Nu + u'Ru is x'Xx. R may be
     singular, W must not be.
     """
+    from scipy.linalg import solve_discrete_are
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition, Realisation, with_direct_path
 from platform_ctrl.errors import NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -139,14 +139,7 @@ def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
     """
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
-    # u = K0 (y − D22 u), K0 the controller for D22 = 0.
-    shift = np.linalg.inv(np.eye(len(D)) + D @ scaled.D22)
-    return Realisation(
-        A=A - B @ scaled.D22 @ shift @ C,
-        B=B @ (np.eye(B.shape[1]) - scaled.D22 @ shift @ D),
-        C=shift @ C,
-        D=shift @ D,
-    )
+    return with_direct_path(Realisation(A=A, B=B, C=C, D=D), scaled.D22)
 
 
 def require_stabilisable(

@@ -1,0 +1,471 @@
+"""State feedback, estimators and output feedback by quadratic cost: LQR, the Kalman filter, LQG.
+
+    cost      ∫ x' Q1 x + 2 x' Q12 u + u' Q2 u dt      (sampled plants: the sum over the samples)
+    noise     x' = A x + B u + v1,  y = C x + D u + v2,  v1 and v2 white with intensities R1, R2 and R12 between them
+              (sampled plants: x[k + 1] in place of x', covariances in place of intensities)
+
+No gain has a hidden minus: u = state_gain x. Solved in scaled units; each result is judged by the residual of its
+Riccati equation and the poles that it leads to.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_scaling, state_space
+from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
+from platform_ctrl.arguments import real_array
+from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition, with_direct_path
+from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
+from platform_ctrl.design.scaling import require_stabilisable
+from platform_ctrl.design.synthesis import Synthesis, certify
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
+from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Largest relative residual of a Riccati equation (scaled).
+RESIDUAL = 1e-6
+# A weight may be negative by this share of its largest eigenvalue: rounding.
+SEMIDEFINITE = 1e-10
+# The recomputed cost of LQG may exceed the claimed one by this share of its root.
+TOLERANCE = 1e-5
+
+
+@value
+class StateFeedback:
+    """A state feedback of least quadratic cost.
+
+    Attributes
+    ----------
+    system
+        The plant as given.
+    state_gain : (m, n + p)
+        u = state_gain [x, xi]; xi (p,) are the integrals (sampled: sums) of y, where they are asked for.
+    X : (n + p, n + p)
+        The least cost from the state x is x' X x.
+    poles : complex
+        Of the closed loop: rad/s, or in z.
+    integrals
+        Number p of integrals.
+    residual
+        Relative residual of the Riccati equation, in scaled units.
+    """
+
+    system: StateSpace
+    state_gain: FloatArray
+    X: FloatArray
+    poles: ComplexArray
+    integrals: int
+    residual: float
+
+
+@value
+class Estimator:
+    """A Kalman filter, x̂' = A x̂ + B u + observer_gain (y − C x̂ − D u); sampled: x̂[k + 1], the predictor.
+
+    Attributes
+    ----------
+    system
+        The plant as given.
+    observer_gain : (n, p)
+    Y : (n, n)
+        Covariance of x − x̂ in the steady state; sampled: before y[k] is used.
+    poles : complex (n,)
+        Of the estimation error: rad/s, or in z.
+    present_gain : (n, p)
+        Sampled plants: x̂[k] + present_gain (y[k] − C x̂[k] − D u[k]) is the estimate that uses y[k]. Empty for others.
+    residual
+        Relative residual of the Riccati equation, in scaled units.
+    """
+
+    system: StateSpace
+    observer_gain: FloatArray
+    Y: FloatArray
+    poles: ComplexArray
+    present_gain: FloatArray
+    residual: float
+
+
+@value
+class LqgDesign:
+    """LQG output feedback with its parts and the evidence.
+
+    Attributes
+    ----------
+    controller
+        u = K y, from the plant's outputs to its inputs, integrators included.
+    feedback, estimator
+        The two parts.
+    synthesis
+        The same loop as an H2 problem: its plant has the outputs y and, where integrals are asked for, their integrals
+        as measurements, and `synthesis.gamma`² is the cost, recomputed from the closed loop.
+    """
+
+    controller: StateSpace
+    feedback: StateFeedback
+    estimator: Estimator
+    synthesis: Synthesis
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of plant and controller: rad/s, or in z."""
+        return self.synthesis.poles
+
+    @property
+    def cost(self) -> float:
+        """The rate (sampled: mean per sample) of the cost in the steady state, recomputed."""
+        return self.synthesis.gamma**2
+
+
+def lqr(
+    system: StateSpace, Q1: ArrayLike, Q2: ArrayLike, Q12: ArrayLike | None = None, integral: ArrayLike | None = None
+) -> StateFeedback:
+    """State feedback u = state_gain x of least quadratic cost (`control.lqr` returns minus this gain).
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    Q1, Q2, Q12
+        Weights (n, n) of the states, (m, m) of the inputs, and (n, m) between them (default 0).
+    integral
+        Weight (p, p) of the integrals of y (sampled: of their sums); None for no integral action.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not make sense.
+    IllPosedError
+        Q2 is not positive definite, [Q1, Q12; Q12', Q2] is not positive semidefinite, or the cost does not see a mode
+        on the stability boundary; the message names it.
+    NotStabilisableError
+        No input moves a mode that is not stable.
+    UnscalableError, NotCertifiedError
+        The Riccati equation was not solved, or the loop is not stable.
+    """
+    arrays = state_arrays(system, "lqr")
+    weights = _weights(
+        "lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), len(arrays.A), arrays.B.shape[1], system.input_labels, system
+    )
+    return _feedback(system, arrays, weights, integral, "lqr")
+
+
+def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None = None) -> Estimator:
+    """Kalman filter in the steady state.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    R1, R2, R12
+        Intensities (sampled: covariances) (n, n) of v1, (p, p) of v2 and (n, p) between them (default 0). Noise that
+        enters at G has R1 = G R G'.
+
+    Raises
+    ------
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
+        As `lqr`, for noise and measurements in place of weights and inputs.
+    """
+    arrays = state_arrays(system, "lqe")
+    noise = _weights("lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system)
+    return _estimator(system, arrays, noise, "lqe")
+
+
+def lqg(
+    system: StateSpace,
+    Q1: ArrayLike,
+    Q2: ArrayLike,
+    R1: ArrayLike,
+    R2: ArrayLike,
+    *,
+    Q12: ArrayLike | None = None,
+    R12: ArrayLike | None = None,
+    integral: ArrayLike | None = None,
+    direct: bool = True,
+) -> LqgDesign:
+    """LQG output feedback: the state feedback of least cost on the Kalman filter's estimate.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    Q1, Q2, Q12, R1, R2, R12
+        As in `lqr` and `lqe`.
+    integral
+        Weight (p, p) of the integrals of y (sampled: of their sums). The controller integrates what it measures, so it
+        knows them exactly; it is still the optimum.
+    direct
+        Sampled plants: whether u[k] may use y[k].
+
+    Raises
+    ------
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
+        As `lqr` and `lqe`; NotCertifiedError also where the closed loop does not have the cost that was promised.
+    """
+    arrays = state_arrays(system, "lqg")
+    n, m = arrays.B.shape
+    weights = _weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
+    noise = _weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
+    feedback = _feedback(system, arrays, weights, integral, "lqg")
+    estimator = _estimator(system, arrays, noise, "lqg")
+    plant = _cost_plant(arrays, weights, noise, integral)
+    try:
+        K, least = _joined(plant, arrays, feedback, estimator, weights, direct and arrays.dt > 0.0)
+    except np.linalg.LinAlgError:
+        raise NotCertifiedError(
+            "lqg: I + D_K D is singular, the loop is not well posed; try direct=False", system
+        ) from None
+    measured = [*system.output_labels, *(f"integral of {name}" for name in system.output_labels[: feedback.integrals])]
+    P = _as_system(plant, system, measured)
+    synthesis = certify(
+        P, partition(P, len(measured), m, sampled=True), K,
+        gamma_optimal=least, backoff=0.0, method="lqg", norm="h2", tolerance=TOLERANCE,
+        residual={
+            "relative residual of the Riccati equation of X": feedback.residual,
+            "relative residual of the Riccati equation of Y": estimator.residual,
+        },
+    )  # fmt: skip
+    return LqgDesign(
+        controller=_with_integrators(K, len(arrays.C), feedback.integrals, system),
+        feedback=feedback, estimator=estimator, synthesis=synthesis,
+    )  # fmt: skip
+
+
+class Weights(NamedTuple):
+    """[first, cross; cross', second], positive semidefinite with a positive definite second."""
+
+    first: FloatArray
+    second: FloatArray
+    cross: FloatArray
+
+
+def _weights(
+    where: str,
+    names: str,
+    given: tuple[ArrayLike | None, ...],
+    n: int,
+    m: int,
+    labels: list[str],
+    system: StateSpace,
+) -> Weights:
+    """Judge a pair of weights or intensities."""
+    first, second, between = names.split(", ")
+    Q = real_array(f"{where}: {first}", given[0], (n, n))
+    R = real_array(f"{where}: {second}", given[1], (m, m))
+    N = real_array(f"{where}: {between}", given[2], (n, m), 0.0)
+    for name, matrix in ((first, Q), (second, R)):
+        if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
+            raise ArgumentError(f"{where}: {name} is not symmetric; expected a symmetric matrix")
+    Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)
+    # In units of their own: a weight of 1e-12 beside one of 1 is small, not zero.
+    unit = np.sqrt(np.diag(R))
+    if not np.all(unit > 0.0):
+        k = int(np.argmin(np.diag(R)))
+        raise IllPosedError(
+            f"{where}: {second} is {R[k, k]:.4g} for {labels[k]}; expected a positive definite {second}: every one "
+            'counts; give a small positive number, or design.h2 with method="lmi"',
+            system,
+        )
+    values, vectors = np.linalg.eigh(R / unit / unit[:, None])
+    if values[0] <= SEMIDEFINITE * values[-1]:
+        k = int(np.argmax(np.abs(vectors[:, 0])))
+        raise IllPosedError(
+            f"{where}: {second} is not positive definite, for {labels[k]} among others; expected a positive definite "
+            f"{second}; give larger numbers on its diagonal",
+            system,
+        )
+    rest = Q - N @ np.linalg.solve(R, N.T)
+    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
+    size[size == 0.0] = 1.0
+    if n and np.linalg.eigvalsh(rest / size / size[:, None])[0] < -SEMIDEFINITE * n:
+        raise IllPosedError(
+            f"{where}: [{first}, {between}; {between}', {second}] is not positive semidefinite; expected one: the cost "
+            "has no least value otherwise",
+            system,
+        )
+    return Weights(Q, R, N)
+
+
+def _solved(
+    A: FloatArray, B: FloatArray, weights: Weights, dt: float, where: str, system: StateSpace
+) -> tuple[FloatArray, FloatArray, ComplexArray, float]:
+    """X, the gain F of u = F x, the poles of A + B F and the residual, solved in scaled units."""
+    Q, R, N = weights
+    unit = 1.0 / np.sqrt(np.diag(R))
+    s = state_scaling(A, B * unit, _root(Q).T if np.any(Q) else np.zeros((1, len(A))))
+    As, Bs = A * s / s[:, None], B * unit / s[:, None]
+    Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
+    # Units of time and of the cost in which A and Q are near one.
+    rate = 1.0 if dt else max(float(np.linalg.norm(As, 2)), np.finfo(float).tiny)
+    cost = max(float(np.linalg.norm(Qs, 2)), np.finfo(float).tiny)
+    root = np.sqrt(cost)
+    equation = (As / rate, Bs * root / rate, Qs / cost, Rs, Ns / root)
+    try:
+        found = discrete_solution(*equation) if dt else continuous_solution(*equation)
+    except np.linalg.LinAlgError:
+        found = None
+    if found is None:
+        _name_blind_mode(equation, rate, dt, where, system)
+        raise UnscalableError(
+            f"{where}: the Riccati equation has no stabilising solution in scaled units; expected weights and modes "
+            "with less spread; try larger weights on the slow states",
+            system,
+        )
+    X, F = found[0], found[1]
+    residual = relative_residual(*equation, X, discrete=dt > 0)
+    F = F * (unit[:, None] * root) / s
+    poles = np.asarray(np.linalg.eigvals(A + B @ F), dtype=np.complex128)
+    if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0 or not residual <= RESIDUAL:
+        raise NotCertifiedError(
+            f"{where}: the loop is not stable, or its Riccati equation holds to {residual:.2g} alone; expected a "
+            f"stable loop and {RESIDUAL:g}; try weights with less spread",
+            system,
+        )
+    return X * (cost / rate) / s / s[:, None], F, poles, residual
+
+
+def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
+    """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
+    A, B, Q, R, N = equation
+    closed = A - B @ np.linalg.solve(R, N.T)
+    seen = Q - N @ np.linalg.solve(R, N.T)
+    for pole in np.linalg.eigvals(closed):
+        distance = abs(abs(pole) - 1.0) if dt else abs(pole.real)
+        shifted = np.vstack([closed - pole * np.eye(len(A)), seen])
+        if distance < 1e-6 and np.linalg.svd(shifted, compute_uv=False)[-1] < 1e-9:
+            at = f"z = {pole:.6g}" if dt else f"{pole * rate:.4g} rad/s"
+            raise IllPosedError(
+                f"{where}: the weights (or noise intensities) do not reach the mode at {at} on the stability boundary; "
+                "expected one on every such mode; add a small weight (or noise) on its states",
+                system,
+            )
+
+
+def _root(Q: FloatArray) -> FloatArray:
+    """Return a square root G, Q = G G', of a positive semidefinite matrix; zero columns left out."""
+    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
+    size[size == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(Q / size / size[:, None])
+    keep = values > 1e-14 * max(float(values[-1]), 0.0)
+    return np.asarray(size[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
+
+
+def _with_integrals(
+    arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
+) -> tuple[FloatArray, FloatArray, Weights, int]:
+    """A, B and weights with the integrals of y as further states, and their number."""
+    A, B, C, D, dt = arrays
+    if integral is None:
+        return A, B, weights, 0
+    (n, m), p = B.shape, len(C)
+    extra = real_array(f"{where}: integral", integral, (p, p))
+    if np.linalg.eigvalsh(0.5 * (extra + extra.T)).min(initial=0.0) < 0.0 or not np.allclose(extra, extra.T):
+        raise ArgumentError(f"{where}: integral is not positive semidefinite; expected a weight of the integrals of y")
+    keep = np.eye(p) if dt else np.zeros((p, p))
+    A = np.block([[A, np.zeros((n, p))], [C, keep]])
+    Q = np.block([[weights.first, np.zeros((n, p))], [np.zeros((p, n)), extra]])
+    return A, np.vstack([B, D]), Weights(Q, weights.second, np.vstack([weights.cross, np.zeros((p, m))])), p
+
+
+def _feedback(
+    system: StateSpace, arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
+) -> StateFeedback:
+    A, B, weights, p = _with_integrals(arrays, weights, integral, where)
+    _require(A, B, np.eye(len(A)), arrays.dt, where, system)
+    X, F, poles, residual = _solved(A, B, weights, arrays.dt, where, system)
+    return StateFeedback(system=system, state_gain=F, X=X, poles=poles, integrals=p, residual=residual)
+
+
+def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
+    _require(arrays.A, np.eye(len(arrays.A)), arrays.C, arrays.dt, where, system)
+    Y, Lt, poles, residual = _solved(arrays.A.T, arrays.C.T, noise, arrays.dt, where, system)
+    present = np.zeros((len(Y), 0))
+    if arrays.dt:
+        S = noise.second + arrays.C @ Y @ arrays.C.T
+        present = np.asarray(np.linalg.solve(S, arrays.C @ Y).T)
+    return Estimator(system=system, observer_gain=-Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
+
+
+def _require(A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace) -> None:
+    """Raise a NotStabilisableError that names the mode out of reach."""
+    n, m, p = len(A), B.shape[1], len(C)
+    plant = Partition(
+        A=A, B1=np.eye(n), B2=B, C1=np.eye(n), C2=C, D11=np.zeros((n, n)), D12=np.zeros((n, m)),
+        D21=np.zeros((p, n)), D22=np.zeros((p, m)), dt=dt,
+    )  # fmt: skip
+    require_stabilisable(in_w_plane(plant), system, where)
+
+
+def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral: ArrayLike | None) -> Partition:
+    """The H2 problem: w = roots of the noise, z = roots of the cost, measurements [y, its integrals]."""
+    n, m = arrays.B.shape
+    A, B, weights, p = _with_integrals(arrays, weights, integral, "lqg")
+    V = _root(np.block([[noise.first, noise.cross], [noise.cross.T, noise.second]]))
+    Z = _root(np.block([[weights.first, weights.cross], [weights.cross.T, weights.second]])).T
+    V2 = V[n:]
+    return Partition(
+        A=A, B1=V[: n + p], B2=B, C1=Z[:, : n + p],
+        C2=np.block([[arrays.C, np.zeros((len(V2), p))], [np.zeros((p, n)), np.eye(p)]]),
+        D11=np.zeros((len(Z), V.shape[1])), D12=Z[:, n + p :], D21=np.vstack([V2, np.zeros((p, V.shape[1]))]),
+        D22=np.vstack([arrays.D, np.zeros((p, m))]), dt=arrays.dt,
+    )  # fmt: skip
+
+
+def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSpace:
+    return state_space(
+        StateArrays(
+            p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]), np.block([[p.D11, p.D12], [p.D21, p.D22]]), p.dt
+        ),
+        [*(f"noise {k + 1}" for k in range(p.B1.shape[1])), *system.input_labels],
+        [*(f"cost {k + 1}" for k in range(len(p.C1))), *measured],
+    )
+
+
+def _joined(
+    plant: Partition, arrays: StateArrays, feedback: StateFeedback, estimator: Estimator, weights: Weights, direct: bool
+) -> tuple[Realisation, float]:
+    """The controller from [y, its integrals] to u, with the estimate as its states, and the root of the least cost."""
+    n = len(arrays.A)
+    X, F, Y, L = feedback.X, feedback.state_gain, estimator.Y, estimator.observer_gain
+    Fx, Fi = F[:, :n], F[:, n:]
+    W = weights.second + (plant.B2.T @ X @ plant.B2 if arrays.dt else 0.0)
+    cost = float(np.trace(plant.B1.T @ X @ plant.B1) + np.trace(W @ Fx @ Y @ Fx.T))
+    V2 = plant.D21[: len(arrays.C)]
+    present: FloatArray = np.zeros((len(F), len(V2)))
+    if direct:
+        # What y[k] says about the present state, and about the noise that will drive the next one.
+        S = V2 @ V2.T + arrays.C @ Y @ arrays.C.T
+        ahead = -np.linalg.solve(W, plant.B2.T @ X @ plant.B1 @ V2.T)
+        present = np.asarray(np.linalg.solve(S, (Fx @ Y @ arrays.C.T + ahead).T).T)
+        cost -= float(np.trace(W @ present @ S @ present.T))
+    into = arrays.B @ present + L
+    K = Realisation(
+        A=arrays.A + arrays.B @ Fx - into @ arrays.C,
+        B=np.hstack([into, arrays.B @ Fi]),
+        C=Fx - present @ arrays.C,
+        D=np.hstack([present, Fi]),
+    )
+    return with_direct_path(K, plant.D22), float(np.sqrt(max(cost, 0.0)))
+
+
+def _with_integrators(K: Realisation, ny: int, integrals: int, system: StateSpace) -> StateSpace:
+    """The controller from y alone, with states [x̂, xi]."""
+    n, p = len(K.A), integrals
+    dt = float(system.dt or 0.0)
+    keep = np.eye(p) if dt else np.zeros((p, p))
+    return state_space(
+        StateArrays(
+            np.block([[K.A, K.B[:, ny:]], [np.zeros((p, n)), keep]]),
+            np.vstack([K.B[:, :ny], np.eye(ny)[:p]]),
+            np.hstack([K.C, K.D[:, ny:]]),
+            K.D[:, :ny],
+            dt,
+        ),
+        system.output_labels,
+        system.input_labels,
+    )
