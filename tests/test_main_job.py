@@ -7,20 +7,18 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis, check, design
+from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError
-from platform_ctrl.reading import read_job
 
 
 @pytest.fixture(scope="module")
-def said():
-    return []
+def said(shipped_job):
+    return shipped_job(Path("examples/three_gyro_platform.toml"))[1]
 
 
 @pytest.fixture(scope="module")
-def result(said):
-    job = read_job("examples/three_gyro_platform.toml")
-    return check.checked(job, design.loops(job, said.append), said.append)
+def result(shipped_job):
+    return shipped_job(Path("examples/three_gyro_platform.toml"))[0]
 
 
 def test_the_job_asks_for_no_less_than_it_should(result):

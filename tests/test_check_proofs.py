@@ -1,0 +1,190 @@
+"""The certificates of a job: every claim of every shipped design is proved, and what is not proved fails the job."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.certificates import Certificate, closed
+from platform_ctrl.certificates.plant_set import sensitivity_plants
+from platform_ctrl.check import JobResult, checked
+from platform_ctrl.check.proofs import coupled_proofs
+from platform_ctrl.check.records import result_record
+from platform_ctrl.design import LoopOutcome, loops
+from platform_ctrl.errors import NotCertifiedError
+
+SHIPPED = sorted(Path("examples").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_claim_of_every_shipped_design_is_proved(
+    path: Path, shipped_job: Callable[[Path], tuple[JobResult, list[str]]]
+) -> None:
+    result, said = shipped_job(path)
+    for outcome in result.loops:
+        for design in outcome.designs:
+            assert design.unproved == ()
+            if design.plants is not None:
+                stable = [one for one in design.certificates if one.claim == "stability"]
+                assert [one.loops[0].label for one in stable] == list(design.plants.labels)
+            for certificate in design.certificates:
+                found = certificate.verify()
+                assert found.proved, found
+    together = result.proofs["", ""]
+    assert (together.proved, together.of) == (1, 1)
+    shown = [one for one in result.requirements if one.name == "claims proved"]
+    assert [one.value for one in shown] == [1.0] * len(shown)
+    assert {one.stage for one in shown} == {"decoupled", "coupled"}
+    assert any("certificates" in line for line in said)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_what_is_proved_is_what_is_claimed(
+    path: Path, shipped_job: Callable[[Path], tuple[JobResult, list[str]]]
+) -> None:
+    result, _ = shipped_job(path)
+    for design in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:
+        assert design.measures is not None
+        for certificate, rate in zip(design.certificates, design.measures.decay, strict=False):
+            assert 0.4 * rate < certificate.bound < rate
+        torques, pickoffs = [
+            one for one in design.certificates if one.claim == "norm" and one.loops[0].label.startswith("nominal")
+        ]
+        margin = 1 / max(torques.bound, pickoffs.bound)
+        assert margin == pytest.approx(design.measures.disk_margin[0], rel=2e-6)
+        asked = next(s.limits.disk_margin_spread for s in result.job.loops if s.name == design.loop)
+        if asked is not None:
+            over = [one for one in design.certificates if one.claim == "norm"]
+            assert len(over) == 2 * len(design.measures.decay)
+            assert all(one.bound <= 1 / asked for one in over)
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
+    """One loop of the main job, without spread and manoeuvres."""
+    data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
+    for name in ("spread", "operation", "coupled", "manoeuvre"):
+        data.pop(name, None)
+    [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
+    loop |= {
+        "use": "plain",
+        "limits": {"disk_margin": 0.3},
+        "design": [{"name": "plain", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
+    }
+    job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
+    return job, loops(job)
+
+
+def with_certificates(outcome: LoopOutcome, **change: Any) -> LoopOutcome:
+    return dataclasses.replace(outcome, designs=(dataclasses.replace(outcome.designs[0], **change),))
+
+
+def test_a_forged_certificate_of_a_closed_design_fails_the_job(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    job, (outcome,) = small
+    honest = checked(job, [outcome])
+    assert honest.passed
+    first, *others = outcome.closed.certificates
+    forged = dataclasses.replace(first, X=first.X - 2 * first.X.min() * np.eye(len(first.X)) - first.X.max())
+    boast = dataclasses.replace(others[-1], bound=0.9 * others[-1].bound)
+    for bad in ([forged, *others], [first, *others[:-1], boast]):
+        result = checked(job, [with_certificates(outcome, certificates=tuple(bad))])
+        assert not result.passed
+        [missed] = [one for one in result.requirements if not one.passed]
+        assert (missed.name, missed.subject) == ("claims proved", "caging 9-10")
+        assert missed.value == pytest.approx(1 - 1 / len(bad))
+        assert "is not positive definite" in missed.evidence
+    silent = checked(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
+    assert not silent.passed
+    assert "no proof that it is fast" in [one.evidence for one in silent.requirements if not one.passed]
+
+
+def test_the_record_is_enough_to_prove_the_nominal_claims(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    """Through JSON and back, with nothing but the record."""
+    job, outcomes = small
+    record = json.loads(json.dumps(result_record(checked(job, outcomes))))
+    [entry] = record["controllers"]
+    shown = entry["certificates"]
+    assert shown["proved"] == shown["of"] == len(shown["list"]) == 3
+    K = StateArrays(*(np.array(entry[name], dtype=float) for name in "ABCD"), dt=entry["dt"])
+    A, B, C, D = (np.array(shown["plant"][name], dtype=float) for name in "ABCD")
+    (p, m), n = D.shape, len(A)
+    plants = {
+        "nominal": (A, B, C, D),
+        "nominal, (S − T)/2 at the torques": (
+            A,
+            np.hstack([B, B]),
+            np.vstack([np.zeros((m, n)), C]),
+            np.block([[np.eye(m) / 2, np.eye(m)], [D, D]]),
+        ),
+        "nominal, (S − T)/2 at the pick-offs": (
+            A,
+            np.hstack([np.zeros((n, p)), B]),
+            np.vstack([C, C]),
+            np.block([[-np.eye(p) / 2 + np.eye(p), D], [np.eye(p), D]]),
+        ),
+    }
+    for claim in shown["list"]:
+        loop = closed(StateArrays(*plants[claim["label"]], dt=entry["dt"]), K)
+        T = claim.get("coordinates")
+        again = Certificate(
+            claim=claim["claim"],
+            bound=claim["bound"],
+            loops=(loop,),
+            X=np.array(claim["X"]),
+            coordinates=None if T is None else np.array(T),
+        ).verify()
+        assert again.proved
+        assert again.margin == claim["margin"]
+    together = record["coupled"]["certificates"]
+    assert (together["proved"], together["of"]) == (1, 1)
+
+
+def test_sensitivity_plants_close_to_s_minus_half(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    design = small[1][0].closed
+    assert design.plants is not None
+    K = StateArrays(*(getattr(design.controller, name) for name in "ABCD"), dt=design.plants.period)
+    P = pc.analysis.frequency_response(
+        pc.analysis.arrays.state_space(
+            StateArrays(*(getattr(design.plants, name)[0] for name in "ABCD"), dt=K.dt), ["a", "b"], ["c", "d"]
+        ),
+        [100.0],
+    )[..., 0]
+    k = pc.analysis.frequency_response(design.controller, [100.0])[..., 0]
+    eye = np.eye(2)
+    S = np.linalg.inv(eye - k @ P), np.linalg.inv(eye - P @ k)
+    for system, expected in zip(sensitivity_plants(design.plants), S, strict=True):
+        A, B, C, D, dt = closed(system, K).rounded()
+        z = np.exp(100.0j * dt)
+        found = C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
+        np.testing.assert_allclose(found, expected - eye / 2, rtol=1e-9, atol=1e-9)
+
+
+def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    job, outcomes = small
+    result = checked(job, outcomes)
+    K = outcomes[0].closed.controller
+    unstable = dataclasses.replace(
+        result.coupled, poles=2.0 * result.coupled.poles / np.abs(result.coupled.poles).max()
+    )
+    assert coupled_proofs(unstable, [K]).of == 0
+    assert coupled_proofs(result.coupled, [K]).proved == 1
+
+
+def test_an_unstable_loop_is_not_certified() -> None:
+    data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
+    for name in ("spread", "coupled", "manoeuvre"):
+        data.pop(name, None)
+    [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
+    loop |= {"design": [{"name": "classical", "method": "classical", "crossover_hz": 400, "damping_hz": 1}]}
+    job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
+    with pytest.raises(NotCertifiedError, match="the closed loop grows at"):
+        loops(job)
