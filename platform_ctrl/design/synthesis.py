@@ -102,9 +102,6 @@ class Synthesis:
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
     norms
         Other norms of the closed loop that the route promised, recomputed, by name.
-    certificate
-        Proof that the loop of `plant` and `controller` is stable and its norm hardly above `gamma`:
-        ``certificate.verify()``.
     """
 
     plant: StateSpace
@@ -121,7 +118,22 @@ class Synthesis:
     residual: dict[str, float]
     norm: Norm = "hinf"
     norms: dict[str, float] = field(default_factory=dict)
-    certificate: Certificate | None = None
+    _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof of stability and norm in interval arithmetic, of plant and controller as given; `certificate.verify()`.
+
+        Made at the first use: that takes longer than the synthesis.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found.
+        """
+        if not self._made:
+            self._made.append(_certificate(self))
+        return self._made[0]
 
     @property
     def spectral_abscissa(self) -> float:
@@ -290,22 +302,19 @@ def certify(
         residual=dict(residual),
         norm=norm,
         norms={claim.name: _kept(claim, loop, plant.dt, method, None, P)[0] for claim in claims},
-        certificate=_certificate(P, loop, controller, plant.dt, norm, gamma),
     )
 
 
-def _certificate(
-    P: StateSpace, loop: Realisation, controller: Realisation, dt: float, norm: Norm, gamma: float
-) -> Certificate:
+def _certificate(result: Synthesis) -> Certificate:
     """Return the proof of the norm, of plant and controller as given."""
-    given = StateArrays(*state_arrays(P, "plant")[:4], dt=dt)
-    K = StateArrays(controller.A, controller.B, controller.C, controller.D, dt)
-    if norm == "hinf":
-        return norm_certificate(*given, controller=K, norm=gamma)
-    if dt == 0.0 and np.any(controller.D):
+    given = state_arrays(result.plant, "plant")
+    controller = StateArrays(*state_arrays(result.controller, "controller")[:4], dt=given.dt)
+    if result.norm == "hinf":
+        return norm_certificate(*given, controller=controller, norm=result.gamma)
+    if given.dt == 0.0 and np.any(controller.D):
         # What the controller's direct term cancels but for rounding: the proof is of the loop without it.
-        return h2_certificate(loop.A, loop.B, loop.C, loop.D)
-    return h2_certificate(*given, controller=K)
+        return h2_certificate(*state_arrays(result.closed_loop, "closed loop")[:4])
+    return h2_certificate(*given, controller=controller)
 
 
 def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace) -> ComplexArray:
