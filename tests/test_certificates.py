@@ -24,6 +24,7 @@ from platform_ctrl.certificates import (
     h2_certificate,
     norm_certificate,
     proved,
+    region_certificate,
     stability_certificate,
 )
 from platform_ctrl.certificates.balls import balls, positive_definite
@@ -390,3 +391,41 @@ def test_balls_too_wide_to_tell_are_undecided() -> None:
         assert positive_definite(flint.arb_mat([[third, third], [third, third]]))[0] is None
     singular = Certificate(claim="stability", bound=0.0, loops=(closed(system_of([[0.0]])),), X=np.eye(1)).verify()
     assert not singular.proved
+
+
+def sector(damping: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    sine = math.sqrt(1 - damping**2)
+    return np.zeros((2, 2)), np.array([[sine, damping], [-damping, sine]])
+
+
+@settings(deadline=None, max_examples=40)
+@given(**systems)
+def test_a_damping_is_proved_as_a_sector_of_the_poles(seed: int, order: int, decay: float, dt: float) -> None:
+    A = random_system(seed, order, decay, dt)[0]
+    z = np.linalg.eigvals(A)
+    s = (2 / dt) * (z - 1) / (z + 1) if dt > 0 else z
+    damping = float((-s.real / np.abs(s)).min())
+    assert region_certificate(A, *sector(0.99 * damping), dt).verify().proved
+    if damping < 0.99:
+        with pytest.raises(NotCertifiedError, match="every pole lies in the region"):
+            region_certificate(A, *sector(damping + 0.005), dt)
+
+
+def test_a_region_of_vertices_is_that_of_what_lies_between_and_a_disc_holds_the_fastest_pole() -> None:
+    loops = tuple(closed(system_of([[0.0, 1.0], [-k, -2.0]])) for k in (2.0, 2.2))
+    X = np.array([[3.1, 1.0], [1.0, 1.0]])
+    L, M = sector(0.5)
+    common = Certificate(claim="region", bound=0.0, loops=loops, X=X, L=L, M=M)
+    assert common.verify().proved
+    assert not dataclasses.replace(common, L=L + 2.0 * np.eye(2)).verify().proved
+    disc = np.array([[0.0, 1.0], [0.0, 0.0]])
+    A = np.diag([-1.0, -7.0])
+    assert region_certificate(A, -7.1 * np.eye(2), disc).verify().proved
+    with pytest.raises(NotCertifiedError):
+        region_certificate(A, -6.9 * np.eye(2), disc)
+    for senseless in ({"L": None}, {"L": np.eye(3)}, {"M": np.full((2, 2), np.nan)}, {"L": np.eye(2, k=1)}):
+        found = dataclasses.replace(common, **senseless).verify()
+        assert not found.proved
+        assert "L and M" in found.reason
+    with pytest.raises(ArgumentError, match="no matrices of real numbers"):
+        region_certificate(A, "x", disc)

@@ -6,6 +6,7 @@ from platform_ctrl.certificates.certificate import Certificate, Verification, pr
 from platform_ctrl.certificates.closed_loop import ClosedLoop, closed
 from platform_ctrl.certificates.makers import h2_certificate, norm_certificate, stability_certificate
 from platform_ctrl.certificates.plant_set import plant_set_certificates
+from platform_ctrl.certificates.region import region_certificate
 
 __all__ = [
     "Certificate",
@@ -16,5 +17,6 @@ __all__ = [
     "norm_certificate",
     "plant_set_certificates",
     "proved",
+    "region_certificate",
     "stability_certificate",
 ]

@@ -7,6 +7,9 @@ SIAM 1994):
 - stability with decay rate a:  V' < −2a V                  discrete: V(k+1) < exp(−2a dt) V(k)
 - H-infinity norm below g:      V' < g² w'w − z'z           discrete: V(k+1) − V(k) < g² w'w − z'z
 - H2 norm below h:              V' < −z'z for w = 0, and trace(B'XB + D'D) < h²
+- poles in a region:            L ⊗ X + M ⊗ XA + M' ⊗ A'X < 0, the region {s: L + sM + s*M' < 0} (Chilali and
+                                Gahinet, IEEE Trans. Automatic Control 41, 1996); discrete: A and s of the w-plane,
+                                w = (2/dt) (z − 1)/(z + 1)
 
 Each is a matrix inequality in X with the closed loop's matrices as data. For a fixed X it only asks whether two
 symmetric matrices are positive definite, which balls decide for good.
@@ -25,7 +28,7 @@ from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop
 from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
 
-Claim = Literal["stability", "norm", "h2"]
+Claim = Literal["stability", "norm", "h2", "region"]
 
 # Bits at which a proof is tried; each doubling takes about twice the time.
 _DOUBLINGS = 3
@@ -34,6 +37,7 @@ _INEQUALITY = {
     "stability": ("−(A'X + XA) − 2 bound X", "exp(−2 bound dt) X − A'XA"),
     "norm": ("the bounded-real matrix", "the bounded-real matrix"),
     "h2": ("−(A'X + XA) − C'C", "X − A'XA − C'C"),
+    "region": ("the region's matrix", "the region's matrix"),
 }
 
 
@@ -70,9 +74,10 @@ class Certificate:
     Attributes
     ----------
     claim
-        ``"stability"``, ``"norm"`` (H-infinity) or ``"h2"``.
+        ``"stability"``, ``"norm"`` (H-infinity), ``"h2"`` or ``"region"``.
     bound
-        Decay rate, 1/s, that no solution falls short of (0: stability alone); or the norm that is not reached.
+        Decay rate, 1/s, that no solution falls short of (0: stability alone); the norm that is not reached; of no
+        meaning for a region.
     loops
         The closed loops, all with the same X. With several the claim holds for every system whose [A B; C D] lies in
         the convex hull of theirs, and stability and norm however it moves there in time.
@@ -80,6 +85,8 @@ class Certificate:
         Symmetric. The function that decreases is x'Xx, x the states of plant and controller.
     coordinates : (n, n), optional
         T: then the function is (Tx)'X(Tx).
+    L, M : (k, k), optional
+        Of a region, L symmetric.
     """
 
     claim: Claim
@@ -87,6 +94,8 @@ class Certificate:
     loops: tuple[ClosedLoop, ...]
     X: FloatArray
     coordinates: FloatArray | None = None
+    L: FloatArray | None = None
+    M: FloatArray | None = None
 
     @property
     def statement(self) -> str:
@@ -94,6 +103,8 @@ class Certificate:
         order, many = len(self.X), len(self.loops)
         if self.claim == "stability":
             text = f"stable, every solution decays at {self.bound:.6g} 1/s or faster" if self.bound else "stable"
+        elif self.claim == "region":
+            text = "such that every pole lies in the region"
         else:
             text = f"stable with {'H-infinity' if self.claim == 'norm' else 'H2'} norm below {self.bound:.9g}"
         label = next((loop.label for loop in self.loops if many == 1 and loop.label), "")
@@ -132,8 +143,10 @@ class Certificate:
             return f"claim = {self.claim!r}; expected one of {', '.join(_INEQUALITY)}"
         if not self.loops:
             return "no closed loop is given"
-        if not np.isfinite(self.bound) or self.bound < 0 or (self.bound == 0 and self.claim != "stability"):
+        if not np.isfinite(self.bound) or self.bound < 0 or (self.bound == 0 and self.claim in ("norm", "h2")):
             return f"bound = {self.bound}; expected a positive number"
+        if self.claim == "region" and not _is_region(self.L, self.M):
+            return "L and M are no finite square matrices of one size, L symmetric"
         n = self.loops[0].order
         T = np.eye(n) if self.coordinates is None else self.coordinates
         if any(loop.order != n or loop.dt != self.loops[0].dt for loop in self.loops):
@@ -173,7 +186,11 @@ class Certificate:
                 T = balls(self.coordinates)  # type: ignore[arg-type]
                 system = BallSystem(T * system.A * inverse, T * system.B, system.C * inverse, system.D)
             label = f", {loop.label}" if loop.label else f", loop {number}" if len(self.loops) > 1 else ""
-            yield inequality(self.claim, system, X, self.bound, loop.dt), f"{self._inequality}{label}"
+            if self.L is not None and self.M is not None and self.claim == "region":
+                matrix = _region(system, X, self.L, self.M, loop.dt)
+            else:
+                matrix = inequality(self.claim, system, X, self.bound, loop.dt)
+            yield matrix, f"{self._inequality}{label}"
             if self.claim == "h2":
                 yield _energy_left(system, X, self.bound, loop.dt), f"bound² − trace(B'XB + D'D){label}"
 
@@ -202,6 +219,27 @@ def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: flo
     else:
         cross = -1 * (X * B + C.transpose() * D)
     return blocks([[rest, cross], [cross.transpose(), corner]])
+
+
+def _is_region(L: FloatArray | None, M: FloatArray | None) -> bool:
+    if L is None or M is None or L.ndim != 2 or L.shape != (len(L), len(L)) or M.shape != L.shape:
+        return False
+    return bool(np.all(np.isfinite(L)) and np.all(np.isfinite(M)) and np.array_equal(L, L.T))
+
+
+def _region(system: BallSystem, X: Balls, L: FloatArray, M: FloatArray, dt: float) -> Balls:
+    """Return −(L ⊗ E'XE + M ⊗ E'XF + M' ⊗ F'XE): s E x = F x, F E^-1 is A, or A in the w-plane."""
+    E = identity(X.nrows())
+    F = system.A
+    if dt > 0:
+        E, F = system.A + E, (2 / flint.arb(dt)) * (system.A - E)
+    square, turned = E.transpose() * X * E, E.transpose() * X * F
+    back = turned.transpose()
+    k = range(len(L))
+    ball = flint.arb
+    return blocks(
+        [[-1 * (ball(L[i, j]) * square + ball(M[i, j]) * turned + ball(M[j, i]) * back) for j in k] for i in k]
+    )
 
 
 def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls:

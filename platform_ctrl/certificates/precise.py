@@ -23,6 +23,19 @@ _BITS = 320
 _STEPS = 150
 
 
+def real_modes(A: FloatArray) -> FloatArray:
+    """Return T such that T A T^-1 has real poles a on its diagonal and blocks [[a, b], [-b, a]] for a ± jb.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A has no eigenvectors that span the states, to the digits of doubles.
+    """
+    values, vectors = np.linalg.eig(A)
+    columns = [vectors[:, k].real if values[k].imag <= 0 else vectors[:, k].imag for k in range(len(values))]
+    return np.asarray(np.linalg.inv(np.array(columns).reshape(len(A), len(A)).T), dtype=np.float64)
+
+
 def modes(system: StateArrays) -> FloatArray:
     """Return T such that T A T^-1 is nearly diagonal but for 2 x 2 blocks, inputs and outputs of like size.
 
@@ -31,9 +44,7 @@ def modes(system: StateArrays) -> FloatArray:
     numpy.linalg.LinAlgError
         A has no eigenvectors that span the states, to the digits of doubles.
     """
-    values, vectors = np.linalg.eig(system.A)
-    columns = [vectors[:, k].real if values[k].imag <= 0 else vectors[:, k].imag for k in range(len(values))]
-    T = np.linalg.inv(np.array(columns).T)
+    T = real_modes(system.A)
     back = np.linalg.inv(T)
     s = state_scaling(T @ system.A @ back, T @ system.B, system.C @ back)
     return np.asarray(T / s[:, None], dtype=np.float64)
