@@ -16,24 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.arguments import positive
-from platform_ctrl.design.lmi.bounded_real import from_linearised
-from platform_ctrl.design.lmi.search import (
-    CURE,
-    FINE,
-    Found,
-    Problem,
-    best_ratio,
-    improved_problem,
-    minimised,
-    posed,
-    separated,
-)
-from platform_ctrl.design.lmi.slow_controller import slowed
+from platform_ctrl.design.lmi.search import CURE, posed
+from platform_ctrl.design.lmi.solutions import Solution, solutions
 from platform_ctrl.design.lmi.tasks import judged, tasks
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, out_of_w_plane, partition
+from platform_ctrl.design.partition import Partition, closed_loop, out_of_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscale
-from platform_ctrl.errors import DesignError, IllPosedError, InfeasibleError, NotCertifiedError, TimeLimitError
+from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.frozen import value
 from platform_ctrl.requirements import CheckResult, LoopRequirement
 
@@ -41,8 +31,6 @@ if TYPE_CHECKING:
     from control import StateSpace
 
 WHERE = "multiobjective, lmi"
-# Strictness of the inequalities in the last step (scaled): until everything holds.
-MARGINS = (1e-4, 1e-5, 1e-6)
 
 
 @value
@@ -134,27 +122,15 @@ def multiobjective(
     plant = partition(P, nmeas, ncon, sampled=True)
     asked = tasks(P, plant, requirements, WHERE)
     require_stabilisable(asked.plant, P, "multiobjective", autoscale(asked.plant))
-    problem, found = best_ratio(posed(asked, plant.dt, WHERE, time_limit, P), backoff)
+    tried = solutions(posed(asked, plant.dt, WHERE, time_limit, P), backoff)
     failure: DesignError | None = None
-    for margin in MARGINS:
+    for solution in tried:
+        if isinstance(solution, DesignError):
+            failure = failure or solution
+            continue
         try:
-            problem = improved_problem(problem, found)
-            found = minimised(problem, problem.goals, backoff, FINE)
-            if asked.norms and not problem.soft and found.ratio >= 1:
-                raise InfeasibleError(
-                    f"{WHERE}: {found.ratio:.4g} times the limits of the norms can be reached with one Lyapunov matrix "
-                    f"for all requirements; expected less than 1; {CURE}",
-                    P,
-                )
-            best = separated(problem, found, backoff, margin)
-            made = from_linearised(problem.plant, best.pair.X, best.pair.Y, best.hats)
-            if asked.controller:
-                bound = min(one.limit for one in asked.controller) / problem.scaled.rate
-                made = slowed(problem, best, made, bound)
-            return _finished(problem, best, made, found.ratio, plant, requirements, backoff)
-        except (TimeLimitError, InfeasibleError, IllPosedError):
-            raise
-        except DesignError as error:
+            return _finished(solution, plant, requirements, backoff)
+        except NotCertifiedError as error:
             failure = failure or error
         except np.linalg.LinAlgError as error:
             failure = failure or NotCertifiedError(f"{WHERE}: {str(error).lower()}; {CURE}", P)
@@ -163,17 +139,12 @@ def multiobjective(
 
 
 def _finished(
-    problem: Problem,
-    best: Found,
-    made: Realisation,
-    least: float,
-    plant: Partition,
-    requirements: Sequence[LoopRequirement],
-    backoff: float,
+    solution: Solution, plant: Partition, requirements: Sequence[LoopRequirement], backoff: float
 ) -> Multiobjective:
     """The controller in the plant's units, with the judgement of its actual closed loop."""
     import control
 
+    problem, best, least, made = solution
     K = out_of_w_plane(unscale(made, problem.scaled), plant.dt)
     P = problem.P
     u, y = P.input_labels[-plant.B2.shape[1] :], P.output_labels[-len(plant.C2) :]
@@ -183,6 +154,9 @@ def _finished(
     D = np.where(np.abs(loop.D) > 1e-12 * size, loop.D, 0.0)
     controller = control.StateSpace(K.A, K.B, K.C, K.D, plant.dt, inputs=y, outputs=u)
     system = control.StateSpace(loop.A, loop.B, loop.C, D, plant.dt, inputs=w, outputs=z)
+    poles = np.linalg.eigvals(loop.A).astype(np.complex128)
+    if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
+        raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; expected it stable; {CURE}", P)
     outcomes = judged(requirements, system, controller, WHERE)
     for outcome, asked in zip(outcomes, requirements, strict=True):
         # A hard norm that was minimised has its limit; a soft one what was promised.
@@ -202,7 +176,7 @@ def _finished(
         outcomes=outcomes,
         ratio_optimal=least,
         backoff=backoff,
-        poles=np.linalg.eigvals(loop.A).astype(np.complex128),
+        poles=poles,
         method=WHERE,
         residual={"separation of X and Y": best.pair.separation},
     )

@@ -163,12 +163,15 @@ def quadratic_hinf(
 
 
 def rescaled(plant: Partition, scaled: ScaledPlant) -> Partition:
-    """Return another plant in the units that `autoscale` found for one that shares B2, C2, D12, D21 and D22."""
-    root, d = np.sqrt(scaled.gain), scaled.state
-    same = scaled.plant
+    """Return another plant in the units that `autoscale` found for one with the same D22."""
+    root, d, S, St = np.sqrt(scaled.gain), scaled.state, scaled.control, scaled.measurement
+    D12, D21 = plant.D12 / root @ S, St @ plant.D21 / root
+    D12[:, scaled.control_rank :] = 0.0
+    D21[scaled.measurement_rank :] = 0.0
     return Partition(
-        A=plant.A / scaled.rate / d[:, None] * d, B1=plant.B1 / scaled.rate / root / d[:, None], B2=same.B2,
-        C1=plant.C1 / root * d, C2=same.C2, D11=plant.D11 / scaled.gain, D12=same.D12, D21=same.D21, D22=same.D22,
+        A=plant.A / scaled.rate / d[:, None] * d, B1=plant.B1 / scaled.rate / root / d[:, None],
+        B2=plant.B2 / scaled.rate @ S / d[:, None], C1=plant.C1 / root * d, C2=St @ plant.C2 * d,
+        D11=plant.D11 / scaled.gain, D12=D12, D21=D21, D22=scaled.plant.D22,
     )  # fmt: skip
 
 
