@@ -65,14 +65,16 @@ def state_feedback(p: Partition, X: Any, L: Any) -> LinearLoop:
 
 
 def fixed_matrix(p: Partition, V: FloatArray, K: Hats) -> LinearLoop:
-    """Return the loop with a known V (2n, 2n), linear in the controller itself."""
+    """Return the loop with a known V (2n, 2n), linear in the controller itself, in the states in which V is one."""
     cp = cvxpy()
     A = cp.bmat([[p.A + p.B2 @ K.D @ p.C2, p.B2 @ K.C], [K.B @ p.C2, K.A]])
     B = cp.vstack([p.B1 + p.B2 @ K.D @ p.D21, K.B @ p.D21])
+    C = cp.hstack([p.C1 + p.D12 @ K.D @ p.C2, p.D12 @ K.C])
+    root = np.linalg.cholesky(V).T
+    inverse = np.linalg.inv(root)
     return LinearLoop(
-        V=V, VA=V @ A, VB=V @ B,
-        C=cp.hstack([p.C1 + p.D12 @ K.D @ p.C2, p.D12 @ K.C]), D=p.D11 + p.D12 @ K.D @ p.D21,
-    )  # fmt: skip
+        V=np.eye(len(V)), VA=root @ A @ inverse, VB=root @ B, C=C @ inverse, D=p.D11 + p.D12 @ K.D @ p.D21
+    )
 
 
 def hinf_below(

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.design.lmi.analysis import slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix
 from platform_ctrl.design.lmi.conic import solve
-from platform_ctrl.design.lmi.linearised import Hats, LinearLoop, cvxpy, fixed_matrix
+from platform_ctrl.design.lmi.linearised import Hats, cvxpy, fixed_matrix
 from platform_ctrl.design.lmi.search import CURE, FINE, Found, Problem, constrained, direct
-from platform_ctrl.design.partition import Realisation, closed_loop
+from platform_ctrl.design.partition import Realisation
 from platform_ctrl.errors import InfeasibleError, UnscalableError
 from platform_ctrl.frozen import FloatArray
 
@@ -24,8 +25,6 @@ from platform_ctrl.frozen import FloatArray
 MOST_ROUNDS, LEAST_PROGRESS = 60, 1e-3
 # Strictness of the inequalities while the controller changes, and of the bound that is met.
 MARGIN, BELOW = 1e-6, 0.999
-# Largest eigenvalue of V relative to the one before, on the average.
-ROOM = 10.0
 
 
 def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Realisation:
@@ -51,7 +50,7 @@ def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Reali
         try:
             K = _slowest(problem, best, V, W)
             fastest = _fastest(K)
-            V = _slackest(problem, best, V, K)
+            V = slackest(problem, [problem.plant], best.ratios, V, K)
         except (InfeasibleError, UnscalableError):
             break
         W = _own(K, fastest)
@@ -84,26 +83,6 @@ def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Rea
     constraints.append(cp.bmat([[r * np.eye(n), turned], [turned.T, r * np.eye(n)]]) >> 0)
     _solve(problem, cp.Problem(cp.Minimize(r), constraints), (r, K.A, K.B, K.C))
     return K.values()
-
-
-def _slackest(problem: Problem, best: Found, V: FloatArray, K: Realisation) -> FloatArray:
-    """The V for which the inequalities hold with the most slack, for a known controller."""
-    cp = cvxpy()
-    loop = closed_loop(problem.plant, K)
-    # In the states in which the last V is the identity.
-    root = np.linalg.cholesky(V).T
-    inverse = np.linalg.inv(root)
-    size = len(V)
-    new, slack = cp.Variable((size, size), symmetric=True), cp.Variable()
-    linear = LinearLoop(
-        V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
-        C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
-    )  # fmt: skip
-    constraints, _ = constrained(problem, linear, best.ratios, 1.0, slack)
-    constraints += [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM]
-    _solve(problem, cp.Problem(cp.Maximize(slack), constraints), (new, slack))
-    out = root.T @ new.value @ root
-    return np.asarray(0.5 * (out + out.T))
 
 
 def _own(K: Realisation, fastest: float) -> FloatArray:

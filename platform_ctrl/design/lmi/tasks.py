@@ -68,6 +68,10 @@ class Tasks:
     regions: tuple[LoopRequirement, ...]
     controller: tuple[LoopRequirement, ...]
 
+    def with_plant(self, plant: Partition) -> Tasks:
+        """Return the same requirements of another plant."""
+        return Tasks(plant=plant, norms=self.norms, regions=self.regions, controller=self.controller)
+
 
 def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequirement], where: str) -> Tasks:
     """Sort requirements and extend the plant by their channels.

@@ -1,0 +1,342 @@
+"""One controller for several plants, the vertices of a polytope, with one Lyapunov matrix for all of them.
+
+Where y tells the state, the inequalities are linear and their optimum is the best that a common matrix allows. In
+general output feedback they are not: the controller of the mean plant is improved in turns, the controller for a known
+matrix and the matrix for a known controller, and where the first controller fails on the vertices these move
+outwards from the mean as far as each turn allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from platform_ctrl.arguments import positive
+from platform_ctrl.certificates.certificate import Certificate, proved
+from platform_ctrl.certificates.closed_loop import ClosedLoop
+from platform_ctrl.design.lmi.analysis import least_ratio, slackest
+from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
+from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.linearised import Hats, cvxpy, fixed_matrix, state_feedback
+from platform_ctrl.design.lmi.polytope import require_alike, require_common
+from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled
+from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
+from platform_ctrl.design.lmi.solutions import solutions
+from platform_ctrl.design.lmi.tasks import judged, tasks
+from platform_ctrl.design.partition import Partition, Realisation, closed_loop, partition
+from platform_ctrl.design.scaling import require_stabilisable, unscale
+from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotCertifiedError, UnscalableError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.requirements import CheckResult, LoopRequirement
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+WHERE = "robust, lmi"
+# Turns, what one must bring, and how much of the ratio is given up for slack in between.
+MOST_TURNS, LEAST_PROGRESS, GIVEN_UP = 40, 0.002, 0.03
+# Strictness of the inequalities while the controller changes (scaled).
+MARGIN = 1e-6
+
+
+@value
+class Robust:
+    """A controller for several plants, and what it does with each.
+
+    Attributes
+    ----------
+    plants
+        The plants, alike in inputs [w, u] and outputs [z, y].
+    nmeas, ncon
+        Number of measurements y and of controls u.
+    controller
+        K, u = K y.
+    outcomes
+        For every plant every requirement with its value, recomputed from the closed loop, and its ratio.
+    ratio
+        What the common Lyapunov matrix proves of the norms that were minimised, relative to their limits, for every
+        plant of the polytope; nan where no norm is asked.
+    certificate
+        The common matrix, proved for the vertices: stability, or where one H-infinity norm is asked that norm, for
+        every convex combination of the closed loops and every motion among them.
+    method
+        The route.
+    """
+
+    plants: tuple[StateSpace, ...]
+    nmeas: int
+    ncon: int
+    controller: StateSpace
+    outcomes: tuple[tuple[CheckResult, ...], ...]
+    ratio: float
+    certificate: Certificate
+    method: str
+
+
+class _Found(NamedTuple):
+    """Scaled: the problem, its plants, the controller, the matrix, and the ratio that it proves."""
+
+    problem: Problem
+    plants: list[Partition]
+    K: Realisation
+    V: FloatArray
+    ratio: float
+
+
+def robust(
+    plants: Sequence[StateSpace],
+    nmeas: int,
+    ncon: int,
+    requirements: Sequence[LoopRequirement],
+    *,
+    backoff: float = 0.05,
+    time_limit: float = 60.0,
+) -> Robust:
+    """One controller that meets requirements for every plant of a polytope.
+
+    Parameters
+    ----------
+    plants
+        Continuous plants with inputs [w, u] and outputs [z, y], the vertices.
+    nmeas, ncon
+        Number of measurements y and of controls u: the last outputs and the last inputs.
+    requirements
+        As in `multiobjective`, less "controller poles". The certificate covers every convex combination of the closed
+        loops, hence of the plants where B2 and C2 (with D12 and D21) are the same for all.
+    backoff
+        Relative distance from the least ratio, positive.
+    time_limit
+        Longest time that one call of the solver may take, s.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not make sense.
+    IllPosedError, NotStabilisableError
+        An assumption does not hold; the message names it.
+    InfeasibleError
+        No controller with a common Lyapunov matrix was found.
+    UnscalableError, TimeLimitError, NotCertifiedError
+        The solver gave up or was ended; or the closed loops do not do what was promised.
+    """
+    backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
+    systems = list(plants)
+    if not systems:
+        raise ArgumentError(f"{WHERE}: no plants; expected at least one")
+    parts = [partition(system, nmeas, ncon) for system in systems]
+    require_alike(systems, WHERE)
+    require_common(parts, ("D22",), systems[0], WHERE)
+    asked = [tasks(system, part, requirements, WHERE) for system, part in zip(systems, parts, strict=True)]
+    if asked[0].controller:
+        raise ArgumentError(
+            f"{WHERE}: controller poles are asked; expected requirements of the loop: use multiobjective"
+        )
+    for system, part in zip(systems, parts, strict=True):
+        require_stabilisable(part, system, WHERE)
+    extended = [one.plant for one in asked]
+    problem = posed(asked[0].with_plant(mean_plant(extended)), 0.0, WHERE, time_limit, systems)
+    try:
+        if _tells_state(extended):
+            found, method = _state_feedback(problem, extended, backoff), "state feedback"
+        else:
+            found, method = _output_feedback(problem, extended, backoff), "output feedback"
+    except np.linalg.LinAlgError as error:
+        raise UnscalableError(f"{WHERE}: {str(error).lower()} within the scaled problem; {CURE}", systems) from None
+    return _finished(found, systems, parts, extended, requirements, f"{WHERE}, {method}")
+
+
+def _tells_state(parts: Sequence[Partition]) -> bool:
+    C2 = parts[0].C2
+    square = C2.shape[0] == C2.shape[1] and np.linalg.cond(C2 / np.maximum(np.abs(C2).max(axis=0), 1e-300)) < 1e8
+    return bool(square) and all(np.array_equal(p.C2, C2) and not np.any(p.D21) for p in parts)
+
+
+def _in_states(problem: Problem, parts: Sequence[Partition]) -> list[Partition]:
+    scaled = problem.scaled
+    return [turned(rescaled(part, scaled), problem.T / scaled.state[:, None]) for part in parts]
+
+
+def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float) -> _Found:
+    """The least ratio, then the least effort at the relaxed one: Z >= L X⁻¹ L'."""
+    cp = cvxpy()
+    plants = _in_states(problem, parts)
+    n, nu = len(plants[0].A), plants[0].B2.shape[1]
+
+    def solved(ratio: Any, goal: str, tighter: float, margin: float) -> tuple[FloatArray, FloatArray, float]:
+        X, L, Z = cp.Variable((n, n), symmetric=True), cp.Variable((nu, n)), cp.Variable((nu, nu), symmetric=True)
+        ratios = [ratio if one else 1 / tighter for one in problem.goals]
+        constraints = [cp.bmat([[X, L.T], [L, Z]]) >> 0]
+        for plant in plants:
+            constraints += constrained(problem, state_feedback(plant, X, L), ratios, tighter, margin)[0]
+        if not problem.asked.norms:
+            constraints.append(cp.trace(X) == n)
+        objective = ratio if goal == "ratio" else cp.trace(Z)
+        solve(
+            cp.Problem(cp.Minimize(objective), constraints), (X, L),
+            what=f"{WHERE}: minimising the {goal}",
+            time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
+        )  # fmt: skip
+        return X.value, L.value, float(getattr(ratio, "value", ratio))
+
+    least = float("nan")
+    if problem.asked.norms:
+        least = solved(cp.Variable(), "ratio", 1 + backoff, 0.0)[2]
+        if not problem.soft and least >= 1:
+            raise _missed(problem, least)
+    ratio = (1 + backoff) * least if problem.asked.norms else 1.0
+    X, L, _ = solved(ratio if problem.soft else min(ratio, 1.0), "effort", 1.0, MARGIN)
+    C2 = plants[0].C2
+    K = Realisation(
+        A=np.zeros((0, 0)), B=np.zeros((0, len(C2))), C=np.zeros((nu, 0)),
+        D=np.linalg.solve(C2.T, np.linalg.solve(X, L.T)).T,
+    )  # fmt: skip
+    return _Found(problem, plants, K, np.asarray(np.linalg.inv(X), dtype=np.float64), ratio)
+
+
+def _missed(problem: Problem, least: float) -> InfeasibleError:
+    return InfeasibleError(
+        f"{WHERE}: {least:.4g} times the limits of the norms can be reached with one Lyapunov matrix for all plants; "
+        f"expected less than 1; {CURE}",
+        problem.P,
+    )
+
+
+def _output_feedback(problem: Problem, parts: Sequence[Partition], backoff: float) -> _Found:
+    """The controller of the mean plant, improved in turns."""
+    solution = next((one for one in solutions(problem, backoff) if not isinstance(one, DesignError)), None)
+    if solution is None:
+        raise UnscalableError(f"{WHERE}: no controller for the mean plant; {CURE}", problem.P)
+    best, K = solution.best, solution.made
+    problem = solution.problem._replace(splits=best.splits)
+    V = lyapunov_matrix(best.pair.X, best.pair.Y, *factors(best.pair.X, best.pair.Y))
+    vertices = _in_states(problem, parts)
+    centre, share, step = problem.plant, 1.0, 1.0
+    ratio = float("inf")
+    for _ in range(MOST_TURNS):
+        plants = [_between(centre, vertex, share) for vertex in vertices]
+        try:
+            found, new = least_ratio(problem, plants, V, K, backoff) if problem.asked.norms else (1.0, V)
+            ratios = [(1 + GIVEN_UP) * found if goal else 1.0 for goal in problem.goals]
+            new = slackest(problem, plants, ratios, new, K)
+        except (InfeasibleError, UnscalableError):
+            # Too far out for this controller.
+            step *= 0.5
+            share -= step
+            if step < 1e-3 or share < 0:
+                break
+            continue
+        before, ratio, V = ratio, found, new
+        if share >= 1.0 and not ratio < (1 - LEAST_PROGRESS) * before:
+            break
+        try:
+            K = _for_matrix(problem, plants, V)
+        except (InfeasibleError, UnscalableError):
+            if share >= 1.0:
+                break
+        if share < 1.0:
+            share, ratio = min(1.0, share + step), float("inf")
+    if share < 1.0:
+        raise InfeasibleError(
+            f"{WHERE}: one Lyapunov matrix was found for plants up to {max(share, 0.0):.0%} of the way from their mean "
+            f"to the given ones; expected all; {CURE}, or design.scheduled where the parameters are measured",
+            problem.P,
+        )
+    if problem.asked.norms and not problem.soft and ratio >= 1:
+        raise _missed(problem, ratio)
+    return _Found(problem, vertices, K, V, (1 + GIVEN_UP) * ratio if problem.asked.norms else float("nan"))
+
+
+def _between(a: Partition, b: Partition, share: float) -> Partition:
+    names = ("A", "B1", "B2", "C1", "C2", "D11", "D12", "D21", "D22")
+    return Partition(**{name: (1 - share) * getattr(a, name) + share * getattr(b, name) for name in names})
+
+
+def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> Realisation:
+    """The controller of the least ratio for a known matrix; without norms, of the most slack."""
+    cp, p = cvxpy(), plants[0]
+    n = len(p.A)
+    # In states in which both diagonal blocks of V are one.
+    first, last = np.linalg.cholesky(V[:n, :n]).T, np.linalg.cholesky(V[n:, n:]).T
+    inner = np.linalg.inv(first)
+    plants = [turned(plant, inner) for plant in plants]
+    corner = inner.T @ V[:n, n:] @ np.linalg.inv(last)
+    V = np.block([[np.eye(n), corner], [corner.T, np.eye(n)]])
+    nu, ny = p.B2.shape[1], len(p.C2)
+    K = Hats(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
+    goal = cp.Variable()
+    norms = bool(problem.asked.norms)
+    ratios = [goal if one else 1.0 for one in problem.goals]
+    constraints = [goal >= 0] if norms else [goal <= 1]
+    for plant in plants:
+        constraints += constrained(problem, fixed_matrix(plant, V, K), ratios, 1.0, MARGIN if norms else goal)[0]
+    solve(
+        cp.Problem(cp.Minimize(goal) if norms else cp.Maximize(goal), constraints), (K.A, K.B, K.C),
+        what=f"{WHERE}: the controller for a matrix",
+        time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
+    )  # fmt: skip
+    made = K.values()
+    out = np.linalg.inv(last)
+    return Realisation(A=out @ made.A @ last, B=out @ made.B, C=made.C @ last, D=made.D)
+
+
+def _finished(
+    found: _Found,
+    systems: list[StateSpace],
+    parts: Sequence[Partition],
+    extended: Sequence[Partition],
+    requirements: Sequence[LoopRequirement],
+    method: str,
+) -> Robust:
+    import control
+
+    problem, scaled = found.problem, found.problem.scaled
+    K = unscale(found.K, scaled)
+    u, y = systems[0].input_labels[-K.D.shape[0] :], systems[0].output_labels[-K.D.shape[1] :]
+    controller = control.StateSpace(K.A, K.B, K.C, K.D, inputs=y, outputs=u)
+    outcomes = []
+    for system, part in zip(systems, parts, strict=True):
+        loop = closed_loop(part, K)
+        w, z = system.input_labels[: -len(u)], system.output_labels[: -len(y)]
+        closed = control.StateSpace(loop.A, loop.B, loop.C, loop.D, inputs=w, outputs=z)
+        judgement = judged(requirements, closed, controller, WHERE)
+        outcomes.append(judgement)
+        for outcome in judgement:
+            allowed = 1.0 if outcome.hard else found.ratio * 1.01
+            if not outcome.ratio <= allowed:
+                raise NotCertifiedError(
+                    f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with plant {len(outcomes)}; "
+                    f"expected a ratio of {allowed:.4g} to the limit {outcome.limit:.6g}, not {outcome.ratio:.4g}; {CURE}",
+                    systems,
+                )
+    back = np.eye(len(found.V))
+    n = len(problem.T)
+    back[:n, :n] = np.linalg.inv(problem.T)
+    V = back.T @ found.V @ back / scaled.rate
+    loops = tuple(
+        ClosedLoop(
+            A=p.A, B=np.hstack([p.B1, p.B2]), C=np.vstack([p.C1, p.C2]), D=np.block([[p.D11, p.D12], [p.D21, p.D22]]),
+            A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=f"plant {number + 1}",
+        )
+        for number, p in enumerate(extended)
+    )  # fmt: skip
+    norms = problem.asked.norms
+    single = len(norms) == 1 and not norms[0].h2
+    bound = norms[0].asked.limit * found.ratio if single else 0.0
+    certificate = Certificate(
+        claim="norm" if single else "stability",
+        bound=bound,
+        loops=loops,
+        X=(bound if single else 1.0) * 0.5 * (V + V.T),
+    )
+    return Robust(
+        plants=tuple(systems),
+        nmeas=len(y),
+        ncon=len(u),
+        controller=controller,
+        outcomes=tuple(outcomes),
+        ratio=found.ratio,
+        certificate=proved(certificate, systems),
+        method=method,
+    )
