@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.design.hinf_riccati import _floor, _normal_form, _sides, _trial, hinf_riccati
 from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
 from platform_ctrl.design.partition import Realisation, closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, balance
-from platform_ctrl.design.synthesis import certify, hinf
-from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.design.synthesis import Claim, certify, hinf
+from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError
 
 METHODS = ("lmi", "riccati")
 # The least gamma of the LMI route is as good as its solver, that of the Riccati route as its bisection.
@@ -323,3 +324,126 @@ def test_result_keeps_names_and_evidence_through_copies():
     again = copy.deepcopy(result)
     np.testing.assert_array_equal(again.poles, result.poles)
     assert not again.poles.flags.writeable
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_sampled_plants_have_the_norm_of_their_w_plane(seed, method):
+    plain = random_plant(seed, n=4)
+    D = plain.D.copy()
+    D[4:, 4:] = 0.2
+    P = control.sample_system(control.ss(plain.A, plain.B, plain.C, D), 0.05, "bilinear")
+    result = hinf(P, 2, 2, method=method)
+    flat = hinf(control.ss(plain.A, plain.B, plain.C, D), 2, 2, method=method)
+    assert result.controller.dt == 0.05
+    assert result.gamma_optimal == pytest.approx(flat.gamma_optimal, rel=ACCURACY[method])
+    # Recomputed along the unit circle from plant and controller alone.
+    z = np.exp(1j * np.linspace(0, np.pi, 400))
+    peaks = []
+    for one in z:
+        p, k = P(one), result.controller(one)
+        peaks.append(
+            np.linalg.norm(p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4]), 2)
+        )
+    assert 0.98 * result.gamma < max(peaks) <= result.gamma * (1 + 1e-6)
+    assert np.abs(result.poles).max() < 1
+    assert result.spectral_abscissa < 0
+
+
+def test_slycot_agrees_to_six_digits_where_its_own_loop_has_the_norm_that_it_claims():
+    slycot = pytest.importorskip("slycot")
+    for n, seed in ((3, 0), (3, 2), (10, 5), (15, 2), (20, 4)):
+        p = autoscale(partition(random_plant(seed, n), 2, 2)).plant
+        A, B, C = p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
+        D = np.block([[p.D11, p.D12], [p.D21, p.D22]])
+        claimed, *_, Ac, Bc, Cc, Dc, _ = slycot.sb10ad(n, 6, 6, 2, 2, 1e3, A, B, C, D)
+        true = hinf_norm(control.ss(Ac, Bc, Cc, Dc))[0]
+        result = hinf(control.ss(A, B, C, D), 2, 2, method="riccati")
+        if n == 3 and seed == 0:
+            assert claimed < 0.2 * result.gamma < 0.1 * true
+        else:
+            assert result.gamma_optimal == pytest.approx(claimed, rel=1e-6)
+            assert true == pytest.approx(claimed, rel=1e-4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(1, 8),
+    ports=st.tuples(*[st.integers(1, 3)] * 2),
+    more=st.tuples(*[st.integers(0, 3)] * 2),
+    stable=st.booleans(),
+)
+def test_just_above_the_least_gamma_there_are_solutions_and_just_below_none(seed, n, ports, more, stable):
+    (nu, ny), (z, w) = ports, more
+    P = random_plant(seed, n, ny + w, nu + z, ny, nu, stable)
+    scaled = autoscale(partition(P, ny, nu))
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    sides = _sides(_normal_form(scaled.plant))
+    assert _trial(sides, (least * (1 + 1e-6)) ** -2).slack > 0
+    floor = max(_floor(_normal_form(scaled.plant)), 1e-6)
+    beyond = _trial(sides, (least * (1 - 1e-6)) ** -2).slack
+    assert least <= floor * (1 + 1e-6) or beyond is None or beyond < 0
+
+
+def test_missing_weights_are_named_by_their_signals():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 5] = 0
+    singular = control.ss(P.A, P.B, P.C, D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"])
+    with pytest.raises(IllPosedError, match=r"D12 has column rank 1; .*: z does not see Q10 directly"):
+        hinf(singular, 2, 2, method="riccati")
+    D = P.D.copy()
+    D[5, :4] = D[4, :4]
+    with pytest.raises(IllPosedError, match=r"no w disturbs y\[4\], y\[5\] directly"):
+        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, method="riccati")
+
+
+def test_a_stated_regularisation_tends_to_the_lmi_route_from_above():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 5] = D[5, :4] = 0
+    P = control.ss(P.A, P.B, P.C, D)
+    least = hinf(P, 2, 2).gamma_optimal
+    for size in (1e-2, 1e-3):
+        result = hinf(P, 2, 2, method="riccati", regularise=size)
+        assert result.residual["regularisation of controls and measurements"] == size
+        assert result.residual["least gamma at a tenth of it"] <= result.gamma_optimal
+        assert result.gamma <= 1.021 * result.gamma_optimal
+        assert least * (1 - 1e-3) <= result.gamma_optimal <= least * (1 + 20 * size)
+    # Nothing is added where nothing is missing.
+    regular = random_plant(7, n=4)
+    plain, same = (hinf(regular, 2, 2, method="riccati", regularise=size) for size in (None, 1e-3))
+    assert same.gamma == plain.gamma
+    assert same.residual.keys() == plain.residual.keys()
+
+
+def test_a_zero_on_the_axis_is_shifted_when_asked():
+    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
+    result = hinf(P, 1, 1, method="riccati", regularise=1e-3)
+    assert result.residual["regularisation by a shift of A, rad/s"] > 0
+    assert result.gamma <= 1.02 * result.gamma_optimal
+    assert result.gamma_optimal == pytest.approx(hinf(P, 1, 1).gamma_optimal, rel=0.05)
+
+
+def test_promised_norms_are_judged_one_by_one():
+    P, _, _ = coprime_problem(*gyro())
+    good = hinf(P, 2, 2, method="riccati")
+    K = Realisation(**{name: getattr(good.controller, name) for name in "ABCD"})
+    torque = Claim(name="of the torques", norm="hinf", limit=np.inf, outputs=(0, 1))
+    arguments = {"gamma_optimal": good.gamma_optimal, "backoff": 0.02, "method": "test", "residual": {}}
+    kept = certify(P, partition(P, 2, 2), K, **arguments, claims=[torque])
+    assert 0 < kept.norms["of the torques"] <= kept.gamma
+    strict = Claim(name="of the torques", norm="hinf", limit=0.9 * kept.norms["of the torques"], outputs=(0, 1))
+    with pytest.raises(NotCertifiedError, match="has the norm of the torques"):
+        certify(P, partition(P, 2, 2), K, **arguments, claims=[strict])
+    infinite = Claim(name="of white noise", norm="h2", limit=np.inf)
+    with pytest.raises(NotCertifiedError, match="no finite H2 norm of white noise"):
+        certify(P, partition(P, 2, 2), K, **arguments, claims=[infinite])
+
+
+def test_the_proof_is_made_when_asked_for():
+    result = hinf(*coprime_problem(*gyro()), method="riccati")
+    assert result.certificate is result.certificate
+    assert result.certificate.verify().proved
