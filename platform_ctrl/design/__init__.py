@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.jobs import LoopOutcome, loops
+from platform_ctrl.design.lmi.multiobjective import Multiobjective, multiobjective
+from platform_ctrl.design.lmi.robust import Robust, robust
+from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
 from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
@@ -14,6 +17,9 @@ __all__ = [
     "LoopDesign",
     "LoopOutcome",
     "LqgDesign",
+    "Multiobjective",
+    "Robust",
+    "Scheduled",
     "StateFeedback",
     "Synthesis",
     "h2",
@@ -22,4 +28,7 @@ __all__ = [
     "lqe",
     "lqg",
     "lqr",
+    "multiobjective",
+    "robust",
+    "scheduled",
 ]

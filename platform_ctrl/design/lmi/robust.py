@@ -306,8 +306,8 @@ def _finished(
             allowed = 1.0 if outcome.hard else found.ratio * 1.01
             if not outcome.ratio <= allowed:
                 raise NotCertifiedError(
-                    f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with plant {len(outcomes)}; "
-                    f"expected a ratio of {allowed:.4g} to the limit {outcome.limit:.6g}, not {outcome.ratio:.4g}; {CURE}",
+                    f"{WHERE}: {outcome.name} is {outcome.value:.6g} {outcome.unit} with plant {len(outcomes)}, "
+                    f"{outcome.ratio:.4g} times what the limit allows; expected {allowed:.4g} times; {CURE}",
                     systems,
                 )
     back = np.eye(len(found.V))
