@@ -28,11 +28,14 @@ class Channels:
         h of each pair, N m s.
     inertias : (n,)
         Inertia in each direction, kg m².
+    spins : (rotors,)
+        Spin of the rotors that the gimbals carry, rad/s, without those that stand still.
     """
 
     basis: FloatArray
     momenta: FloatArray
     inertias: FloatArray
+    spins: FloatArray
 
     @property
     def inertial(self) -> int:
@@ -45,6 +48,7 @@ def channels(model: LinearModel, rows: list[int]) -> Channels:
     from scipy.linalg import schur
 
     part = np.ix_(rows, rows)
+    carriers = {model.gimbal_names[k] for k in rows}
     M, G = model.M[part], model.G[part]
     block, vectors = schur(0.5 * (G - G.T), output="real")
     largest = np.abs(G).max(initial=0.0)
@@ -65,6 +69,7 @@ def channels(model: LinearModel, rows: list[int]) -> Channels:
         basis=basis,
         momenta=np.array([h for h, _, _ in pairs]),
         inertias=np.einsum("ki,ij,kj->k", basis, M, basis),
+        spins=np.array([abs(r.spin) for r in model.platform.rotors if r.carrier in carriers and r.spin != 0.0]),
     )
 
 

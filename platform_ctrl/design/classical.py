@@ -1,13 +1,16 @@
-"""The classical caging loop: cross-axis PI, direct-axis lead, notch; PID in directions without gyroscopic action.
+"""The classical caging loop: cross-axis PI, direct-axis lead, lag, notches; PID where no gyro acts.
 
 In a gyroscopic pair (y1, y2) with momentum h a torque about one axis turns the other, so the PI acts across:
 
-    Q1 = −h ωc (1 + ωi/s) N(s) y2 − D1(s) y1,        Q2 = +h ωc (1 + ωi/s) N(s) y1 − D2(s) y2
+    Q1 = −h ωc (1 + ωi/s) F(s) N(s) y2 − D1(s) y1,        Q2 = +h ωc (1 + ωi/s) F(s) N(s) y1 − D2(s) y2
 
-with the direct-axis lead D_k = J_k d_k (s + ωz)/(s/ωr + 1), which damps nutation, and the notch N. Cross gain alone
-destabilises nutation at a growth rate about equal to ωc: d_k has to outweigh it. In an inertial direction
+with the direct-axis lead D_k = J_k d_k (s + ωz)/(s/ωr + 1), which damps nutation, the notch N, and the lag
+F = (s + ωl)/(s + ωl/ratio), which is one at high frequencies and `ratio` at low ones. Cross gain alone destabilises
+nutation at a growth rate about equal to ωc: d_k has to outweigh it. In an inertial direction
 
-    Q = −J ω0² / √(1 + (ω0/ωz)²) (1 + ωi/s) (s/ωz + 1)/(s/ωr + 1) y.
+    Q = −J ω0² / √(1 + (ω0/ωz)²) (1 + ωi/s) F(s) (s/ωz + 1)/(s/ωr + 1) y.
+
+A second notch at the spin frequency, in front of everything, keeps what an unbalanced rotor shakes from the torquers.
 
 Every block is sampled by Tustin's rule; channels share their states, so that no integrator is doubled.
 """
@@ -67,6 +70,10 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
         }
         if any(name.startswith("notch") for name in given):
             out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
+    if any(name.startswith("lag") for name in given):
+        out |= {"lag_hz": 0.1 * given.get("crossover_hz", out["crossover_hz"]), "lag_ratio": 3.0}
+    if any(name.startswith("spin_notch") for name in given):
+        out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
     if channel.inertial:
         out |= {
             "inertial_crossover_hz": 0.6 * nutation_hz,
@@ -74,9 +81,28 @@ def starting_values(given: dict[str, float], channel: Channels, nutation: float,
             "inertial_rolloff_hz": 0.4 * rate_hz,
         }
     out = completed("classical", given, out)
-    if out.get("notch_hz", 0.0) >= 0.5 * rate_hz:
-        raise DesignError(f"classical: notch_hz = {out['notch_hz']:g}; expected less than half the sample rate")
+    for name in ("notch_hz", "spin_notch_hz"):
+        if out.get(name, 0.0) >= 0.5 * rate_hz:
+            raise DesignError(f"classical: {name} = {out[name]:g}; expected less than half the sample rate")
+    if not out.get("lag_ratio", 2.0) > 1.0:
+        raise DesignError(
+            f"classical: lag_ratio = {out['lag_ratio']:g}; expected more than 1, the gain at low frequencies"
+        )
     return out
+
+
+def _spin_hz(given: dict[str, float], channel: Channels) -> float:
+    """Spin frequency of the rotors, Hz, where it is not given."""
+    if "spin_notch_hz" in given:
+        return given["spin_notch_hz"]
+    if not len(channel.spins) or np.ptp(channel.spins) > 1e-3 * channel.spins.max():
+        spins = ", ".join(f"{x / (2.0 * np.pi):.4g}" for x in channel.spins) or "none"
+        raise DesignError(
+            f"classical: spin_notch_hz is not given, and the rotors of this loop spin at {spins} Hz; expected one "
+            f"spin; "
+            "give spin_notch_hz"
+        )
+    return float(channel.spins.mean() / (2.0 * np.pi))
 
 
 def classical_controller(options: dict[str, float], channel: Channels, period: float) -> Block:
@@ -86,8 +112,9 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     ----------
     options
         Frequencies in Hz. ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
-        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``notch_hz``, ``notch_depth``, ``notch_width``, where there
-        is one; ``inertial_...`` of the inertial directions.
+        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``lag_hz`` ωl and ``lag_ratio``, ``notch_hz``,
+        ``notch_depth``, ``notch_width``, and the same with ``spin_``, where there is one; ``inertial_...`` of the
+        inertial directions.
     channel
         Pairs and inertial directions.
     period
@@ -95,6 +122,8 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     """
     rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
     integral = first_order(1.0, rad["integral_hz"], 1.0, 0.0, period)
+    if "lag_hz" in options:
+        integral = series(integral, first_order(1.0, rad["lag_hz"], 1.0, rad["lag_hz"] / options["lag_ratio"], period))
     parts: list[Block] = []
     for k, h in enumerate(channel.momenta):
         lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
@@ -115,6 +144,9 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
         strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
         lead = first_order(1.0 / wz, 1.0, 1.0 / rad["inertial_rolloff_hz"], 1.0, period)
         parts.append(series(integral, lead, gain(-strength)))
+    if "spin_notch_hz" in options:
+        spin = notch(rad["spin_notch_hz"], options["spin_notch_depth"], options["spin_notch_width"], period)
+        parts = [series(side_by_side(*[spin] * len(channel.basis)), side_by_side(*parts))]
     A, B, C, D = side_by_side(*parts)
     basis: FloatArray = channel.basis
     return A, B @ basis, basis.T @ C, basis.T @ D @ basis

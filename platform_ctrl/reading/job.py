@@ -49,6 +49,11 @@ OPTIONS: dict[str, frozenset[str]] = {
             "notch_hz",
             "notch_depth",
             "notch_width",
+            "lag_hz",
+            "lag_ratio",
+            "spin_notch_hz",
+            "spin_notch_depth",
+            "spin_notch_width",
         }
     ),
     "hinf": frozenset(
