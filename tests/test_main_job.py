@@ -29,6 +29,7 @@ def test_the_job_asks_for_no_less_than_it_should(result):
         limits = by_loop[name]
         assert (limits.disk_margin, limits.damping, limits.torque_noise) == (0.5, 0.1, 0.005)
         assert (limits.disk_margin_spread, limits.damping_spread) == (0.3, 0.05)
+    assert (by_loop["caging 9-10"].Omega_rejection, by_loop["caging 4-5-7"].Omega_rejection) == (0.003, 0.006)
     assert (result.job.spread.inertia, result.job.spread.spin) == (0.1, 0.1)
     assert (result.job.coupled.disk_margin, result.job.coupled.coupling_cost) == (0.5, 0.02)
     assert (result.job.sampling.period, result.job.sampling.delay) == (5e-4, 5e-4)
@@ -49,11 +50,20 @@ def test_every_requirement_is_met(result):
 
 
 @pytest.mark.parametrize("name", ["caging 4-5-7", "caging 9-10"])
-def test_both_routes_meet_the_limits_of_their_loop(result, name):
+def test_all_three_routes_meet_the_limits_of_their_loop(result, name):
     outcome = next(o for o in result.loops if o.spec.name == name)
-    assert [d.method for d in outcome.designs] == ["classical", "hinf"]
+    assert [d.method for d in outcome.designs] == ["structured", "classical", "hinf"]
+    assert outcome.closed.method == "structured"
     for found in outcome.designs:
         assert [(r.name, r.value) for r in found.results if not r.passed] == []
+
+
+@pytest.mark.parametrize(("name", "bandwidth_hz", "others_hz"), [("caging 4-5-7", 45, 38), ("caging 9-10", 60, 50)])
+def test_the_structured_loops_reach_their_goals_at_the_same_limits(result, name, bandwidth_hz, others_hz):
+    structured, *others = next(o for o in result.loops if o.spec.name == name).designs
+    assert structured.measures.bandwidth / (2 * np.pi) >= bandwidth_hz
+    assert [goal.passed for goal in structured.goals] == [True]
+    assert max(d.measures.bandwidth for d in others) / (2 * np.pi) < others_hz
 
 
 def test_no_torquer_comes_to_its_limit_and_no_gimbal_to_a_stop(result):

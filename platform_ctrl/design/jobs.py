@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.channels import channels
+from platform_ctrl.design.channels import Channels, channels
 from platform_ctrl.design.classical import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.loop import LoopDesign, certified
 from platform_ctrl.design.plants import plants_of, rows_of
@@ -16,7 +16,7 @@ from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.reading import read_job
-from platform_ctrl.requirements import loop_requirements
+from platform_ctrl.requirements import hard_and_soft, loop_requirements
 
 Progress = Callable[[str], None]
 
@@ -94,6 +94,8 @@ def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: Plan
 
         controller, options, claims = hinf_controller(design.options, channel, plants)
         return certified(spec, design, controller, plants, options, claims)
+    if design.method == "structured":
+        return _structured(spec, design, channel, plants, say)
     options = starting_values(design.options, channel, plants.nutation, plants.period)
     if design.tune:
         options = tune(
@@ -107,3 +109,32 @@ def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: Plan
         )
     controller = classical_controller(options, channel, plants.period)
     return certified(spec, design, controller, plants, options, {})
+
+
+def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: PlantSet, say: Progress) -> LoopDesign:
+    from platform_ctrl.design.hinf_loop import hinf_controller
+    from platform_ctrl.design.structured.caging import default_options, tuned_controller
+    from platform_ctrl.design.structured.families import Named
+
+    options = default_options(design.options, channel, plants.nutation, plants.period)
+    first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
+    cross_axis = Named(
+        lambda trial: classical_controller(trial, channel, plants.period), first, TUNABLE, upper_bounds(plants.period)
+    )
+    hard, soft = hard_and_soft(spec.limits, spec.soft)
+
+    def progress(limits: float, goals: float) -> None:
+        told = f", goals at {goals:.0%}" if soft else ""
+        say(f"{spec.name}: {design.name}, limits at {limits:.0%}{told}")
+
+    found = tuned_controller(
+        options,
+        design.structure or "pid",
+        cross_axis,
+        channel,
+        plants,
+        (*hard, *soft),
+        [lambda: hinf_controller({}, channel, plants, method="riccati")[0]],
+        progress,
+    )
+    return certified(spec, design, found.controller, plants, found.options, found.claims)

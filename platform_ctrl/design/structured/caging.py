@@ -1,0 +1,154 @@
+"""The structured caging loop: a controller of fixed structure, tuned on the loop's own requirements over its plants.
+
+No weights stand between what is asked and what is optimised: limits are hard, goals are soft. The search starts from
+physics and goes up in steps: the cross-axis loop of the classical design, its numbers moved; a full PID with filter;
+from there, if asked for, every matrix entry of a controller of fixed order behind a PI in every channel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.design.blocks import Block
+from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.options import completed
+from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
+from platform_ctrl.design.structured.search import Found, Search
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import value
+from platform_ctrl.job import Structure
+from platform_ctrl.requirements import LoopRequirement, requirement
+
+# Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
+_INTEGRAL_KEPT = 0.5
+# Shares of the evaluations on the way from one structure to the next.
+_SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
+
+
+@value
+class Tuned:
+    """A structured controller.
+
+    Attributes
+    ----------
+    controller
+        Sampled, u = K y.
+    options
+        As finally used; for the cross-axis structure with all its numbers.
+    claims
+        ``parameters``, ``order``, ``starts``, ``evaluations``, and the largest ratios of a limit and of a goal.
+    """
+
+    controller: Block
+    options: dict[str, float]
+    claims: dict[str, float]
+
+
+def default_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options, those not given from rules of thumb.
+
+    Raises
+    ------
+    DesignError
+        An option has no meaning, or is not positive.
+    """
+    return completed(
+        "structured",
+        given,
+        {
+            "order": 3.0 * len(channel.basis),
+            "starts": 1.0,
+            "integral_hz": 0.024 * nutation / (2.0 * np.pi),
+            "rolloff_hz": 0.4 / period,
+            "reserve": 0.01,
+            "evaluations": 400.0,
+        },
+    )
+
+
+def tuned_controller(
+    options: dict[str, float],
+    structure: Structure,
+    cross_axis: Named,
+    channel: Channels,
+    plants: PlantSet,
+    requirements: Sequence[LoopRequirement],
+    others: Sequence[Callable[[], Block]],
+    progress: Callable[[float, float], None],
+) -> Tuned:
+    """Return a controller of the given structure that meets the requirements, or comes nearest.
+
+    Parameters
+    ----------
+    options
+        Complete (see `default_options`). ``order``: states of "state-space" beside the integrators; ``integral_hz``:
+        of the PI, kept; ``rolloff_hz``: where the PID's filter starts; ``starts``: how many starting points there are.
+    structure
+        ``"cross-axis"``, ``"pid"`` or ``"state-space"``.
+    cross_axis
+        The classical loop, where every search starts.
+    channel, plants
+        Directions and plants, the nominal one first.
+    requirements
+        Limits and goals.
+    others
+        Further starting points, tried in turn where ``starts`` asks for more than one.
+    progress
+        Called with the largest ratio of a limit and of a goal.
+    """
+    integral = 2.0 * np.pi * options["integral_hz"]
+    kept = _INTEGRAL_KEPT * integral
+    asked = [dataclasses.replace(r, limit=max(r.limit, kept)) if r.kind == "stability" else r for r in requirements]
+    if not any(r.kind == "stability" for r in asked):
+        asked.append(requirement("stability", kept))
+    spent = 0
+
+    def search(family: Family, share: float) -> Found:
+        nonlocal spent
+        most = int(share * options["evaluations"])
+        found = Search(plants, asked, options["reserve"], most, progress).run(family)
+        spent += found.evaluations
+        return found
+
+    first = search(cross_axis, 1.0 if structure == "cross-axis" else _SHARES["cross-axis"])
+    best: tuple[Found, Family] = first, cross_axis
+    starts: list[Callable[[], Block]] = [lambda: cross_axis.block(first.x), *others]
+    starts = starts[: int(options["starts"])] if structure != "cross-axis" else []
+    for start in starts:
+        try:
+            block = start()
+        except DesignError:
+            # Another method that finds nothing is no reason to give up the first start.
+            continue
+        rolloff = min(2.0 * np.pi * options["rolloff_hz"], 0.8 * np.pi / plants.period)
+        pid = Pid(block, channel, plants.period, plants.nutation, integral, rolloff)
+        found = search(pid, _SHARES["pid"] if structure == "state-space" else 1.0 - _SHARES["cross-axis"])
+        if found.better_than(best[0], options["reserve"]):
+            best = found, pid
+        if structure == "state-space":
+            inner = without_integrators(pid.block(found.x), channel, integral, plants.period)
+            if inner is None:
+                continue
+            inner = of_order(inner, int(options["order"]), plants.nutation * plants.period)
+            free = StateSpace(inner, channel, plants.period, plants.nutation, integral)
+            found = search(free, _SHARES["state-space"])
+            if found.better_than(best[0], options["reserve"]):
+                best = found, free
+    found, family = best
+    controller = family.block(found.x)
+    claims = {
+        "parameters": float(len(family.start)),
+        "order": float(len(controller[0])),
+        "starts": float(max(1, len(starts))),
+        "evaluations": float(spent),
+        "largest ratio of a limit": found.hard,
+    }
+    if any(not r.hard for r in asked):
+        claims["largest ratio of a goal"] = found.soft
+    if structure == "cross-axis":
+        options = options | cross_axis.values(found.x)
+    return Tuned(controller=controller, options=options, claims=claims)

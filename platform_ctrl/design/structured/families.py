@@ -1,0 +1,313 @@
+"""Families of sampled controllers: parameters x → M = [[A_K, B_K], [C_K, D_K]] and its derivatives.
+
+* `Named`: whatever builds a controller from positive numbers with names, in their logarithms;
+* `Pid`: K = F(s) (K_P + K_I/s + K_D s) with full matrices and a second-order low-pass F for every channel;
+* `StateSpace`: all entries of a controller of fixed order, behind a PI in every channel, so that integral action stays.
+
+Units make a change of one in any parameter a large one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.design.blocks import Block, first_order, series, side_by_side
+from platform_ctrl.design.channels import Channels
+from platform_ctrl.frozen import FloatArray
+
+# Relative step of the differences that stand for a builder's own derivative; the builder is smooth and cheap.
+_STEP = 1e-5
+# Hankel singular values below this share of the largest say nothing.
+_NEGLIGIBLE = 1e-7
+# Poles this near to z = 1 are integrators.
+_INTEGRATOR = 1e-5
+
+
+class Family(Protocol):
+    """A parametrised controller.
+
+    Attributes
+    ----------
+    start, upper : (d,)
+        Starting values and upper bounds of the parameters.
+    """
+
+    start: FloatArray
+    upper: FloatArray
+
+    def block(self, x: FloatArray) -> Block:
+        """Return the controller."""
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx, (d, n_K + m, n_K + p)."""
+
+
+class Named:
+    """A controller built from named positive numbers.
+
+    Parameters
+    ----------
+    build
+        Numbers → controller.
+    values
+        All numbers.
+    movable
+        Names of those that a search may change.
+    largest
+        Upper bounds of some.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[dict[str, float]], Block],
+        values: dict[str, float],
+        movable: Sequence[str],
+        largest: dict[str, float],
+    ) -> None:
+        self._build, self._values = build, values
+        self.names = [name for name in movable if name in values]
+        self.upper = np.log(np.array([largest.get(name, np.inf) for name in self.names]))
+        self.start = np.minimum(np.log(np.array([values[name] for name in self.names])), self.upper)
+
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return all numbers."""
+        return self._values | {name: float(v) for name, v in zip(self.names, np.exp(x), strict=True)}
+
+    def block(self, x: FloatArray) -> Block:
+        """Return the controller."""
+        return self._build(self.values(x))
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx by central differences."""
+        return differences(self.block, x)
+
+
+class Pid:
+    """A matrix PID with a second-order low-pass in every channel, in the channels of the gyros.
+
+    Parameters
+    ----------
+    like
+        Controller whose response the start resembles, between a tenth of the nutation and a fifth of the sample rate.
+    channel, period, nutation
+        Directions; s; rad/s.
+    integral, rolloff
+        rad/s: of the PI of `like`, and the start of the filter.
+    """
+
+    def __init__(
+        self, like: Block, channel: Channels, period: float, nutation: float, integral: float, rolloff: float
+    ) -> None:
+        self._period, self._basis = period, channel.basis
+        self._n = len(channel.basis)
+        # Units of P, I and D: equally large at the nutation.
+        self._rates = (1.0, 1.0 / integral, nutation)
+        K_P, K_I, K_D = self._fitted(like, nutation, rolloff)
+        self._unit = float(np.abs(K_P).max() + nutation * np.abs(K_D).max()) or 1.0
+        gains = [K_P, K_I / integral, K_D * nutation]
+        self._nutation, self._integral = nutation, integral
+        self.start = np.concatenate(
+            [np.array(gains).ravel() / self._unit, np.full(self._n, np.log(rolloff)), np.full(self._n, np.log(0.8))]
+        )
+        self.upper = np.full(len(self.start), np.inf)
+        # Beyond 1/π of the sample rate Tustin's poles turn negative, and ring.
+        self.upper[3 * self._n**2 : 3 * self._n**2 + self._n] = np.log(0.9 * np.pi / period)
+        self.upper[3 * self._n**2 + self._n :] = np.log(2.0)
+        self.start = np.minimum(self.start, self.upper)
+
+    def block(self, x: FloatArray) -> Block:
+        """Return the controller."""
+        n = self._n
+        K_P, K_I, K_D = x[: 3 * n * n].reshape(3, n, n) * self._unit
+        w, z = np.exp(x[3 * n * n : 3 * n * n + n]), np.exp(x[3 * n * n + n :])
+        filters = side_by_side(*(_low_pass(w[k], z[k], self._period) for k in range(n)))
+        # Filtered angle and rate of every channel, then the integral of the angle.
+        A, B, C, D = filters
+        angle, rate = slice(0, None, 2), slice(1, None, 2)
+        K_I, K_D = K_I * self._integral, K_D / self._nutation
+        half = 0.5 * self._period
+        whole_A = np.block([[A, np.zeros((len(A), n))], [self._period * C[angle], np.eye(n)]])
+        whole_B = np.vstack([B, self._period * D[angle]])
+        proportional = K_P + half * K_I
+        whole_C = np.hstack([proportional @ C[angle] + K_D @ C[rate], K_I])
+        whole_D = proportional @ D[angle] + K_D @ D[rate]
+        basis = self._basis
+        return whole_A, whole_B @ basis, basis.T @ whole_C, basis.T @ whole_D @ basis
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx by central differences."""
+        return differences(self.block, x)
+
+    def _fitted(self, like: Block, nutation: float, rolloff: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / self._period), 40)
+        target = self._basis @ frequency_response_arrays(*like, self._period, w) @ self._basis.T
+        s = 2.0 / self._period * 1j * np.tan(0.5 * w * self._period)
+        F = rolloff**2 / (s**2 + 1.6 * rolloff * s + rolloff**2)
+        terms = np.array([F, F / s, F * s]).T
+        weight = 1.0 / np.linalg.norm(target, axis=(1, 2))
+        left, right = terms * weight[:, None], target.reshape(len(w), -1) * weight[:, None]
+        found = np.linalg.lstsq(np.vstack([left.real, left.imag]), np.vstack([right.real, right.imag]), rcond=None)[0]
+        K_P, K_I, K_D = found.reshape(3, self._n, self._n)
+        return K_P, K_I, K_D
+
+
+class StateSpace:
+    """A controller of fixed order behind a PI in every channel: every entry of its matrices is a parameter.
+
+    Parameters
+    ----------
+    inner
+        What stands behind the PI, in the channels of the gyros (see `without_integrators`).
+    channel, period, nutation
+        Directions; s; rad/s, the unit of rates.
+    integral
+        rad/s: PI = 1 + integral/s, by Tustin's rule.
+    """
+
+    def __init__(self, inner: Block, channel: Channels, period: float, nutation: float, integral: float) -> None:
+        A, B, C, D = inner
+        self._n, self._size = len(A), len(D)
+        self._basis, self._gain, self._slow = channel.basis, 1.0 + 0.5 * integral * period, integral * period
+        # Rates in units of the nutation, torques in units of the direct term, states between the two.
+        rate = nutation * period
+        unit = float(np.abs(D).max()) or float(np.linalg.norm(C) * np.linalg.norm(B)) or 1.0
+        turn = np.sqrt(np.linalg.norm(C) / np.linalg.norm(B) / unit) if self._n else 1.0
+        root = np.sqrt(rate)
+        self._units = np.block(
+            [
+                [np.full(A.shape, rate), np.full(B.shape, root / turn)],
+                [np.full(C.shape, unit * root * turn), np.full(D.shape, unit)],
+            ]
+        )
+        self._origin = np.zeros(self._units.shape)
+        self._origin[: self._n, : self._n] = np.eye(self._n)
+        self.start = ((np.block([[A, B], [C, D]]) - self._origin) / self._units).ravel()
+        self.upper = np.full(len(self.start), np.inf)
+        # M is linear in the inner matrices.
+        units = self._units.ravel()
+        each = np.zeros((len(units), *self._units.shape))
+        each.reshape(len(units), -1)[np.arange(len(units)), np.arange(len(units))] = units
+        self._derivative = self._placed(each)
+
+    def _placed(self, inner: FloatArray) -> FloatArray:
+        """Return what the inner matrices (..., n + m, n + m) contribute to M: states [PI, inner]."""
+        n, k = self._n, self._size
+        out = np.zeros((*inner.shape[:-2], k + n + k, k + n + k))
+        A, B = inner[..., :n, :n], inner[..., :n, n:]
+        C, D = self._basis.T @ inner[..., n:, :n], self._basis.T @ inner[..., n:, n:]
+        out[..., k : k + n, :k], out[..., k : k + n, k : k + n] = B * self._slow, A
+        out[..., k : k + n, k + n :] = self._gain * B @ self._basis
+        out[..., k + n :, :k], out[..., k + n :, k : k + n] = D * self._slow, C
+        out[..., k + n :, k + n :] = self._gain * D @ self._basis
+        return out
+
+    def block(self, x: FloatArray) -> Block:
+        """Return the controller."""
+        k = self._size
+        M = self._placed(self._origin + x.reshape(self._units.shape) * self._units)
+        M[:k, :k] += np.eye(k)
+        M[:k, k + self._n :] += self._basis
+        n = k + self._n
+        return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx."""
+        return self._derivative
+
+
+def differences(build: Callable[[FloatArray], Block], x: FloatArray) -> FloatArray:
+    """Return dM/dx of a builder by central differences."""
+    out = []
+    for k in range(len(x)):
+        step = np.zeros(len(x))
+        step[k] = _STEP
+        (A, B, C, D), (a, b, c, d) = build(x + step), build(x - step)
+        out.append(np.block([[A - a, B - b], [C - c, D - d]]) / (2.0 * _STEP))
+    return np.array(out)
+
+
+def _low_pass(frequency: float, damping: float, period: float) -> Block:
+    """Return y → [F y, s F y], F = f²/(s² + 2 damping f s + f²), by Tustin's rule."""
+    A = np.array([[0.0, 1.0], [-(frequency**2), -2.0 * damping * frequency]])
+    B = np.array([[0.0], [frequency**2]])
+    half, eye = 0.5 * period, np.eye(2)
+    inverse: FloatArray = np.linalg.inv(eye - half * A)
+    into: FloatArray = inverse @ B
+    return inverse @ (eye + half * A), period * into, inverse, half * into
+
+
+def without_integrators(controller: Block, channel: Channels, integral: float, period: float) -> Block | None:
+    """Return a controller without its PI, 1 + integral/s, in the channels of the gyros; None if unstable then."""
+    from scipy.linalg import schur, solve_sylvester
+
+    A, B, C, D = controller
+    basis = channel.basis
+    undone = side_by_side(*[first_order(1.0, 0.0, 1.0, integral, period)] * len(basis))
+    A, B, C, D = series(undone, (A, B @ basis.T, basis @ C, basis @ D @ basis.T))
+    triangle, vectors, kept = schur(A, sort=lambda re, im=0.0: bool(abs(complex(re, im) - 1.0) > _INTEGRATOR))
+    left, right = triangle[:kept, :kept], triangle[kept:, kept:]
+    if kept and np.abs(np.linalg.eigvals(left)).max() >= 1.0:
+        return None
+    # The integrators are no longer excited: what remains is split from them.
+    X = solve_sylvester(left, -right, -triangle[:kept, kept:]) if kept < len(A) else np.zeros((kept, 0))
+    B, C = vectors.T @ B, C @ vectors
+    return left, B[:kept] - X @ B[kept:], C[:, :kept], D
+
+
+def of_order(block: Block, order: int, rate: float) -> Block:
+    """Return a stable block with `order` states: balanced truncation, or with faint modes of its own added.
+
+    Parameters
+    ----------
+    block
+        Stable, sampled.
+    order
+        Number of states.
+    rate
+        Nutation frequency times period: added modes lie there, well damped.
+    """
+    A, B, C, D = truncated(block, order)
+    missing = order - len(A)
+    if missing <= 0:
+        return A, B, C, D
+    size = len(D)
+    own = np.zeros((missing, missing))
+    for k in range(0, missing, 2):
+        pair = slice(k, min(k + 2, missing))
+        turn = np.array([[-0.7, 1.0], [-1.0, -0.7]]) * (1.0 + 0.15 * k)
+        own[pair, pair] = np.eye(2)[: missing - k, : missing - k] + rate * turn[: missing - k, : missing - k]
+    # Every mode sees and drives another mixture of channels, faintly.
+    phase = np.pi * np.outer(np.arange(missing) + 0.5, np.arange(size) + 0.5) / max(missing, size)
+    unit = float(np.abs(D).max()) or 1.0
+    turn_size = float(np.sqrt(np.linalg.norm(C) / np.linalg.norm(B) / unit)) if len(A) else 1.0
+    into, out = np.sqrt(rate) / turn_size * 0.3 * np.cos(phase), unit * np.sqrt(rate) * turn_size * 0.02 * np.sin(phase)
+    first = len(A)
+    whole = np.zeros((order, order))
+    whole[:first, :first], whole[first:, first:] = A, own
+    return whole, np.vstack([B, into]), np.hstack([C, out.T]), D
+
+
+def truncated(block: Block, order: int) -> Block:
+    """Return the balanced truncation of a stable sampled block, by square roots (Tombs and Postlethwaite, 1987)."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    A, B, C, D = block
+    if not len(A):
+        return block
+    reach, show = (_root(solve_discrete_lyapunov(a, b)) for a, b in ((A, B @ B.T), (A.T, C.T @ C)))
+    U, s, V = np.linalg.svd(show.T @ reach)
+    order = min(order, int(np.sum(s > _NEGLIGIBLE * s[0])))
+    scale = 1.0 / np.sqrt(s[:order])
+    right, left = reach @ V[:order].T * scale, (show @ U[:, :order] * scale).T
+    first, into, out = (np.asarray(item, dtype=np.float64) for item in (left @ A @ right, left @ B, C @ right))
+    return first, into, out, D
+
+
+def _root(gramian: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
+    return out

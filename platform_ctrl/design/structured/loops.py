@@ -1,0 +1,501 @@
+"""A controller closed around every plant of a set, with derivatives: responses, singular values, poles, noise.
+
+The formulas stand in `platform_ctrl.design.structured.goals`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.bandwidth import LEVEL
+from platform_ctrl.analysis.norms import stationary_covariance
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.design.blocks import Block
+from platform_ctrl.frozen import FloatArray, value
+
+Numbers = NDArray[np.intp]
+
+# Share of the grid's spacing at which a top is looked at again.
+_CLOSER = 0.2
+# A second singular value above this share of the first counts as near it.
+_CLOSE = 0.9
+# Directions in the plane of two singular vectors: an icosahedron on the sphere of their mixtures, less the first.
+_DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
+    np.array([np.sqrt(0.5 + 0.5 * height), np.sqrt(0.5 - 0.5 * height) * np.exp(1j * np.pi * (2 * k + shift) / 5.0)])
+    for height, shift in ((np.sqrt(0.2), 0), (-np.sqrt(0.2), 1))
+    for k in range(5)
+]
+# Decay rates are counted in this share of the nutation frequency; poles as many units from their limit are in view.
+_DECAY_UNIT = 0.02
+_SLOW = 2.0
+# Relative step in frequency for the slope of a singular value.
+_SLOPE_STEP = 1e-4
+
+
+@value
+class Pieces:
+    """Smooth pieces.
+
+    Attributes
+    ----------
+    ratio : (k,)
+        Values; as ratios of a requirement at most 1 when it is met.
+    gradient : (k, n_K + m, n_K + p)
+        With respect to [[A_K, B_K], [C_K, D_K]].
+    plant : (k,)
+        Number of the plant in the set.
+    """
+
+    ratio: FloatArray
+    gradient: FloatArray
+    plant: Numbers
+
+    def times(self, factor: float) -> Pieces:
+        """Return the pieces in another unit."""
+        return Pieces(ratio=factor * self.ratio, gradient=factor * self.gradient, plant=self.plant)
+
+
+def joined(parts: Sequence[Pieces]) -> Pieces:
+    """Return all pieces of several lists."""
+    return Pieces(
+        ratio=np.concatenate([part.ratio for part in parts]),
+        gradient=np.concatenate([part.gradient for part in parts]),
+        plant=np.concatenate([part.plant for part in parts]),
+    )
+
+
+class Responses(NamedTuple):
+    """Plant, controller, sensitivities and platform rate → angles, complex (..., rows, columns)."""
+
+    P: ComplexArray
+    K: ComplexArray
+    S_output: ComplexArray
+    S_input: ComplexArray
+    P_Omega: ComplexArray
+
+
+# Singular vectors u, v → a (k, m), b (k, p) with d(uᴴ X v) = a dK b.
+Differential = Callable[[Responses, ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]
+
+
+class Map(NamedTuple):
+    """A map of the closed loop: its response and its differential."""
+
+    response: Callable[[Responses], ComplexArray]
+    differential: Differential
+
+
+def _row(left: ComplexArray, *factors: ComplexArray) -> ComplexArray:
+    out = left[:, None, :]
+    for factor in factors:
+        out = out @ factor
+    return out[:, 0, :]
+
+
+def _column(*factors: ComplexArray) -> ComplexArray:
+    out = factors[-1][:, :, None]
+    for factor in factors[-2::-1]:
+        out = factor @ out
+    return out[:, :, 0]
+
+
+def _eye(S: ComplexArray) -> FloatArray:
+    return np.eye(S.shape[-1])
+
+
+def _at_output(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    return _row(u, r.S_output, r.P), _column(r.S_output, v)
+
+
+def _at_input(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    return _row(u, r.S_input), _column(r.P, r.S_input, v)
+
+
+S_OUTPUT = Map(lambda r: r.S_output, _at_output)
+S_INPUT = Map(lambda r: r.S_input, _at_input)
+# (S − T)/2 = S − I/2.
+HALF_OUTPUT = Map(lambda r: r.S_output - 0.5 * _eye(r.S_output), _at_output)
+HALF_INPUT = Map(lambda r: r.S_input - 0.5 * _eye(r.S_input), _at_input)
+T_OUTPUT = Map(lambda r: _eye(r.S_output) - r.S_output, lambda r, u, v: _at_output(r, -u, v))
+T_INPUT = Map(lambda r: _eye(r.S_input) - r.S_input, lambda r, u, v: _at_input(r, -u, v))
+ANGLE_PER_TORQUE = Map(lambda r: r.P @ r.S_input, lambda r, u, v: _at_input(r, _row(u, r.P), v))
+ANGLE_PER_OMEGA = Map(lambda r: r.S_output @ r.P_Omega, lambda r, u, v: _at_output(r, u, _column(r.P_Omega, v)))
+CONTROLLER = Map(lambda r: r.K, lambda r, u, v: (u, v))
+
+
+def torque_per_Omega(k: int, plants: PlantSet) -> Map:
+    """Return the map from the platform's rate, in units of the set's Omega, to torque `k` over its limit."""
+    weight = plants.Omega / plants.torque_limit[k]
+
+    def differential(r: Responses, u: ComplexArray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        return u * r.S_input[:, k, :], _column(r.S_output, r.P_Omega, weight * v)
+
+    return Map(lambda r: (r.K @ r.S_output @ r.P_Omega)[..., k : k + 1, :] * weight, differential)
+
+
+class Points:
+    """A loop at single frequencies (k,) of single plants (k,)."""
+
+    def __init__(self, loops: ClosedLoops, plant: Numbers, frequency: FloatArray) -> None:
+        plants = loops.plants
+        z = np.exp(1j * frequency * plants.period)
+        pencil = z[:, None, None] * np.eye(plants.A.shape[-1]) - plants.A[plant]
+        into = np.concatenate([plants.B[plant], plants.B_Omega[plant]], axis=-1).astype(complex)
+        P = plants.C[plant] @ np.linalg.solve(pencil, into)
+        K, self._left, self._right = loops.controller_response(z)
+        direct = np.asarray(P[..., : loops.m] + plants.D[plant], dtype=np.complex128)
+        to_Omega = np.asarray(P[..., loops.m :], dtype=np.complex128)
+        self.responses = Responses(direct, K, *both_sensitivities(direct, K), to_Omega)
+
+    def singular(self, of: Map, only: int | None = None) -> Singular:
+        """Return the largest singular value of a map at every point as smooth pieces.
+
+        Where the second one comes near, no single one is smooth: their vectors turn within a plane. With X = U Σ Vᴴ all
+        of Re((U c)ᴴ X V c), |c| = 1, are smooth, lie below the largest singular value and reach it; twelve directions c
+        stand for them. With `only`, of one point alone.
+        """
+        X = of.response(self.responses)
+        U, s, V = np.linalg.svd(X if only is None else X[only : only + 1])
+        close = np.flatnonzero(s[:, 1] > _CLOSE * s[:, 0]) if s.shape[1] > 1 else np.zeros(0, dtype=np.intp)
+        u, v, size = [U[:, :, 0]], [V[:, 0, :].conj()], [s[:, 0]]
+        at = [np.arange(len(s))]
+        for c in _DIRECTIONS if len(close) else ():
+            u.append(U[close, :, :2] @ c)
+            v.append(V[close, :2, :].conj().swapaxes(-1, -2) @ c)
+            size.append(s[close, :2] @ np.abs(c) ** 2)
+            at.append(close)
+        where = np.concatenate(at) + (only or 0)
+        return Singular(size=np.concatenate(size), at=where, u=np.concatenate(u).conj(), v=np.concatenate(v))
+
+    def differential(self, of: Map, found: Singular) -> FloatArray:
+        """Return the gradients of `found`."""
+        responses = Responses(*(item[found.at] for item in self.responses))
+        a, b = of.differential(responses, found.u, found.v)
+        row = np.concatenate([_row(a, self._left[found.at]), a], axis=1)
+        column = np.concatenate([_column(self._right[found.at], b), b], axis=1)
+        out: FloatArray = np.real(row[:, :, None] * column[:, None, :])
+        return out
+
+
+class Singular(NamedTuple):
+    """Singular values, or mixtures of two: sizes (k,), at which points (k,), left vectors conjugated, right vectors."""
+
+    size: FloatArray
+    at: Numbers
+    u: ComplexArray
+    v: ComplexArray
+
+
+class ClosedLoops:
+    """A controller closed around every plant of a set: what pieces have in common, worked out once.
+
+    Parameters
+    ----------
+    plants
+        The nominal plant first.
+    controller
+        Sampled, u = K y.
+    """
+
+    def __init__(self, plants: PlantSet, controller: Block) -> None:
+        self.plants = plants
+        self.A_K, self.B_K, self.C_K, self.D_K = controller
+        self.M = np.block([[self.A_K, self.B_K], [self.C_K, self.D_K]])
+        self.order = len(self.A_K)
+        self.p, self.m = plants.C.shape[-2], plants.B.shape[-1]
+        self.K = self.controller_response(np.exp(1j * plants.frequency * plants.period))[0]
+        self.S_output, self.S_input = both_sensitivities(plants.response, self.K)
+        self._poles: Poles | None = None
+
+    def controller_response(self, z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Return K (k, m, p), C_K R (k, m, n_K) and R B_K (k, n_K, p) at the points `z`."""
+        R = np.linalg.inv(z[:, None, None] * np.eye(self.order) - self.A_K)
+        right = R @ self.B_K
+        return self.C_K @ right + self.D_K, self.C_K @ R, right
+
+    def none(self) -> Pieces:
+        """Return no pieces."""
+        shape = (0, self.order + self.m, self.order + self.p)
+        return Pieces(ratio=np.zeros(0), gradient=np.zeros(shape), plant=np.zeros(0, dtype=np.intp))
+
+    def peaks(
+        self,
+        of: Map,
+        floor: float,
+        members: Numbers,
+        band: tuple[float, float] = (0.0, np.inf),
+        ends: bool = True,
+    ) -> Pieces:
+        """Return the tops of a map's largest singular value that reach `floor`.
+
+        With `ends` the ends of the band count as tops, and the highest top is there even below the floor.
+        """
+        w = self.plants.frequency
+        inside = np.flatnonzero((w >= band[0]) & (w <= band[1]))
+        if not len(inside):
+            return self.none()
+        cut = slice(int(inside[0]), int(inside[-1]) + 1)
+        response = Responses(
+            self.plants.response[members, cut],
+            np.broadcast_to(self.K[cut], (len(members), len(inside), self.m, self.p)),
+            self.S_output[members, cut],
+            self.S_input[members, cut],
+            self.plants.Omega_response[members, cut],
+        )
+        sizes = largest(of.response(response))
+        padded = np.pad(sizes, ((0, 0), (1, 1)), constant_values=-np.inf if ends else np.inf)
+        chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
+        if ends:
+            chosen[np.unravel_index(int(np.argmax(sizes)), sizes.shape)] = True
+        row, k = np.nonzero(chosen)
+        if not len(k):
+            return self.none()
+        x, step = _tops(np.log(w[cut]), np.log(sizes), row, k)
+        # Once more, from three points close to the top.
+        close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
+        near = Points(self, np.tile(members[row], 3), np.exp(close.ravel()))
+        left, middle, right = np.linalg.svd(of.response(near.responses), compute_uv=False)[:, 0].reshape(3, -1)
+        fall, rise = left - middle, right - middle
+        bend = np.where(fall + rise < 0.0, fall + rise, -np.inf)
+        x = x + _CLOSER * step * np.clip(0.5 * (fall - rise) / bend, -2.0, 2.0)
+        return self._pieces(of, members[row], np.exp(x))
+
+    def _pieces(self, of: Map, plant: Numbers, frequency: FloatArray) -> Pieces:
+        at = Points(self, plant, frequency)
+        found = at.singular(of)
+        return Pieces(ratio=found.size, gradient=at.differential(of, found), plant=plant[found.at])
+
+    def edge(self, of: Map, frequency: float, members: Numbers) -> Pieces:
+        """Return a map's largest singular value at one frequency."""
+        at = np.full(len(members), min(frequency, float(self.plants.frequency[-1])))
+        return self._pieces(of, members, at)
+
+    def level(self, frequency: float, floor: float) -> tuple[Pieces, FloatArray]:
+        """Return the largest singular value of the nominal S up to `frequency`, over the level of the bandwidth.
+
+        At most 1 up to the bandwidth. The second result is the derivative of each piece with respect to log(frequency).
+        """
+        nominal = np.zeros(1, dtype=np.intp)
+        w = min(frequency, float(self.plants.frequency[-1]))
+        around = w * np.exp(_SLOPE_STEP * np.array([0.0, 1.0, -1.0]))
+        at = Points(self, np.zeros(3, dtype=np.intp), around)
+        parts, slopes = [], []
+        for of in (S_OUTPUT, S_INPUT):
+            tops = self.peaks(of, floor * LEVEL, nominal, (0.0, w), ends=False)
+            found = at.singular(of, only=0)
+            X = of.response(at.responses)
+            change = (X[1] - X[2]) / (2.0 * _SLOPE_STEP)
+            edge = Pieces(ratio=found.size, gradient=at.differential(of, found), plant=np.zeros_like(found.at))
+            parts += [tops, edge]
+            slopes += [np.zeros(len(tops.ratio)), np.real(np.einsum("ki,ij,kj->k", found.u, change, found.v))]
+        return joined(parts).times(1.0 / LEVEL), np.concatenate(slopes) / LEVEL
+
+    def damping(self, floor: float, limit: float, members: Numbers) -> Pieces:
+        """Return limit/damping of the poles above a tenth of the nutation frequency."""
+        s = self.poles().s[members]
+        finite = np.isfinite(s)
+        size = np.where(finite, np.abs(s), 1.0)
+        ratio, slope = at_least(np.where(finite, -s.real / size, 1.0), limit)
+        counts = finite & (s.imag >= 0.0) & ((size > 0.1 * self.plants.nutation) | (s.real > 0.0))
+        row, k = _reaching(ratio, counts, floor)
+        s, size = s[row, k], size[row, k]
+        # d(−Re s/|s|) = Re((Re s conj(s)/|s|³ − 1/|s|) ds).
+        factor = slope[row, k] * (s.real * s.conj() / size**3 - 1.0 / size)
+        return Pieces(ratio=ratio[row, k], gradient=self._pole_gradient(factor, members[row], k), plant=members[row])
+
+    def decay(self, limit: float, members: Numbers) -> Pieces:
+        """Return 1 + (limit − decay)/(2 % of the nutation frequency) of the slow poles: at most 1 where limit is kept.
+
+        The ratio limit/decay would be hardly visible until it is too late.
+        """
+        s = self.poles().s[members]
+        unit = _DECAY_UNIT * self.plants.nutation
+        ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
+        row, k = _reaching(ratio, s.imag >= 0.0, 1.0 - _SLOW)
+        gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
+        return Pieces(ratio=ratio[row, k], gradient=gradient, plant=members[row])
+
+    def fastest(self, floor: float, limit: float, members: Numbers) -> Pieces:
+        """Return |w|/limit of the closed-loop poles in the w-plane, w = (2/T) (z − 1)/(z + 1)."""
+        z = self.poles().z[members]
+        two = 2.0 / self.plants.period
+        w = two * (z - 1.0) / (z + 1.0)
+        row, k = _reaching(np.abs(w) / limit, z.imag >= 0.0, floor)
+        z, w = z[row, k], w[row, k]
+        # dw = 2 two dz/(z + 1)² and dz = z T ds.
+        factor = w.conj() / np.abs(w) * 2.0 * two / (z + 1.0) ** 2 * z * self.plants.period / limit
+        gradient = self._pole_gradient(factor, members[row], k)
+        return Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=members[row])
+
+    def controller_poles(self, floor: float, limit: float) -> Pieces:
+        """Return |w|/limit of the controller's poles in the w-plane."""
+        if not self.order:
+            return self.none()
+        z, x = np.linalg.eig(self.A_K)
+        y = np.linalg.inv(x)
+        two = 2.0 / self.plants.period
+        w = two * (z - 1.0) / (z + 1.0)
+        _, k = _reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
+        z, w = z[k], w[k]
+        factor = w.conj() / np.maximum(np.abs(w), 1e-12) * 2.0 * two / (z + 1.0) ** 2 / limit
+        gradient = np.zeros((len(k), *self.M.shape))
+        gradient[:, : self.order, : self.order] = np.real(factor[:, None, None] * y[k][:, :, None] * x.T[k][:, None, :])
+        return Pieces(ratio=np.abs(w) / limit, gradient=gradient, plant=np.zeros(len(k), dtype=np.intp))
+
+    def poles(self) -> Poles:
+        """Return the poles of every closed loop."""
+        if self._poles is None:
+            A, into, out = self._stacked()
+            z, x = np.linalg.eig(A)
+            # Left eigenvectors; A is defective only on a set that no search meets twice.
+            y = np.linalg.inv(x)
+            s = continuous_poles(z, self.plants.period)
+            left, right = np.asarray(y @ into, dtype=np.complex128), np.asarray(out @ x, dtype=np.complex128)
+            self._poles = Poles(np.asarray(z, dtype=np.complex128), s, left, right)
+        return self._poles
+
+    def _pole_gradient(self, factor: ComplexArray, plant: Numbers, k: Numbers) -> FloatArray:
+        """Return the gradient of Re(factor ds) for pole `k` of `plant`."""
+        poles = self.poles()
+        scale = factor / (poles.z[plant, k] * self.plants.period)
+        a, b = poles.left[plant, k], poles.right[plant, :, k]
+        out: FloatArray = np.real(scale[:, None, None] * a[:, :, None] * b[:, None, :])
+        return out
+
+    def _stacked(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return A of every closed loop, states [x, x_K], and L, R with dA = L dM R."""
+        plants, n, n_K = self.plants, self.plants.A.shape[-1], self.order
+        N = len(plants.A)
+        A = np.zeros((N, n + n_K, n + n_K))
+        A[:, :n, :n] = plants.A
+        B = np.zeros((N, n + n_K, n_K + self.m))
+        B[:, n:, :n_K] = np.eye(n_K)
+        B[:, :n, n_K:] = plants.B
+        C = np.zeros((N, n_K + self.p, n + n_K))
+        C[:, :n_K, n:] = np.eye(n_K)
+        C[:, n_K:, :n] = plants.C
+        before, after = self._direct(plants.D)
+        right = before @ C
+        return A + B @ self.M @ right, B @ after, right
+
+    def _direct(self, D: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (I − D̄ M)⁻¹ and (I − M D̄)⁻¹, where D̄ holds the plant's direct term."""
+        n_K = self.order
+        whole = np.zeros((*D.shape[:-2], n_K + self.p, n_K + self.m))
+        whole[..., n_K:, n_K:] = D
+        return (
+            np.linalg.inv(np.eye(n_K + self.p) - whole @ self.M),
+            np.linalg.inv(np.eye(n_K + self.m) - self.M @ whole),
+        )
+
+    def noise(self, limit: float, members: Numbers) -> Pieces:
+        """Return rms/limit of the torques from pick-off noise, a piece for each torquer; nothing for unstable loops."""
+        stacked = self._stacked()
+        stable = [k for k in members if np.all(self.poles().s[k].real < 0.0)]
+        return joined([self.none(), *(self._noise(limit, int(k), *(item[k] for item in stacked)) for k in stable)])
+
+    def _noise(self, limit: float, plant: int, A: FloatArray, L: FloatArray, R: FloatArray) -> Pieces:
+        before, after = self._direct(self.plants.D[plant])
+        n_K = self.order
+        # The noise enters with the measurement: ȳ = R x + F n, u = M_u ȳ.
+        F, M_u, shown = before[:, n_K:], self.M[n_K:], after[n_K:]
+        B, C, D = L @ self.M[:, n_K:], M_u @ R, M_u @ F
+        variance = np.diag(self.plants.noise**2)
+        X = stationary_covariance(A, B * self.plants.noise)
+        adjoint = stationary_covariance(A.T, C[:, :, None])
+        direct = D @ variance
+        rms = np.sqrt(np.einsum("ij,jk,ik->i", C, X, C) + np.sum(direct * D, axis=1))
+        own = shown[:, :, None] * (C @ X @ R.T + direct @ F.T)[:, None, :]
+        inner = L.T @ adjoint @ (A @ X @ R.T + B @ variance @ F.T)
+        scale = 1.0 / np.maximum(rms * limit, 1e-300)
+        return Pieces(
+            ratio=rms / limit,
+            gradient=(own + inner) * scale[:, None, None],
+            plant=np.full(self.m, plant, dtype=np.intp),
+        )
+
+
+class Poles(NamedTuple):
+    """Closed-loop poles in z and s, (N, n), and left (N, n, n_K + m), right (N, n_K + p, n): dz = left dM right."""
+
+    z: ComplexArray
+    s: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+
+
+def both_sensitivities(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return S at the output, (I − P K)⁻¹, and at the input, (I − K P)⁻¹ = I + K S P."""
+    S = inverse(np.eye(P.shape[-2]) - P @ K)
+    return S, np.eye(P.shape[-1]) + K @ S @ P
+
+
+def inverse(X: ComplexArray) -> ComplexArray:
+    """Return the inverses of a stack of matrices; by hand where they are small."""
+    if X.shape[-1] == 1:
+        return np.asarray(1.0 / X)
+    if X.shape[-1] == 2:
+        a, b, c, d = X[..., 0, 0], X[..., 0, 1], X[..., 1, 0], X[..., 1, 1]
+        out = np.empty_like(X)
+        out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = d, -b, -c, a
+        return np.asarray(out / (a * d - b * c)[..., None, None])
+    return np.asarray(np.linalg.inv(X), dtype=np.complex128)
+
+
+def largest(X: ComplexArray) -> FloatArray:
+    """Return the largest singular values of a stack of matrices; beyond 2 x 2 a bound a few per cent above."""
+    if X.shape[-1] == 1 or X.shape[-2] == 1:
+        return np.asarray(np.sqrt(np.sum(np.abs(X) ** 2, axis=(-2, -1))))
+    if X.shape[-2:] == (2, 2):
+        square = np.sum(np.abs(X) ** 2, axis=(-2, -1))
+        det = np.abs(X[..., 0, 0] * X[..., 1, 1] - X[..., 0, 1] * X[..., 1, 0])
+        return np.asarray(np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * det**2, 0.0)))))
+    gram = X.conj().swapaxes(-1, -2) @ X if X.shape[-1] <= X.shape[-2] else X @ X.conj().swapaxes(-1, -2)
+    # Schatten norm of order 16: (Σ σ¹⁶)^(1/16).
+    size = np.real(np.trace(gram, axis1=-2, axis2=-1))
+    power = gram / np.maximum(size, 1e-300)[..., None, None]
+    for _ in range(2):
+        power = power @ power
+    return np.asarray(np.sqrt(size) * np.sum(np.abs(power) ** 2, axis=(-2, -1)) ** (1.0 / 16.0))
+
+
+def at_least(measured: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
+    """Return limit/measured and its slope; below limit/2 along the tangent, so that negative values count as worse."""
+    low = 0.5 * limit
+    inside = np.maximum(measured, low)
+    slope = -limit / inside**2
+    return limit / inside + np.minimum(measured - low, 0.0) * slope, slope
+
+
+def _reaching(ratio: FloatArray, counts: NDArray[np.bool_], floor: float) -> tuple[Numbers, Numbers]:
+    """Return the places that count and reach `floor`, and the worst that counts."""
+    masked = np.where(counts, ratio, -np.inf)
+    chosen = masked >= floor
+    if np.any(counts):
+        chosen[np.unravel_index(int(np.argmax(masked)), masked.shape)] = True
+    row, k = np.nonzero(chosen)
+    return row, k
+
+
+def _tops(x: FloatArray, y: FloatArray, row: Numbers, k: Numbers) -> tuple[FloatArray, FloatArray]:
+    """Return the tops of the parabolas through points `k` of rows of `y` and their neighbours, and the smaller spacing.
+
+    At the ends of the grid the point itself, with a spacing of zero.
+    """
+    if len(x) < 3:
+        return x[k], np.zeros(len(k))
+    inside = (k > 0) & (k < len(x) - 1)
+    j = np.clip(k, 1, len(x) - 2)
+    left, right = x[j - 1] - x[j], x[j + 1] - x[j]
+    fall, rise = y[row, j - 1] - y[row, j], y[row, j + 1] - y[row, j]
+    # y ≈ y_j + b t + c t² through both neighbours.
+    c = (fall / left - rise / right) / (left - right)
+    b = fall / left - c * left
+    t = np.clip(-b / np.where(c < 0.0, 2.0 * c, -np.inf), left, right)
+    return np.where(inside, x[j] + t, x[k]), np.where(inside, np.minimum(right, -left), 0.0)

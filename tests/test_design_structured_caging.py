@@ -1,0 +1,309 @@
+"""Structured caging loops: gradients against differences, pieces against measures, and what the search reaches."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl import design
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop_measures import exact_measures
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.classical import classical_controller, starting_values
+from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, truncated, without_integrators
+from platform_ctrl.design.structured.goals import pieces
+from platform_ctrl.design.structured.loops import (
+    ANGLE_PER_OMEGA,
+    ANGLE_PER_TORQUE,
+    CONTROLLER,
+    HALF_INPUT,
+    HALF_OUTPUT,
+    S_INPUT,
+    S_OUTPUT,
+    T_INPUT,
+    T_OUTPUT,
+    ClosedLoops,
+    at_least,
+    torque_per_Omega,
+)
+from platform_ctrl.design.structured.search import finer
+from platform_ctrl.job import LoopLimits
+from platform_ctrl.linearisation import linearise
+from platform_ctrl.reading import read_job
+from platform_ctrl.requirements import SPREAD, requirement
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "three_gyro_platform.toml"
+LOOPS = ("caging 4-5-7", "caging 9-10")
+
+
+@pytest.fixture(scope="module")
+def job():
+    return read_job(EXAMPLE)
+
+
+@pytest.fixture(scope="module")
+def cases(job):
+    """Plants, directions and a hand-made controller of both loops."""
+    model = linearise(job.platform)
+    out = {}
+    for spec in job.loops[:2]:
+        plants = plants_of(job, spec)
+        channel = channels(model, rows_of(model, spec.gimbals))
+        options = starting_values({}, channel, plants.nutation, plants.period)
+        out[spec.name] = plants, channel, classical_controller(options, channel, plants.period)
+    return out
+
+
+REQUIREMENTS = [
+    requirement("bandwidth", 30.0),
+    requirement("disk margin", 0.5),
+    requirement("disk margin", 0.3, over=SPREAD),
+    requirement("sensitivity peak", 2.0, over=SPREAD),
+    requirement("complementary peak", 2.0),
+    requirement("damping", 0.1, over=SPREAD),
+    requirement("stability", 0.05, over=SPREAD),
+    requirement("fastest pole", 1e4),
+    requirement("tracking", 0.2, frequency=60.0),
+    requirement("Omega rejection", 0.004),
+    requirement("torque rejection", 0.05),
+    requirement("torque noise", 0.005),
+    requirement("torque limit", 1.0),
+    requirement("controller gain", 200.0),
+]
+
+
+def whole(block):
+    A, B, C, D = block
+    return np.block([[A, B], [C, D]])
+
+
+def parts(M, n):
+    return M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
+
+
+MAPS = {
+    "S at the output": S_OUTPUT,
+    "S at the input": S_INPUT,
+    "(S - T)/2 at the output": HALF_OUTPUT,
+    "(S - T)/2 at the input": HALF_INPUT,
+    "T at the output": T_OUTPUT,
+    "T at the input": T_INPUT,
+    "angle per torque": ANGLE_PER_TORQUE,
+    "angle per Omega": ANGLE_PER_OMEGA,
+    "controller": CONTROLLER,
+    "torque per Omega": None,
+}
+
+
+def slopes(of, K, anyhow=False, seed=1, share=1e-6):
+    """Changes along a random direction: by the gradients of `of(controller)`, and by differences."""
+    n, M = len(K[0]), whole(K)
+    step = np.random.default_rng(seed).standard_normal(M.shape) * np.abs(M) * share
+    here, there, back = (of(parts(M + sign * step, n)) for sign in (0, 1, -1))
+    # Poles come in any order, torquers in theirs.
+    order, high, low = (
+        np.lexsort((found.ratio, found.plant)) if anyhow else np.arange(len(found.ratio))
+        for found in (here, there, back)
+    )
+    differences = 0.5 * (there.ratio[high] - back.ratio[low])
+    return np.sum(here.gradient * step, axis=(1, 2))[order], differences
+
+
+def worst(found):
+    """The largest piece alone: its mixtures with the next are no values that differences could follow."""
+    k = [int(np.argmax(found.ratio))]
+    return dataclasses.replace(found, ratio=found.ratio[k], gradient=found.gradient[k], plant=found.plant[k])
+
+
+@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("which", MAPS)
+def test_singular_values_have_the_slopes_of_differences(cases, name, which):
+    plants, _, K = cases[name]
+    plants = plants.only(range(3))
+    of = MAPS[which] or torque_per_Omega(1, plants)
+    for frequency in (90.0, 420.0, 3000.0):
+        for k in range(3):
+            ours, theirs = slopes(
+                lambda block, w=frequency, k=k: worst(ClosedLoops(plants, block).edge(of, w, np.array([k]))), K
+            )
+            np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-6 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_poles_and_noise_have_the_slopes_of_differences(cases, name):
+    plants, _, K = cases[name]
+    plants = plants.only(range(3))
+    everywhere = np.arange(3)
+    for of, anyhow in (
+        (lambda block: ClosedLoops(plants, block).damping(0.0, 0.1, everywhere), True),
+        (lambda block: ClosedLoops(plants, block).fastest(0.0, 1e4, everywhere), True),
+        (lambda block: ClosedLoops(plants, block).noise(0.005, everywhere), False),
+    ):
+        ours, theirs = slopes(of, K, anyhow)
+        assert len(ours) >= 3
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max())
+
+
+def test_the_level_of_the_bandwidth_moves_with_the_wanted_frequency(cases):
+    plants, _, K = cases["caging 9-10"]
+    loops = ClosedLoops(plants, K)
+    _, slope = loops.level(200.0, np.inf)
+    above, below = (loops.level(200.0 * np.exp(sign * 1e-4), np.inf)[0] for sign in (1, -1))
+    # S is rising there: the edge is all there is, one piece at the output and one at the input before their mixtures.
+    assert slope[0] == pytest.approx((above.ratio[0] - below.ratio[0]) / 2e-4, rel=1e-4)
+    assert np.all(slope >= 0.0)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_pieces_are_the_ratios_that_are_certified(cases, name):
+    plants, _, K = cases[name]
+    plants = plants.only(range(4))
+    loops = ClosedLoops(finer(plants), K)
+    measures = exact_measures(plants, StateArrays(*K, dt=plants.period), REQUIREMENTS)
+    for asked in REQUIREMENTS:
+        found = pieces(loops, asked, 0.5)
+        if asked.kind == "bandwidth":
+            # Not the ratio: S at most 1/sqrt(2) up to the wanted frequency. It is 1 at the bandwidth.
+            at_bandwidth = dataclasses.replace(asked, limit=measures.bandwidth / (2 * np.pi))
+            assert pieces(loops, at_bandwidth, 0.5).ratio.max() == pytest.approx(1.0, abs=1e-6)
+        elif asked.kind == "stability":
+            assert np.all(found.ratio < 1.0)
+        elif asked.kind == "damping":
+            ratio = at_least(measures.damping, asked.limit)[0].max()
+            assert found.ratio.max() == pytest.approx(ratio, rel=1e-8)
+        else:
+            assert found.ratio.max() == pytest.approx(asked.ratios(measures).max(), rel=2e-4), asked.kind
+
+
+def test_where_two_singular_values_meet_their_mixtures_span_what_the_largest_can_do(cases):
+    """Along any direction the largest singular value rises at least as fast as each of its pieces, and as the best."""
+    plants, _, K = cases["caging 9-10"]
+    n, M = len(K[0]), whole(K)
+    # Beyond the loop's reach S is nearly the unit matrix.
+    at, nominal = 0.8 * np.pi / plants.period, np.zeros(1, dtype=np.intp)
+    found = ClosedLoops(plants, K).edge(S_OUTPUT, at, nominal)
+    assert len(found.ratio) == 12
+    assert found.ratio.max() == found.ratio[0]
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        step = rng.standard_normal(M.shape) * np.abs(M) * 0.05
+        expected = found.ratio + np.sum(found.gradient * step, axis=(1, 2))
+        reached = ClosedLoops(plants, parts(M + step, n)).edge(S_OUTPUT, at, nominal).ratio[0]
+        change = np.abs(reached - found.ratio[0])
+        assert reached == pytest.approx(expected.max(), abs=0.35 * change + 1e-3)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_families_are_differentiated_and_start_where_they_should(cases, name):
+    plants, channel, K = cases[name]
+    T, nutation = plants.period, plants.nutation
+    pid = Pid(K, channel, T, nutation, 12.0, 0.4 * 2 * np.pi / T)
+    inner = of_order(without_integrators(K, channel, 12.0, T), 5, nutation * T)
+    free = StateSpace(inner, channel, T, nutation, 12.0)
+    rng = np.random.default_rng(2)
+    for family in (pid, free):
+        x = family.start
+        step = 1e-6 * rng.standard_normal(len(x))
+        change = 0.5 * (whole(family.block(x + step)) - whole(family.block(x - step)))
+        expected = np.tensordot(step, family.jacobian(x), axes=1)
+        np.testing.assert_allclose(change, expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_a_controller_is_taken_from_its_integrators_and_put_behind_them_again(cases):
+    plants, channel, K = cases["caging 9-10"]
+    rate = 2 * np.pi * 0.024 * plants.nutation / (2 * np.pi)
+    inner = without_integrators(K, channel, rate, plants.period)
+    assert np.abs(np.linalg.eigvals(inner[0])).max() < 1.0
+    again = StateSpace(inner, channel, plants.period, plants.nutation, rate)
+    theirs, ours = (ClosedLoops(plants.only([0]), block).K for block in (K, again.block(again.start)))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
+
+
+def test_truncation_keeps_what_matters():
+    rng = np.random.default_rng(3)
+    A = np.diag([0.9, 0.5, -0.3, 0.2])
+    B, C, D = rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2))
+    C[:, 3] *= 1e-9
+    less = truncated((A, B, C, D), 3)
+    assert len(less[0]) == 3
+    for z in np.exp(1j * np.array([0.1, 1.0, 3.0])):
+        full, small = (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d for a, b, c, d in ((A, B, C, D), less))
+        np.testing.assert_allclose(small, full, atol=1e-7)
+
+
+@pytest.fixture(scope="module")
+def alone(job):
+    """The loop 9-10 with a structure, for limits and goals."""
+
+    def designed(structure, limits=None, soft=None, **options):
+        spec = job.loops[1]
+        asked = next(d for d in spec.designs if d.method == "structured")
+        asked = dataclasses.replace(asked, structure=structure, options=asked.options | options)
+        spec = dataclasses.replace(
+            spec, designs=(asked,), use=asked.name, limits=limits or spec.limits, soft=soft or spec.soft
+        )
+        said = []
+        (outcome,) = design.loops(dataclasses.replace(job, loops=(spec,), manoeuvres=()), said.append)
+        return outcome.closed, said
+
+    return designed
+
+
+def hertz(found):
+    return found.measures.bandwidth / (2 * np.pi)
+
+
+def test_five_numbers_do_as_well_as_any_search_and_sixteen_far_better(alone):
+    few, _ = alone("cross-axis")
+    many, said = alone("pid")
+    assert few.passed
+    assert many.passed
+    assert (few.claims["parameters"], many.claims["parameters"]) == (5, 16)
+    assert hertz(few) > 48.4
+    assert hertz(many) > 60.0
+    assert set(few.options) >= {"crossover_hz", "damping_hz", "lead_hz", "rolloff_hz"}
+    assert any("limits at 99%, goals at" in line for line in said)
+
+
+def test_the_same_job_gives_the_same_controller(alone):
+    first, second = (alone("pid")[0].controller for _ in range(2))
+    for ours, theirs in zip(
+        (first.A, first.B, first.C, first.D), (second.A, second.B, second.C, second.D), strict=True
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_every_entry_of_a_controller_can_be_moved(alone):
+    """Behind the PID, with a goal out of its reach."""
+    limits = LoopLimits(disk_margin=0.5, damping=0.1, torque_noise=0.005)
+    free, _ = alone("state-space", limits, LoopLimits(bandwidth_hz=90.0), order=4, evaluations=150)
+    assert free.passed
+    assert free.claims["order"] >= 6
+    # Integral action is kept, and S still falls below the bandwidth.
+    assert free.measures.decay[0] >= 0.5 * 2 * np.pi * 2.0
+
+
+def test_without_goals_the_limits_are_met_with_the_reserve(alone):
+    limits = LoopLimits(bandwidth_hz=45.0, disk_margin=0.5, disk_margin_spread=0.3, torque_noise=0.005)
+    found, said = alone("pid", limits, LoopLimits(), reserve=0.05)
+    assert found.passed
+    assert "largest ratio of a goal" not in found.claims
+    assert found.claims["largest ratio of a limit"] <= 0.961
+    assert max(r.ratio for r in found.results) < 0.97
+    assert not any("goals" in line for line in said)
+
+
+def test_a_bandwidth_is_not_bought_with_a_flat_sensitivity(alone):
+    limits = LoopLimits(disk_margin=0.5, damping=0.1, torque_noise=0.005)
+    found, _ = alone("pid", limits, LoopLimits(bandwidth_hz=60.0))
+    tenth = requirement("tracking", 0.16, frequency=0.1 * found.measures.bandwidth)
+    assert tenth.check(found.plants, found.controller).passed
+
+
+def test_what_can_not_be_met_is_said_and_not_hidden(alone):
+    impossible = LoopLimits(bandwidth_hz=400.0, disk_margin=0.9, torque_noise=1e-5)
+    found, _ = alone("pid", impossible, LoopLimits(), evaluations=60)
+    assert not found.passed
+    assert found.claims["largest ratio of a limit"] > 1.0
