@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
-from platform_ctrl import design
+from platform_ctrl import design, parameter_varying, read_platform
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.lmi import conic
@@ -402,3 +402,21 @@ def test_one_output_feedback_serves_both_ends_and_what_is_between():
 def test_plants_too_far_apart_for_one_matrix_are_infeasible():
     with pytest.raises(InfeasibleError, match=r"of the way from their mean|one Lyapunov matrix"):
         design.robust([spring(-4.0), spring(200.0)], 1, 1, [hinf_bound(0.1, hard=True)])
+
+
+def test_a_caging_loop_follows_omega_for_little():
+    platform = read_platform("three_gyro_platform")
+    caging = design.scheduled_caging(platform, ("9", "10"), Omega_max=(5, 5, 5), bandwidth_hz=40, terms="paper")
+    assert caging.scheduled.box.names == ("Omega2",)
+    assert -1e-4 < caging.price < 0.012
+    assert caging.scheduled.certificate.verify().proved
+    model = parameter_varying(platform, gimbals=("9", "10"), form="momenta", terms="paper")
+    for Omega in ((0, 0, 0), (5, -5, 2), (0, 5, 0)):
+        K, G = caging.controller(Omega), model.state_space(Omega)[["alpha9", "beta10"], ["Q9", "Q10"]]
+        A = np.block([[G.A + G.B @ K.D @ G.C, G.B @ K.C], [K.B @ G.C, K.A]])
+        assert np.linalg.eigvals(A).real.max() < -10
+        assert K.input_labels == ["alpha9", "beta10"]
+        # Integral action: no standing angle.
+        assert np.abs(K.poles()).min() < 1e-6
+    with pytest.raises(ArgumentError, match=r"expected at most \[5\.0, 5\.0, 5\.0\] rad/s"):
+        caging.controller((0, 6, 0))

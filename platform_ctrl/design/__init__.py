@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.jobs import LoopOutcome, loops
+from platform_ctrl.design.lmi.caging import ScheduledCaging, scheduled_caging
 from platform_ctrl.design.lmi.multiobjective import Multiobjective, multiobjective
 from platform_ctrl.design.lmi.robust import Robust, robust
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
@@ -20,6 +21,7 @@ __all__ = [
     "Multiobjective",
     "Robust",
     "Scheduled",
+    "ScheduledCaging",
     "StateFeedback",
     "Synthesis",
     "h2",
@@ -31,4 +33,5 @@ __all__ = [
     "multiobjective",
     "robust",
     "scheduled",
+    "scheduled_caging",
 ]

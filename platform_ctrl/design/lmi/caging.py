@@ -1,0 +1,225 @@
+"""A caging loop that follows the platform's rate, proved for every Omega(t) within limits.
+
+The mixed-sensitivity problem of `design.hinf_loop` in continuous time, around the parameter-varying model: its
+parameters are Omega and products of it, and with momentum states nothing has to be known of how fast they change.
+
+    ::
+
+        n ──────────────►(+)──► W_e ──► z1, and to K
+                          ▲
+        d ──►(+)──► G(Ω) ─┴───► W_t ──► z2
+              ▲
+        u ────┴───► W_u ──────────────► z3
+
+    G(Ω) gimbals behind the torquers' lag,  W_e = 1/M + ω_e/s,  W_t and W_u constant,  d scaled by `disturbance`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.arguments import positive, real_array
+from platform_ctrl.description import Platform
+from platform_ctrl.design.blocks import series
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
+from platform_ctrl.design.synthesis import hinf
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.linearisation import Terms, linearise
+from platform_ctrl.parameter_varying import AffineModel, monomial_values, parameter_varying
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+WHERE = "scheduled caging"
+
+
+@value
+class ScheduledCaging:
+    """A caging controller that follows Omega.
+
+    Attributes
+    ----------
+    scheduled
+        The design of the weighted problem, with its certificate.
+    frozen
+        Least gamma of the design for Omega = 0 alone.
+    angles, torques
+        Names of the controller's inputs and outputs.
+    Omega_max : (3,)
+        The rates that are covered, rad/s.
+    weight_rate : (k,)
+        ω_e of the channels, rad/s; their gain is 1/M.
+    peak
+        M.
+    basis, torque : (k, k)
+        Channels from angles, and torquers from the channels' torques, N m.
+    """
+
+    scheduled: Scheduled
+    frozen: float
+    angles: tuple[str, ...]
+    torques: tuple[str, ...]
+    Omega_max: FloatArray
+    weight_rate: FloatArray
+    peak: float
+    basis: FloatArray
+    torque: FloatArray
+
+    @property
+    def price(self) -> float:
+        """What following any Omega(t) costs in gamma, relative to the design at rest."""
+        return self.scheduled.gamma_optimal / self.frozen - 1.0
+
+    def controller(self, Omega: ArrayLike) -> StateSpace:
+        """Return the controller at a rate (3,), rad/s: torques from angles, u = K y, integral action included.
+
+        Raises
+        ------
+        ArgumentError
+            The rate lies outside the limits.
+        """
+        import control
+
+        rate = real_array("Omega", Omega, (3,))
+        if np.any(np.abs(rate) > self.Omega_max * (1 + 1e-9)):
+            raise ArgumentError(f"Omega: given {rate.tolist()}; expected at most {self.Omega_max.tolist()} rad/s")
+        k = len(self.weight_rate)
+        eye = np.eye(k)
+        # The weight's integrator belongs to the controller: it stands before K.
+        weight = np.zeros((k, k)), eye, np.diag(self.weight_rate), eye / self.peak
+        K = self.scheduled.at(monomial_values(self.scheduled.box.names, rate))
+        A, B, C, D = series(weight, (K.A, K.B, K.C, K.D))
+        return control.StateSpace(
+            A, B @ self.basis, self.torque @ C, self.torque @ D @ self.basis,
+            inputs=list(self.angles), outputs=list(self.torques), remove_useless_states=False,
+        )  # fmt: skip
+
+
+def scheduled_caging(
+    platform: Platform,
+    gimbals: Sequence[str] | None = None,
+    *,
+    Omega_max: ArrayLike = (1.0, 1.0, 1.0),
+    bandwidth_hz: float,
+    inertial_bandwidth_hz: float | None = None,
+    sensitivity_peak: float = 1.9,
+    complementary: float = 0.5,
+    disturbance: float = 0.25,
+    torque: float = 0.1,
+    lag: float = 2e-4,
+    terms: Terms = "exact",
+    backoff: float = 0.02,
+    time_limit: float = 60.0,
+) -> ScheduledCaging:
+    """Caging loop for some gimbals that follows Omega, with a proof for every Omega(t) within `Omega_max`.
+
+    Parameters
+    ----------
+    platform, gimbals
+        The platform, and the gimbals that are caged, each with a torquer; default all.
+    Omega_max : (3,)
+        Largest rates about the axes, rad/s. A zero leaves the axis out.
+    bandwidth_hz, inertial_bandwidth_hz
+        Of W_e, for gyroscopic pairs and for directions without gyroscopic action (default: the same).
+    sensitivity_peak, complementary, disturbance, torque
+        M, W_t, the size of d and W_u; torques count in units of h ω_nutation (pairs) and J ω_nutation² (others).
+    lag
+        Lag of the torquers, s; the delay of a sampled loop is to be added here.
+    terms
+        ``"exact"`` or ``"paper"``, see `parameter_varying`; the latter has fewer parameters.
+    backoff, time_limit
+        See `scheduled`.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not make sense, or a gimbal without a torquer of its own.
+    DesignError
+        As `scheduled`.
+    """
+    limits = real_array(f"{WHERE}: Omega_max", Omega_max, (3,))
+    lag, width = positive(f"{WHERE}: lag", lag), positive(f"{WHERE}: bandwidth_hz", bandwidth_hz)
+    single = (
+        width if inertial_bandwidth_hz is None else positive(f"{WHERE}: inertial_bandwidth_hz", inertial_bandwidth_hz)
+    )
+    peak = positive(f"{WHERE}: sensitivity_peak", sensitivity_peak)
+    sizes = [
+        positive(f"{WHERE}: {name}", size)
+        for name, size in (("complementary", complementary), ("disturbance", disturbance), ("torque", torque))
+    ]
+    model = parameter_varying(platform, gimbals=gimbals, terms=terms, form="momenta")
+    affine = model.affine()
+    k = len(model.gimbals)
+    torques = tuple(name for name in affine.inputs if not name.startswith("d_"))
+    T = affine.B[k:, : len(torques)]
+    if len(torques) != k or np.linalg.matrix_rank(T) < k:
+        raise ArgumentError(f"{WHERE}: torquers {torques} for gimbals {model.gimbals}; expected one for each")
+    rows = [platform.gimbal_names.index(name) for name in model.gimbals]
+    channel = channels(linearise(platform, terms=terms), rows)
+    pairs = 2 * len(channel.momenta)
+    momenta = np.repeat(channel.momenta, 2)
+    moduli = np.abs(np.linalg.eigvals(affine.A_0))
+    nutation = float(moduli.max())
+    if not nutation > 0:
+        raise ArgumentError(f"{WHERE}: gimbals {model.gimbals} carry no momentum; expected a gyro among them")
+    unit = np.concatenate([momenta * nutation, channel.inertias[pairs:] * nutation**2])
+    weight_rate = 2 * np.pi * np.array([width] * pairs + [single] * channel.inertial)
+    into = np.linalg.inv(T) @ channel.basis.T * unit
+
+    def plant(rho: FloatArray) -> StateSpace:
+        return _weighted(affine, rho, into, channel.basis, weight_rate, peak, sizes, lag)
+
+    corners = np.array([vertex.parameters for vertex in model.vertices(limits)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    found = scheduled(plant, affine.parameters, low, high, k, k, backoff=backoff, time_limit=time_limit)
+    at_rest = hinf(plant(np.zeros(len(low))), k, k, method="riccati", backoff=backoff)
+    return ScheduledCaging(
+        scheduled=found,
+        frozen=at_rest.gamma_optimal,
+        angles=tuple(affine.outputs),
+        torques=torques,
+        Omega_max=limits,
+        weight_rate=weight_rate,
+        peak=peak,
+        basis=channel.basis,
+        torque=into,
+    )
+
+
+def _weighted(
+    affine: AffineModel,
+    rho: FloatArray,
+    into: FloatArray,
+    basis: FloatArray,
+    weight_rate: FloatArray,
+    peak: float,
+    sizes: Sequence[float],
+    lag: float,
+) -> StateSpace:
+    """The plant of the synthesis; states: gimbals, torques behind the lag, integrals of the error."""
+    import control
+
+    complementary, disturbance, torque = sizes
+    A, C = affine.state_matrix(rho), basis @ affine.C
+    B = affine.B[:, : len(into)] @ into
+    n, k = len(A), len(into)
+    eye, none, wide = np.eye(k), np.zeros((k, k)), np.zeros((n, k))
+    states = np.block([[A, B, wide], [wide.T, -eye / lag, none], [C, none, none]])
+    inputs = np.block([[wide, disturbance * B, wide], [none, none, eye / lag], [eye, none, none]])
+    error = np.hstack([C / peak, none, np.diag(weight_rate)])
+    outputs = np.vstack([error, np.hstack([complementary * C, none, none]), np.zeros((k, n + 2 * k)), error])
+    direct = np.block(
+        [[eye / peak, none, none], [none, none, none], [none, none, torque * eye], [eye / peak, none, none]]
+    )
+    return control.StateSpace(
+        states, inputs, outputs, direct,
+        inputs=[f"{kind}{i + 1}" for kind in ("n", "d", "u") for i in range(k)],
+        outputs=[f"{kind}{i + 1}" for kind in ("error", "angle", "torque", "measured") for i in range(k)],
+        remove_useless_states=False,
+    )  # fmt: skip
