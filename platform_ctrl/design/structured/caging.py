@@ -40,7 +40,7 @@ class Tuned:
     options
         As finally used; for the cross-axis structure with all its numbers.
     claims
-        ``parameters``, ``order``, ``starts``, ``evaluations``, and the largest ratios of a limit and of a goal.
+        ``parameters``, ``order``, ``starts``, ``evaluations``, ``limit_ratio`` and ``goal_ratio``: the largest ratios.
     """
 
     controller: Block
@@ -145,10 +145,10 @@ def tuned_controller(
         "order": float(len(controller[0])),
         "starts": float(max(1, len(starts))),
         "evaluations": float(spent),
-        "largest ratio of a limit": found.hard,
+        "limit_ratio": found.hard,
     }
     if any(not r.hard for r in asked):
-        claims["largest ratio of a goal"] = found.soft
+        claims["goal_ratio"] = found.soft
     if structure == "cross-axis":
         options = options | cross_axis.values(found.x)
     return Tuned(controller=controller, options=options, claims=claims)

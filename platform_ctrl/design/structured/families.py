@@ -235,7 +235,7 @@ def _low_pass(frequency: float, damping: float, period: float) -> Block:
     A = np.array([[0.0, 1.0], [-(frequency**2), -2.0 * damping * frequency]])
     B = np.array([[0.0], [frequency**2]])
     half, eye = 0.5 * period, np.eye(2)
-    inverse: FloatArray = np.linalg.inv(eye - half * A)
+    inverse = np.asarray(np.linalg.inv(eye - half * A), dtype=np.float64)
     into: FloatArray = inverse @ B
     return inverse @ (eye + half * A), period * into, inverse, half * into
 
