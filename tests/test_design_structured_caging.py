@@ -15,7 +15,8 @@ from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, truncated, without_integrators
 from platform_ctrl.design.structured.goals import pieces
-from platform_ctrl.design.structured.loops import (
+from platform_ctrl.design.structured.loops import ClosedLoops, at_least
+from platform_ctrl.design.structured.maps import (
     ANGLE_PER_OMEGA,
     ANGLE_PER_TORQUE,
     CONTROLLER,
@@ -25,8 +26,6 @@ from platform_ctrl.design.structured.loops import (
     S_OUTPUT,
     T_INPUT,
     T_OUTPUT,
-    ClosedLoops,
-    at_least,
     torque_per_Omega,
 )
 from platform_ctrl.design.structured.search import finer

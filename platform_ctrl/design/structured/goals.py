@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.structured.loops import (
+from platform_ctrl.design.structured.loops import ClosedLoops, Pieces, joined
+from platform_ctrl.design.structured.maps import (
     ANGLE_PER_OMEGA,
     ANGLE_PER_TORQUE,
     CONTROLLER,
@@ -33,10 +34,7 @@ from platform_ctrl.design.structured.loops import (
     S_OUTPUT,
     T_INPUT,
     T_OUTPUT,
-    ClosedLoops,
     Map,
-    Pieces,
-    joined,
     torque_per_Omega,
 )
 from platform_ctrl.requirements import LoopRequirement

@@ -20,7 +20,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.structured.families import Family
 from platform_ctrl.design.structured.goals import pieces
-from platform_ctrl.design.structured.loops import ClosedLoops, Numbers, largest
+from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
+from platform_ctrl.design.structured.maps import largest
 from platform_ctrl.design.structured.quadratic import least_maximum
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import LoopRequirement
