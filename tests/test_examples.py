@@ -54,6 +54,16 @@ def test_root_locus_draws_and_finds_where_stability_ends(tmp_path: Path) -> None
     assert "rotor speed / nominal from 0.9 to 1.1: stable everywhere" in done.stdout
 
 
+def test_two_sided_nyquist_draws_and_prints_margins_of_both_signs(tmp_path: Path) -> None:
+    done = run(EXAMPLES / "two_sided_nyquist.py", "-o", "nyquist.png", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert min(drawn(tmp_path / "nyquist.png")) > 500
+    crossings = [float(x) for x in re.findall(r"^  \|L\| = 1 at +([+-][\d.]+) Hz", done.stdout, re.MULTILINE)]
+    assert min(crossings) < 0.0 < max(crossings)
+    [margin] = re.findall(r"^disk margin ([\d.]+), reached at \+", done.stdout, re.MULTILINE)
+    assert 0.5 < float(margin) < 0.7
+
+
 def test_the_regression_test_fails_when_the_loop_gets_worse(tmp_path: Path) -> None:
     text = (EXAMPLES / "test_closed_loop.py").read_text(encoding="utf-8")
     variants = {

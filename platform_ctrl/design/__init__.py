@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_plant, complex_response
+from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist, complex_loop, two_sided_nyquist
+from platform_ctrl.design.crossover import CrossoverDesign, from_crossover_and_margin
 from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.jobs import LoopOutcome, loops
 from platform_ctrl.design.lmi.caging import ScheduledCaging, scheduled_caging
@@ -10,28 +13,44 @@ from platform_ctrl.design.lmi.robust import Robust, robust
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
+from platform_ctrl.design.measured import MeasuredDesign, measured_pid, read_measurement
+from platform_ctrl.design.pole_placement import PolePlacement, pole_placement
 from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
 
 __all__ = [
     "Claim",
+    "ComplexLoop",
+    "ComplexSystem",
+    "CrossoverDesign",
     "Estimator",
     "LoopDesign",
     "LoopOutcome",
     "LqgDesign",
+    "MeasuredDesign",
     "Multiobjective",
+    "PolePlacement",
     "Robust",
     "Scheduled",
     "ScheduledCaging",
     "StateFeedback",
     "Synthesis",
+    "TwoSidedNyquist",
+    "complex_loop",
+    "complex_plant",
+    "complex_response",
+    "from_crossover_and_margin",
     "h2",
     "hinf",
     "loops",
     "lqe",
     "lqg",
     "lqr",
+    "measured_pid",
     "multiobjective",
+    "pole_placement",
+    "read_measurement",
     "robust",
     "scheduled",
     "scheduled_caging",
+    "two_sided_nyquist",
 ]

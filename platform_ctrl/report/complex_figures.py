@@ -1,0 +1,151 @@
+"""The two-sided Nyquist plot of a complex loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.design.complex_shaping import TwoSidedNyquist
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.style import (
+    BAND,
+    DASHES,
+    INK,
+    LIMIT,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    legend_above,
+    linear_axis,
+    panels,
+)
+
+_HZ = 1.0 / (2.0 * np.pi)
+# Half width of the close view about −1, and of the wide one.
+_CLOSE, _WIDE = 1.8, 6.0
+# Frequencies, Hz, that are written along the curve where there is room: round numbers.
+_ROUND = np.array([1, 2, 3, 5, 7])
+
+
+def two_sided_nyquist(curve: TwoSidedNyquist) -> Figure:
+    """L over positive and negative frequencies: as a whole, and close to −1 with the disk that its margin keeps free.
+
+    The disk holds the points that perturbed loops of the margin's size would need to reach −1: L touches it once.
+    """
+    figure, [[wide, close]] = panels(1, 2, 4.9, legend=True)
+    handles: list[Any] = []
+    for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
+        drawn = [_branch(axes, curve, sign) for sign in (1, -1)]
+        disk = _disk(axes, curve)
+        [critical] = axes.plot([-1.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, linestyle="none")
+        axes.set_aspect("equal")
+        axes.set_xlim(centre - half, centre + half)
+        axes.set_ylim(-half, half)
+        axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+        axes.axvline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+        linear_axis(axes.xaxis, 6)
+        linear_axis(axes.yaxis, 6)
+        axes.set_xlabel("real part of L")
+        taken: list[complex] = []
+        for sign in (1, -1):
+            _arrows(axes, curve, sign, centre, half)
+            _label(axes, curve, sign, centre, half, taken)
+        handles = [*drawn, critical, *([disk] if disk is not None else [])]
+    wide.set_ylabel("imaginary part of L")
+    names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
+    margin = f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * _HZ)} Hz"
+    legend_above(figure, handles, [*names, margin][: len(handles)])
+    wide.set_title(f"L = −K P, frequencies in Hz; turns round −1: {curve.encirclements}")
+    close.set_title("close to −1" if curve.disk_margin else f"close to −1; {curve.closed_unstable} unstable poles")
+    return figure
+
+
+def _signed(number: float) -> str:
+    return f"{number:+.4g}".replace("-", "−")
+
+
+def _side(curve: TwoSidedNyquist, sign: int) -> tuple[FloatArray, ComplexArray]:
+    chosen = curve.frequency * sign > 0.0
+    return curve.frequency[chosen], curve.loop_transfer[chosen]
+
+
+def _branch(axes: Axes, curve: TwoSidedNyquist, sign: int) -> Any:
+    _, L = _side(curve, sign)
+    # Across a pole the curve goes through infinity: no line is drawn there.
+    far = np.abs(L) > 50.0
+    L = np.where(far, np.nan, L)
+    k = 0 if sign > 0 else 1
+    [line] = axes.plot(L.real, L.imag, color=SERIES[k], linestyle=DASHES[k], linewidth=1.6)
+    return line
+
+
+def _disk(axes: Axes, curve: TwoSidedNyquist) -> Any:
+    """Values of L that a change of the margin's size in gain and phase could bring to −1, and where L touches them."""
+    alpha = curve.disk_margin
+    if not 0.0 < alpha < 2.0:
+        return None
+    low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
+    rim = 0.5 * (low + high) + 0.5 * (high - low) * turn
+    k = int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))
+    touching = curve.loop_transfer[k]
+    axes.plot([touching.real], [touching.imag], "D", color=LIMIT, markersize=4, zorder=3)
+    [drawn] = axes.fill(rim.real, rim.imag, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.5)
+    return drawn
+
+
+def _inside(L: ComplexArray, centre: float, half: float, share: float = 0.97) -> Any:
+    return np.isfinite(L) & (np.abs(L.real - centre) < share * half) & (np.abs(L.imag) < share * half)
+
+
+def _arrows(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: float) -> None:
+    """One arrow in the middle of each long visible stretch, towards rising frequency."""
+    _, L = _side(curve, sign)
+    visible = _inside(L, centre, half, 0.9)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], visible.astype(np.int8), [0]])))
+    for start, end in edges.reshape(-1, 2):
+        steps = np.abs(np.diff(L[start:end]))
+        if steps.sum() < 0.5 * half:
+            continue
+        k = start + int(np.searchsorted(np.cumsum(steps), 0.5 * steps.sum()))
+        k = min(k, end - 2)
+        direction = L[k + 1] - L[k]
+        if direction == 0.0:
+            continue
+        tail = L[k] - 0.01 * half * direction / abs(direction)
+        axes.annotate(
+            "",
+            (L[k].real, L[k].imag),
+            (tail.real, tail.imag),
+            arrowprops={"arrowstyle": "-|>", "color": SERIES[0 if sign > 0 else 1], "mutation_scale": 12},
+        )
+
+
+def _label(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: float, taken: list[complex]) -> None:
+    """Write round frequencies along the branch, wherever nothing else stands near."""
+    w, L = _side(curve, sign)
+    f = np.abs(w) * _HZ
+    order = np.argsort(f)
+    for decade in 10.0 ** np.arange(-1, 4):
+        for number in _ROUND * decade:
+            if not f.min() <= number <= f.max():
+                continue
+            at = complex(np.interp(number, f[order], L.real[order]), np.interp(number, f[order], L.imag[order]))
+            if not _inside(np.array([at]), centre, half, 0.9)[0]:
+                continue
+            if any(abs(at - other) < 0.13 * half for other in taken):
+                continue
+            taken.append(at)
+            axes.plot([at.real], [at.imag], "o", color=SERIES[0 if sign > 0 else 1], markersize=3.2)
+            axes.annotate(
+                _signed(sign * number),
+                (at.real, at.imag),
+                (4, 3),
+                textcoords="offset points",
+                fontsize=7.0,
+                color=INK,
+            )
