@@ -8,7 +8,7 @@ from typing import Literal
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
 
-Method = Literal["classical", "hinf", "structured", "platform-servo"]
+Method = Literal["classical", "hinf", "lqg", "structured", "platform-servo"]
 Structure = Literal["cross-axis", "pid", "state-space"]
 LoopKind = Literal["caging", "stabilisation"]
 Mode = Literal["caged", "stabilised"]

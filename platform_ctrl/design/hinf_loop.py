@@ -1,59 +1,22 @@
 """The full-order caging loop: mixed sensitivity in the H-infinity norm, on the exactly sampled plant.
 
 The plant with hold, delay and torquer lag is carried to the w-plane by the bilinear map, which keeps stability and the
-H-infinity norm: no Padé, no reduction. There, in the channels of the gyros (see `channels`),
-
-    ::
-
-        n ──────────────►(+)──► W_e ──► z1, and to K
-                          ▲
-        d ──►(+)──► P ────┴───► W_t ──► z2
-              ▲
-        u ────┴───► W_u ──────────────► z3
-
-    W_e = 1/M + ω_e/s,   W_t constant,   W_u constant,   d scaled by `disturbance`.
-
-W_e bounds S by a line that rises through the bandwidth to the peak M; its integrator stands in the path to the
-controller, so that the loop has integral action and the norm stays finite. W_t bounds T. The torque disturbance d is
-what sets the damping of nutation: from the noise n alone nutation would be cancelled, not damped. Torques count in
-units of h ω_nutation (pairs) and J ω_nutation² (inertial directions).
+H-infinity norm: no Padé, no reduction. There it is weighted (see `weighting`): W_e = 1/M + ω_e/s bounds S by a line
+that rises through the bandwidth to the peak M, W_t bounds T.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.analysis.sampled import from_w_plane
 from platform_ctrl.design.blocks import Block, series
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.options import completed
 from platform_ctrl.design.synthesis import HinfMethod, hinf
-from platform_ctrl.frozen import FloatArray, value
-
-
-@value
-class WeightedPlant:
-    """The plant of the synthesis and what leads back.
-
-    Attributes
-    ----------
-    arrays
-        w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement].
-    size
-        Number of channels.
-    weight_gain, weight_rate : (size,)
-        W_e = weight_gain + weight_rate/s, channel by channel.
-    torque_unit : (size,)
-        N m.
-    """
-
-    arrays: StateArrays
-    size: int
-    weight_gain: FloatArray
-    weight_rate: FloatArray
-    torque_unit: FloatArray
+from platform_ctrl.design.weighting import default_weights, weighted_plant
 
 
 def default_options(given: dict[str, float], channel: Channels, nutation: float) -> dict[str, float]:
@@ -64,43 +27,8 @@ def default_options(given: dict[str, float], channel: Channels, nutation: float)
     DesignError
         An option has no meaning for this loop, or is not positive.
     """
-    out = {"sensitivity_peak": 1.9, "complementary": 0.5, "backoff": 0.05}
-    bandwidth = 0.5 * nutation / (2.0 * np.pi)
-    if len(channel.momenta):
-        out |= {"bandwidth_hz": bandwidth, "disturbance": 0.25, "torque": 0.1}
-    if channel.inertial:
-        out |= {"inertial_bandwidth_hz": bandwidth, "inertial_disturbance": 0.04, "inertial_torque": 0.15}
+    out = default_weights(channel, nutation) | {"backoff": 0.05}
     return completed("hinf", given, out)
-
-
-def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
-    """Return the weighted w-plane plant of the nominal loop for complete `options`."""
-    pairs, single = 2 * len(channel.momenta), channel.inertial
-    size = pairs + single
-
-    def by_channel(name: str) -> FloatArray:
-        return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
-
-    unit = np.concatenate(
-        [np.repeat(channel.momenta, 2) * plants.nutation, channel.inertias[pairs:] * plants.nutation**2]
-    )
-    into = channel.basis.T * unit
-    A, B, C, D = to_w_plane(
-        plants.A[0], plants.B[0] @ into, channel.basis @ plants.C[0], channel.basis @ plants.D[0] @ into, plants.period
-    )
-    n, eye, none = len(A), np.eye(size), np.zeros((size, size))
-    disturbance = np.diag(by_channel("disturbance"))
-    gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
-    kt, ku = options["complementary"], np.diag(by_channel("torque"))
-    A_w = np.block([[A, np.zeros((n, size))], [C, none]])
-    B_w = np.block([[np.zeros((n, size)), B @ disturbance, B], [eye, D @ disturbance, D]])
-    seen = np.hstack([gain[:, None] * C, np.diag(rate)])
-    seen_direct = gain[:, None] * np.hstack([eye, D @ disturbance, D])
-    C_w = np.vstack([seen, kt * np.hstack([C, none]), np.zeros((size, n + size)), seen])
-    D_w = np.vstack([seen_direct, kt * np.hstack([none, D @ disturbance, D]), np.hstack([none, none, ku]), seen_direct])
-    return WeightedPlant(
-        arrays=StateArrays(A_w, B_w, C_w, D_w, 0.0), size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit
-    )
 
 
 def hinf_controller(

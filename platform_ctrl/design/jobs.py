@@ -94,6 +94,11 @@ def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: Plan
 
         controller, options, claims = hinf_controller(design.options, channel, plants)
         return certified(spec, design, controller, plants, options, claims)
+    if design.method == "lqg":
+        from platform_ctrl.design.lqg_loop import lqg_controller
+
+        controller, options, claims = lqg_controller(design.options, channel, plants)
+        return certified(spec, design, controller, plants, options, claims)
     if design.method == "structured":
         return _structured(spec, design, channel, plants, say)
     options = starting_values(design.options, channel, plants.nutation, plants.period)

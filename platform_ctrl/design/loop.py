@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 CURES = {
     "classical": "a lower crossover_hz, or tune = true",
     "hinf": "a lower bandwidth_hz, or a larger backoff",
+    "lqg": "a lower bandwidth_hz, or a larger disturbance",
     "structured": "weaker limits, or another structure",
 }
 

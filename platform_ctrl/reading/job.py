@@ -69,6 +69,18 @@ OPTIONS: dict[str, frozenset[str]] = {
             "backoff",
         }
     ),
+    "lqg": frozenset(
+        {
+            "bandwidth_hz",
+            "sensitivity_peak",
+            "complementary",
+            "disturbance",
+            "torque",
+            "inertial_bandwidth_hz",
+            "inertial_disturbance",
+            "inertial_torque",
+        }
+    ),
     "structured": frozenset({"order", "starts", "integral_hz", "rolloff_hz", "reserve", "evaluations"}),
     "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
 }

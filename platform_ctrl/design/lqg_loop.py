@@ -1,0 +1,63 @@
+"""The full-order caging loop in the H2 norm: LQG on the exactly sampled plant, with the weights of the H-infinity loop.
+
+n and d are white samples, and what is least is the rms of z (see `weighting`): the peak of S is not bounded, it is the
+torque disturbance and the torque that set margins and noise. The problem is posed and solved in z, where the present
+sample counts; the integrator of W_e gives integral action.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.sampled import from_w_plane
+from platform_ctrl.design.blocks import Block, series
+from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.h2 import h2
+from platform_ctrl.design.options import completed
+from platform_ctrl.design.weighting import default_weights, weighted_plant
+
+
+def default_options(given: dict[str, float], channel: Channels, nutation: float) -> dict[str, float]:
+    """Return all options, those not given from rules of thumb.
+
+    Raises
+    ------
+    DesignError
+        An option has no meaning for this loop, or is not positive.
+    """
+    defaults = default_weights(channel, nutation)
+    # The rms of S pays for bandwidth at every frequency, the peak at one: half the bandwidth, twice the disturbance.
+    factors = {"bandwidth_hz": 0.5, "disturbance": 2.0}
+    defaults = {name: x * factors.get(name.removeprefix("inertial_"), 1.0) for name, x in defaults.items()}
+    return completed("lqg", given, defaults)
+
+
+def lqg_controller(
+    given: dict[str, float], channel: Channels, plants: PlantSet
+) -> tuple[Block, dict[str, float], dict[str, float]]:
+    """Return the sampled controller, the complete options, and the claims ``gamma`` and ``gamma_optimal``.
+
+    Raises
+    ------
+    DesignError
+        No controller was found that its own closed loop confirms.
+    """
+    options = default_options(given, channel, plants.nutation)
+    weighted = weighted_plant(options, channel, plants)
+    size, period = weighted.size, plants.period
+    names = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
+    shown = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
+    P = state_space(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), names, shown)
+    found = h2(P, size, size)
+    eye = np.eye(size)
+    # The weight's integrator belongs to the controller: it stands before K.
+    weight: Block = from_w_plane(
+        np.zeros((size, size)), eye, np.diag(weighted.weight_rate), np.diag(weighted.weight_gain), period
+    )
+    K = found.controller
+    A, B, C, D = series(weight, (K.A, K.B, K.C, K.D))
+    out = channel.basis.T * weighted.torque_unit
+    controller = (A, B @ channel.basis, out @ C, out @ D @ channel.basis)
+    return controller, options, {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}

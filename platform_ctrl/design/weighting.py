@@ -1,0 +1,92 @@
+"""The weighted plant of the full-order caging loops, and what leads back to a sampled controller.
+
+In the channels of the gyros (see `channels`), in the w-plane of the exactly sampled plant,
+
+    ::
+
+        n ──────────────►(+)──► W_e ──► z1, and to K
+                          ▲
+        d ──►(+)──► P ────┴───► W_t ──► z2
+              ▲
+        u ────┴───► W_u ──────────────► z3
+
+    W_e = 1/M + ω_e/s,   W_t constant,   W_u constant,   d scaled by `disturbance`.
+
+W_e's integrator stands in the path to the controller, so that the loop has integral action and norms stay finite. The
+torque disturbance d is what sets the damping of nutation: from the noise n alone nutation would be cancelled, not
+damped. Torques count in units of h ω_nutation (pairs) and J ω_nutation² (inertial directions).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.design.channels import Channels
+from platform_ctrl.frozen import FloatArray, value
+
+
+@value
+class WeightedPlant:
+    """The plant of the synthesis and what leads back.
+
+    Attributes
+    ----------
+    arrays
+        w-plane arrays with inputs [n, d, u] and outputs [z1, z2, z3, measurement].
+    size
+        Number of channels.
+    weight_gain, weight_rate : (size,)
+        W_e = weight_gain + weight_rate/s, channel by channel.
+    torque_unit : (size,)
+        N m.
+    """
+
+    arrays: StateArrays
+    size: int
+    weight_gain: FloatArray
+    weight_rate: FloatArray
+    torque_unit: FloatArray
+
+
+def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:
+    """Return the weighted w-plane plant of the nominal loop for complete `options`."""
+    pairs, single = 2 * len(channel.momenta), channel.inertial
+    size = pairs + single
+
+    def by_channel(name: str) -> FloatArray:
+        return np.array([options.get(name, 0.0)] * pairs + [options.get(f"inertial_{name}", 0.0)] * single)
+
+    unit = np.concatenate(
+        [np.repeat(channel.momenta, 2) * plants.nutation, channel.inertias[pairs:] * plants.nutation**2]
+    )
+    into = channel.basis.T * unit
+    A, B, C, D = to_w_plane(
+        plants.A[0], plants.B[0] @ into, channel.basis @ plants.C[0], channel.basis @ plants.D[0] @ into, plants.period
+    )
+    n, eye, none = len(A), np.eye(size), np.zeros((size, size))
+    disturbance = np.diag(by_channel("disturbance"))
+    gain, rate = np.full(size, 1.0 / options["sensitivity_peak"]), 2.0 * np.pi * by_channel("bandwidth_hz")
+    kt, ku = options["complementary"], np.diag(by_channel("torque"))
+    A_w = np.block([[A, np.zeros((n, size))], [C, none]])
+    B_w = np.block([[np.zeros((n, size)), B @ disturbance, B], [eye, D @ disturbance, D]])
+    seen = np.hstack([gain[:, None] * C, np.diag(rate)])
+    seen_direct = gain[:, None] * np.hstack([eye, D @ disturbance, D])
+    C_w = np.vstack([seen, kt * np.hstack([C, none]), np.zeros((size, n + size)), seen])
+    D_w = np.vstack([seen_direct, kt * np.hstack([none, D @ disturbance, D]), np.hstack([none, none, ku]), seen_direct])
+    return WeightedPlant(
+        arrays=StateArrays(A_w, B_w, C_w, D_w, 0.0), size=size, weight_gain=gain, weight_rate=rate, torque_unit=unit
+    )
+
+
+def default_weights(channel: Channels, nutation: float) -> dict[str, float]:
+    """Return the options of the weights from rules of thumb."""
+    out = {"sensitivity_peak": 1.9, "complementary": 0.5}
+    bandwidth = 0.5 * nutation / (2.0 * np.pi)
+    if len(channel.momenta):
+        out |= {"bandwidth_hz": bandwidth, "disturbance": 0.25, "torque": 0.1}
+    if channel.inertial:
+        out |= {"inertial_bandwidth_hz": bandwidth, "inertial_disturbance": 0.04, "inertial_torque": 0.15}
+    return out
