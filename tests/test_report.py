@@ -26,9 +26,20 @@ from platform_ctrl.check import JobResult, checked
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
-from platform_ctrl.report import coupled_figures, document, figures, modes, record, style, tables
+from platform_ctrl.report import (
+    comparison,
+    coupled_figures,
+    document,
+    figures,
+    limit_lines,
+    modes,
+    price,
+    record,
+    style,
+    tables,
+)
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
-from platform_ctrl.report.quantities import compared, percent, plain, quantity
+from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 
 CAGING: dict[str, Any] = {
     "name": "caging 9-10",
@@ -111,6 +122,36 @@ def lone_loop() -> JobResult:
 @pytest.fixture(scope="module")
 def lone_page(lone_loop: JobResult) -> str:
     return report.page(lone_loop)
+
+
+@pytest.fixture(scope="module")
+def compared_designs() -> JobResult:
+    """Four designs of one loop, with goals and faults; the simple one is closed, and has claims."""
+    limits = {"bandwidth_hz": 20, "disk_margin": 0.4, "sensitivity_peak": 3, "tracking": 0.5, "tracking_hz": 2}
+    limits |= {"torque_limit": 5, "fastest_pole": 3e4, "disk_margin_spread": 0.2, "damping_faults": 0.001}
+    loop = {
+        **CAGING,
+        "use": "simple",
+        "limits": limits,
+        "soft": {"bandwidth_hz": 25, "disk_margin": 3.0},
+        "design": [
+            {"name": "simple", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+            {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 50},
+            {"name": "quiet", "method": "classical", "crossover_hz": 35, "integral_hz": 2, "lead_hz": 6},
+            {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+        ],
+    }
+    more = {"loop": [loop], "manoeuvre": [], "coupled": {}, "faults": {"weak_torquer": 0.8}}
+    job = pc.read_job({**JOB, **more})
+    [outcome] = loops(job)
+    claims = {"gamma": 1.3, "gamma_optimal": 1.25, "bandwidth_bound_hz": 80.0, "survived Omega1, rad/s": 1.31}
+    closed = dataclasses.replace(outcome.designs[0], claims=claims)
+    return checked(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
+
+
+@pytest.fixture(scope="module")
+def compared_page(compared_designs: JobResult) -> str:
+    return report.page(compared_designs)
 
 
 class Cells(HTMLParser):
@@ -350,16 +391,176 @@ def test_the_terminal_shows_the_same_rows(result: JobResult) -> None:
         assert any(row.requirement in line and row.value in line and row.limit in line for line in lines)
 
 
+# Goals
+
+
+def test_goals_stand_apart_from_requirements(compared_designs: JobResult, compared_page: str) -> None:
+    goals = tables.goal_rows(compared_designs)
+    assert {(row.requirement, row.passed) for row in goals} == {("goal: bandwidth", True), ("goal: disk margin", False)}
+    assert not any(row.goal for row in tables.requirement_rows(compared_designs))
+    assert tables.verdict(compared_designs) == f"all {len(compared_designs.requirements)} requirements met"
+    [part] = re.findall(r'<tbody class="goals">.*?</tbody>', compared_page, flags=re.DOTALL)
+    assert "no part of the verdict" in part
+    assert [part.count(words) for words in ("✓ reached", "– not reached", "missed")] == [1, 1, 0]
+    assert "1 of 2 goals reached" in visible_text(compared_page)
+
+
+def test_a_goal_that_is_missed_is_dim_in_the_terminal_and_not_red(compared_designs: JobResult) -> None:
+    from rich.console import Console
+
+    console = Console(width=160, file=io.StringIO(), color_system="standard", force_terminal=True)
+    with console.capture() as capture:
+        console.print(tables.terminal_table(compared_designs))
+    [line] = [line for line in capture.get().splitlines() if "goal: disk margin" in line]
+    assert "\x1b[2m" in line
+    assert "\x1b[1;31m" not in line
+    assert "Goals are no part of the verdict." in capture.get()
+
+
+def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    rows = {row.name: row for row in comparison.goal_rows(outcome)}
+    for cell, design in zip(rows["disk margin"].cells, outcome.designs, strict=True):
+        [goal] = [one for one in design.goals if one.name == "goal: disk margin"]
+        assert (cell.text, cell.met) == (f"{plain(goal.value)} ({percent(goal.margin)})", None)
+    assert [cell.met for cell in rows["bandwidth"].cells][:1] == [True]
+
+
+# Proofs, plants, claims, the price
+
+
+def test_what_is_proved_is_what_the_certificates_say(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    proofs = [compared_designs.proofs[d.loop, d.name] for d in outcome.designs]
+    rows = {row.name: [cell.text for cell in row.cells] for row in comparison.proof_rows(outcome.designs, proofs)}
+    plants = outcome.closed.plants
+    assert plants is not None
+    assert rows["stable"] == [f"✓ with all {len(plants.labels)} plants"] * 4
+    for text, design in zip(rows["disk margin of the nominal plant"], outcome.designs, strict=True):
+        assert design.measures is not None
+        assert float(text.removeprefix("≥ ")) == pytest.approx(design.measures.disk_margin[0], rel=1e-3)
+    for text, found in zip(rows["slowest decay over all plants"], proofs, strict=True):
+        bounds = [one.bound for one in found.certificates if one.claim == "stability"]
+        assert float(text.split()[1]) == pytest.approx(min(bounds), rel=1e-2)
+
+
+def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    key = outcome.closed.loop, outcome.closed.name
+    whole = compared_designs.proofs[key]
+    failed = dataclasses.replace(whole.verifications[0], proved=False, reason="X is not positive definite")
+    part = dataclasses.replace(
+        whole, verifications=(failed, *whole.verifications[1:]), unproved=("no proof of <this>",)
+    )
+    wrong = dataclasses.replace(compared_designs, proofs={**compared_designs.proofs, key: part})
+    rows = {row.name: row.cells[0] for row in comparison.proof_rows([outcome.closed], [part])}
+    assert rows["stable"].met is False
+    assert "slowest decay over all plants" not in rows
+    assert rows["claims proved"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
+    text = visible_text(report.page(wrong))
+    assert "X is not positive definite" in text
+    assert "Not proved: simple, no proof of <this>" in text
+
+
+def test_all_claims_proved_are_counted_in_the_table_of_requirements(compared_designs: JobResult) -> None:
+    shown = {row.subject: (row.value, row.limit) for row in tables.requirement_rows(compared_designs)
+             if row.requirement == "claims proved"}  # fmt: skip
+    closed = compared_designs.loops[0].closed
+    proofs = compared_designs.proofs[closed.loop, closed.name]
+    assert shown == {"caging 9-10": (f"{proofs.of} of {proofs.of}", "all"), "all loops closed": ("1 of 1", "all")}
+
+
+def test_plants_are_counted_by_what_they_stand_for(compared_designs: JobResult, compared_page: str) -> None:
+    closed = compared_designs.loops[0].closed
+    plants, measures = closed.plants, closed.measures
+    assert plants is not None
+    assert measures is not None
+    words = comparison.plants_in_words(plants)
+    assert words == "9 plants: the nominal one, 4 of the parameter spread, 2 with a platform rate and 2 with a fault"
+    assert words in visible_text(compared_page)
+    rows = comparison.group_rows(closed)
+    assert [(row[0], row[1]) for row in rows] == [
+        ("nominal", "1"),
+        ("parameter spread", "4"),
+        ("platform rates", "2"),
+        ("faults", "2"),
+    ]
+    margins = [float(row[4]) for row in rows]
+    assert min(margins[:3]) == pytest.approx(
+        measures.disk_margin[measures.of(("nominal", "spread", "Omega"))].min(), rel=1e-3
+    )
+    assert margins[3] == pytest.approx(measures.disk_margin[measures.of(("faults",))].min(), rel=1e-3)
+    assert "torquer" in rows[3][5]
+
+
+def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobResult, compared_page: str) -> None:
+    [outcome] = compared_designs.loops
+    sentences = price.price(outcome)
+    others = [d for d in outcome.alternatives if d.passed]
+    best = max(others, key=price.bandwidth_hz)
+    assert f"“{best.name}”" in sentences[0]
+    assert f"{outcome.closed.controller.nstates} states" in sentences[0]
+    assert "4 % above the least" in sentences[2]
+    lost = 100.0 * (1.0 - price.bandwidth_hz(outcome.closed) / 80.0)
+    assert f"{plain(lost, 2)} % is all that any other could add" in sentences[1]
+    for sentence in sentences:
+        assert sentence in visible_text(compared_page)
+
+
+def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+
+    def told(closed: str, *others: str) -> str:
+        chosen = tuple(d for d in outcome.designs if d.name in (closed, *others))
+        return price.price(dataclasses.replace(outcome, designs=chosen, use=closed))[0]
+
+    named = {d.name: d for d in outcome.designs}
+    fewer = named["H-infinity"].controller.nstates - named["slow"].controller.nstates
+    assert fewer > 0
+    assert price.bandwidth_hz(named["slow"]) < price.bandwidth_hz(named["H-infinity"])
+    assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
+    assert f"{fewer} states more for" in told("H-infinity", "slow")
+    assert "more bandwidth, with no more states" in told("slow", "simple")
+    assert told("simple", "slow").endswith("too.")
+    assert price.price(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity")) != []
+    assert price.price(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "words"),
+    [
+        ("bandwidth_bound_hz", 66.3, ("bandwidth bound", "66.3 Hz")),
+        ("survived Omega1, rad/s", 1.31, ("survived Omega1", "1.31 rad/s")),
+        ("intersample angle, rad", 0.002, ("intersample angle", "2 mrad")),
+        ("intersample torque rejection, rad/(N m)", 0.06, ("intersample torque rejection", "0.06 rad/(N m)")),
+        ("price", 0.041, ("price of simplicity", "+4.1 %")),
+        ("gamma", 1.25, ("norm on the weights, γ", "1.25")),
+        ("order", 8.0, ("order", "8")),
+        ("torque noise, rms", 2.0, ("torque noise, rms", "2")),
+        ("survived Omega2, rad/s", float("inf"), ("survived Omega2", "∞")),
+        ("gap", float("nan"), ("gap", "–")),
+    ],
+)
+def test_claims_have_words_and_units(name: str, number: float, words: tuple[str, str]) -> None:
+    assert claimed(name, number) == words
+
+
+# Tables again
+
+
 def test_the_comparison_shows_every_design_and_its_options(result: JobResult) -> None:
     [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
-    assert {len(row.cells) for row in tables.measure_rows(outcome)} == {2}
-    assert dict(tables.option_rows(outcome))["crossover_hz"] == ("30", "40")
+    parts = {part.title: part.rows for part in comparison.sections(result, outcome)}
+    assert {len(row.cells) for rows in parts.values() for row in rows} == {2}
+    options = {row.name: tuple(cell.text for cell in row.cells) for row in parts["options used"]}
+    assert options["crossover_hz"] == ("30", "40")
 
 
 def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
-    asked = {row.name for row in tables.measure_rows(result.loops[0]) if row.limit}
-    shown = {row.name for row in tables.measure_rows(result.loops[0])}
-    assert "damping" in shown - asked
+    asked = {row.name for row in comparison.limit_rows(result.loops[0])}
+    besides = {row.name for row in comparison.measured_rows(result.loops[0])}
+    assert asked.isdisjoint(besides)
+    assert "damping" in besides
     assert "bandwidth" in asked
 
 
@@ -413,6 +614,102 @@ def test_what_is_no_number_is_called_unstable() -> None:
 def test_value_and_limit_that_differ_are_printed_differently() -> None:
     assert compared(0.4999999, 0.5, "") == ("0.4999999", "0.5")
     assert compared(0.0045, 0.005, "N m") == ("4.5 mN m", "5 mN m")
+
+
+# Figures of several designs
+
+
+def texts(figure: Any) -> list[str]:
+    return [one.get_text() for axes in figure.axes for one in axes.texts]
+
+
+def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    with style.settings():
+        left, middle, right = figures.sensitivity_figure(responses, outcome.spec).axes
+        shares = figures.disturbance_figure(responses, outcome.spec).axes[-1]
+
+    def levels(axes: Any, colour: str) -> set[float]:
+        drawn = [line for line in axes.lines if line.get_color() == colour]
+        return {round(float(y), 6) for line in drawn for y in np.atleast_1d(line.get_ydata())}
+
+    assert levels(left, style.LIMIT) == {3.0, 0.5}
+    assert [round(float(line.get_xdata()[0]), 6) for line in left.lines if line.get_color() == style.MUTED] == [25.0]
+    assert levels(middle, style.LIMIT) == set()
+    assert levels(right, style.LIMIT) == {2.5}
+    assert levels(right, style.MUTED) == {round(1 / 3, 6)}
+    assert levels(shares, style.LIMIT) == {5.0}
+
+
+def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    with style.settings():
+        figure = figures.sensitivity_figure(responses, outcome.spec)
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["simple, closed", "H-infinity", "quiet", "slow"]
+    lines = figure.axes[1].lines[:4]
+    assert len({line.get_linestyle() + str(line._unscaled_dash_pattern) for line in lines}) == 4
+    widths = [line.get_linewidth() for line in lines]
+    assert widths[0] > max(widths[1:])
+    assert len({str(dashes) for dashes in style.DASHES[:5]}) == len(set(style.MARKERS[:5])) == 5
+
+
+def test_a_legend_too_long_for_a_row_gets_more() -> None:
+    assert style.legend_rows(["classical", "H-infinity", "structured", "lqg", "measured"]) == 1
+    many = [f"a design with a long name, number {k}" for k in range(5)]
+    rows = style.legend_rows(many)
+    assert rows > 1
+    with style.settings():
+        figure, _ = style.panels(1, 1, 3.0, legend=rows)
+        line = figure.axes[0].plot([0, 1])[0]
+        style.legend_above(figure, [line] * 5, many)
+        figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.width <= figure.bbox.width
+    assert box.y0 > figure.axes[0].get_window_extent().y1
+
+
+@pytest.mark.parametrize("radius", [300.0, 2000.0, 9000.0])
+def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane(radius: float) -> None:
+    period = 5e-4
+    real, imag = limit_lines.pole_circle(radius, period)
+    z = np.exp((real + 1j * imag) * period)
+    assert np.abs(2.0 / period * (z - 1.0) / (z + 1.0)) == pytest.approx(radius, rel=1e-6)
+    assert np.all(imag >= 0.0)
+    assert np.all(real <= 1e-9)
+
+
+def test_the_torque_that_a_rate_asks_for_peaks_where_the_requirement_measures_it(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
+        assert one.torque_share.max() == pytest.approx(asked.value, rel=0.01)
+
+
+def test_poles_with_a_fault_are_told_apart(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        order = len(one.poles)
+        assert (len(one.spread_poles), len(one.fault_poles)) == (6 * order, 2 * order)
+
+
+def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
+    text = visible_text(compared_page)
+    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
+    assert "proved in interval arithmetic" in text
+    rows = {row[0]: row[1:] for row in Cells(compared_page).rows if len(row) == 6}
+    assert rows["survived Omega1"] == ["", "1.31 rad/s", "–", "–", "–"]
+    assert rows["bandwidth bound"][1] == "80 Hz"
+    for design in compared_designs.loops[0].designs:
+        assert design.name in text
 
 
 # Plant and modes

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.check.simulated import Run
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.job import LoopLimits
+from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.price import price
 from platform_ctrl.report.quantities import count, listed, plain, quantity
+from platform_ctrl.requirements import FAULTS, SPREAD
 
 
 def nutation(result: JobResult) -> str:
@@ -34,12 +41,10 @@ def loop_summary(outcome: LoopOutcome) -> str:
     if closed.results:
         text += f" It misses: {listed(missed)}." if missed else " It meets every limit of this loop on its own plants."
     if closed.measures is None:
-        text += " It has no plants of its own: it is judged in the coupled system."
-    elif not unstable(closed):
-        return text
-    else:
-        text += " Its closed loop is unstable: its responses below are formulas, not those of a loop that runs."
-    return text
+        return f"{text} It has no plants of its own: it is judged in the coupled system."
+    if unstable(closed):
+        return f"{text} Its closed loop is unstable: its responses below are formulas, not those of a loop that runs."
+    return " ".join([text, *price(outcome)])
 
 
 def unstable(design: LoopDesign) -> bool:
@@ -58,51 +63,99 @@ def sensitivity(outcome: LoopOutcome, responses: LoopResponses) -> str:
             "designs can still be compared."
         )
     bandwidth = measures.bandwidth / (2.0 * np.pi)
-    asked = outcome.spec.limits.bandwidth_hz
-    shaded = " the shaded band is the bandwidth that is asked for;" if asked is not None else ""
+    limits, soft = outcome.spec.limits, outcome.spec.soft
+    goals = (soft.bandwidth_hz, soft.tracking, soft.sensitivity_peak, soft.complementary_peak, soft.disk_margin)
+    marks = []
+    if limits.bandwidth_hz is not None:
+        marks.append("blue band: the bandwidth that is asked for")
+    if limits.tracking is not None:
+        marks.append("red area: forbidden by the limit on tracking")
+    marks.append("thin: the smallest singular value" + (" of the closed design" if len(outcome.designs) > 2 else ""))
+    asked = [limits.sensitivity_peak, limits.complementary_peak, limits.disk_margin]
+    lines = " Dashed red lines are limits of the nominal plant, whose curves these are." if any(asked) else ""
     return (
         f"Left: the curve stays below 1/√2 up to the bandwidth, {quantity(bandwidth, 'Hz', 3)} for "
-        f"“{outcome.closed.name}” (marker);{shaded} thin: the smallest singular value. Right: the peak is one over "
-        f"the disk margin; it stands at {quantity(float(at), 'Hz', 3)}, where this loop is closest to losing its "
-        "stability."
+        f"“{outcome.closed.name}” (marker); {'; '.join(marks)}. Right: the peak is one over the disk margin; it stands "
+        f"at {quantity(float(at), 'Hz', 3)}, where this loop is closest to losing its stability."
+        f"{_margins(outcome.closed)}{lines}{_goal_lines(goals)}"
     )
 
 
-def loop_transfer() -> str:
+def _margins(design: LoopDesign) -> str:
+    """How far the margin falls with other plants."""
+    measures = design.measures
+    if measures is None:
+        return ""
+    parts = []
+    for groups, where in ((SPREAD, "over spread and platform rates"), (FAULTS, "with a fault")):
+        chosen = measures.of(groups)
+        if chosen.sum() > 1:
+            parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3)} {where}")
+    return f" From {plain(float(measures.disk_margin[0]), 3)} it falls to {listed(parts)}." if parts else ""
+
+
+def _goal_lines(goals: Sequence[float | None]) -> str:
+    return "" if all(goal is None for goal in goals) else " Grey dash-dotted lines are goals."
+
+
+def loop_transfer(outcome: LoopOutcome) -> str:
     """Loop transfer, controller, channel by channel."""
+    which = " (all of them for the closed design, the largest for the others)" if len(outcome.designs) > 2 else ""
+    asked = outcome.spec.limits.controller_gain
+    gain = f" Red area: forbidden to the controller's gain, {quantity(asked, 'N m/rad')}." if asked is not None else ""
     return (
-        "First column: singular values of the loop transfer at the torquers, and the controller's largest gain. "
-        "Others: the loop that each torquer closes while all the others stay closed. Stability margins show where "
-        "the gain passes 1: the phase there should keep away from −180° and its odd multiples; the nutation shows "
-        "as a resonance that the phase has to pass on the safe side."
+        f"First column: singular values of the loop transfer at the torquers{which}, and the controller's largest "
+        f"gain.{gain} Others: the loop that each torquer closes while all the others stay closed. Stability margins "
+        "show where the gain passes 1: the phase there should keep away from −180° and its odd multiples; the "
+        "nutation shows as a resonance that the phase has to pass on the safe side."
     )
 
 
 def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
-    """Platform rate and torque disturbance to the angles."""
+    """Platform rate and torque disturbance to the angles, and platform rate to the torque."""
     closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
     worst = 1e3 * float(np.nanmax(closed.angle_per_rate, initial=0.0))
+    limits, text = outcome.spec.limits, ""
+    if limits.Omega_rejection is not None:
+        text += " The limit on angles from Omega holds for all axes at once."
+    share = float(np.nanmax(closed.torque_share, initial=0.0))
+    if share > 0.0:
+        text += (
+            f" The torque that a sinusoidal rate of the job's size asks for comes to at most {plain(share, 3)} of a "
+            "torquer's limit (grey line: 1), at any frequency."
+        )
     return (
         "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift "
         f"away at low frequency and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate "
-        f"moves them by more than {plain(worst, 3)} mrad per rad/s."
+        f"moves them by more than {plain(worst, 3)} mrad per rad/s.{text}"
     )
 
 
-def poles(outcome: LoopOutcome, plants: int) -> str:
+def poles(outcome: LoopOutcome, plants: PlantSet) -> str:
     """Pole map."""
-    limits = outcome.spec.limits
-    lines = []
-    if limits.damping is not None:
-        lines.append(f"dashed, {plain(limits.damping)}, for the nominal plant")
-    if limits.damping_spread is not None:
-        lines.append(f"dotted, {plain(limits.damping_spread)}, over the spread")
-    asked = f" Red lines: the damping that is asked of fast poles ({'; '.join(lines)})." if lines else ""
+    limits, soft = outcome.spec.limits, outcome.spec.soft
+    rays = _rays(limits)
+    asked = f" Red rays: the damping that is asked of fast poles ({rays})." if rays else ""
+    if limits.fastest_pole is not None:
+        fast = quantity(limits.fastest_pole, "rad/s")
+        asked += f" Red arc: poles may be as fast as {fast} in the w-plane, a circle there."
+    faint = "; faint: those with the parameter spread or a platform rate" if len(plants.labels) > 1 else ""
+    crosses = "; crosses: those with a fault" if "faults" in plants.groups else ""
+    reach = " How far the clouds reach to the right is what the spread costs." if faint else ""
     return (
-        f"Poles as s = ln(z)/T. Strong: nominal plant; faint: all {plants} plants of the spread and of the "
-        f"platform's rates. Stable poles lie left of the shaded half plane.{asked} How far the clouds reach to the "
-        "right is what the spread costs."
+        f"Poles as s = ln(z)/T with {plants_in_words(plants)}. Strong: the nominal plant{faint}{crosses}. Stable poles "
+        f"lie left of the shaded half plane.{asked}{_goal_lines((soft.damping, soft.fastest_pole))}{reach}"
     )
+
+
+def _rays(limits: LoopLimits) -> str:
+    """Return which ray of the pole map is which."""
+    rays = (
+        (limits.damping, "dashed", "for the nominal plant"),
+        (limits.damping_spread, "dotted", "over the spread"),
+        (limits.damping_faults, "dash-dotted", "with a fault"),
+    )
+    return "; ".join(f"{dashes}, {ratio:g}, {where}" for ratio, dashes, where in rays if ratio is not None)
 
 
 def root_locus(outcome: LoopOutcome, locus: RootLocus) -> str:

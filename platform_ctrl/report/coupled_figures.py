@@ -70,7 +70,7 @@ def coupled_pole_figure(result: JobResult) -> Figure:
 
 def margin_bars_figure(check: CoupledCheck) -> Figure:
     """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
-    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
     coupled = np.nan_to_num(check.coupled, nan=0.0, posinf=0.0)
@@ -95,7 +95,7 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
 
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
     """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
-    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
     f = margin.frequencies[kept] * _HZ
@@ -142,7 +142,7 @@ def servo_figure(result: JobResult) -> Figure | None:
         return None
     w = coupled_grid(result)
     S = gang(check.plant, check.controller, w).S_input
-    figure, [[gain, phase]] = panels(1, 2, 3.0, legend=True)
+    figure, [[gain, phase]] = panels(1, 2, 3.0, legend=1)
     curves, handles = [], []
     for n, k in enumerate(channels):
         loop = 1.0 / S[k, k] - 1.0
@@ -165,7 +165,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all."""
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
-    figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=True)
+    figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=1)
     handles, labels = [], []
     f = w * _HZ
     for axis in range(3):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.frozen import value
-from platform_ctrl.report import captions, tables
+from platform_ctrl.report import captions, comparison, tables
 from platform_ctrl.report.record import job_data, toml, versions
 from platform_ctrl.writing import write_whole
 
@@ -77,9 +77,8 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             "platform": result.job.platform,
             "verdict": tables.verdict(result),
             "rows": rows,
-            "groups": [
-                (name, [row for row in rows if row.subject == name]) for name in dict.fromkeys(r.subject for r in rows)
-            ],
+            "groups": tables.by_subject(result),
+            "goals": tables.goal_rows(result),
             "gimbals": tables.gimbal_rows(result),
             "rotors": tables.rotor_rows(result),
             "elements": tables.element_rows(result),
@@ -124,15 +123,24 @@ def _loop_section(result: JobResult, outcome: LoopOutcome) -> dict[str, Any]:
     section: dict[str, Any] = {
         "outcome": outcome,
         "summary": captions.loop_summary(outcome),
-        "measures": tables.measure_rows(outcome),
-        "claims": tables.claim_rows(outcome),
-        "options": tables.option_rows(outcome),
-        "signals": [tables.signals(design) for design in outcome.designs],
+        "comparison": comparison.sections(result, outcome),
+        "unproved": _unproved(result, outcome),
+        "groups": comparison.group_rows(outcome.closed),
         "plates": _caging_plates(result, outcome),
     }
     if outcome.spec.kind == "stabilisation":
         section["plates"] += _servo_plates(result)
     return section
+
+
+def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
+    """Return a line for every claim of the designs that has no proof, or whose proof failed."""
+    lines = []
+    for design in outcome.designs:
+        proofs = result.proofs[design.loop, design.name]
+        failed = [f"{one.statement}: {one.reason}" for one in proofs.verifications if not one.proved]
+        lines += [f"{design.name}, {line}" for line in (*failed, *proofs.unproved)]
+    return lines
 
 
 def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
@@ -143,26 +151,24 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
     plants = responses.designs[0].design.plants if responses is not None else None
     if responses is None or plants is None:
         return []
-    limits = outcome.spec.limits
+    spec = outcome.spec
     plates = [
+        _plate(figures.sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
         _plate(
-            figures.sensitivity_figure(responses, limits), "Sensitivities", captions.sensitivity(outcome, responses)
+            figures.loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
+            "Loop transfer",
+            captions.loop_transfer(outcome),
         ),
-        _plate(figures.loop_transfer_figure(responses, plants.torques), "Loop transfer", captions.loop_transfer()),
+        _plate(figures.disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         _plate(
-            figures.disturbance_figure(responses),
-            "Disturbances to gimbal angles",
-            captions.disturbance(outcome, responses),
-        ),
-        _plate(
-            figures.pole_figure(responses, limits, plants.nutation, plants.period),
+            figures.pole_figure(responses, spec, plants.nutation, plants.period),
             "Closed-loop poles",
-            captions.poles(outcome, len(plants.labels)),
+            captions.poles(outcome, plants),
         ),
     ]
     if outcome.closed.plants is not None:
         locus = root_locus(outcome.closed)
-        figure = figures.root_locus_figure(locus, limits, plants.nutation, plants.period)
+        figure = figures.root_locus_figure(locus, spec, plants.nutation, plants.period)
         plates.append(_plate(figure, "Root locus over the loop gain", captions.root_locus(outcome, locus)))
     return plates
 

@@ -10,77 +10,103 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import LoopLimits
+from platform_ctrl.job import LoopSpec
+from platform_ctrl.report.limit_lines import (
+    band_ceilings,
+    ceilings,
+    damping_lines,
+    fastest_pole_line,
+    goal_frequency,
+    late_ceilings,
+)
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.style import (
     BAND,
     INK,
-    LIMIT,
     MARKERS,
     MUTED,
     REFERENCE,
     SERIES,
+    emphasised,
     frequency_axes,
     gain_limits,
     legend_above,
+    legend_rows,
     line_style,
     linear_axis,
     panels,
 )
 
 _HZ = 1.0 / (2.0 * np.pi)
+# With more designs than this only the closed one shows all its singular values.
+_ALL_LINES = 2
+# More panels than this are drawn in two rows.
+_ONE_ROW = 4
 _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
-def sensitivity_figure(responses: LoopResponses, limits: LoopLimits) -> Figure:
-    """Singular values of S, T and (S − T)/2 over frequency, with bandwidth and disk margin."""
-    figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=True)
+def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
+    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin."""
+    names = design_names(responses)
+    figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=legend_rows(names))
     f = responses.frequency * _HZ
+    limits, soft = spec.limits, spec.soft
     handles = []
     for k, one in enumerate(responses.designs):
-        handles += left.plot(f, one.sensitivity, **line_style(k))
-        left.plot(f, one.smallest_sensitivity, **line_style(k) | {"linewidth": 0.7})
-        middle.plot(f, one.complementary, **line_style(k))
-        right.plot(f, one.balanced, **line_style(k))
+        chosen = one.design.name == responses.closed
+        handles += left.plot(f, one.sensitivity, **emphasised(k, chosen))
+        if chosen or len(responses.designs) <= _ALL_LINES:
+            left.plot(f, one.smallest_sensitivity, **line_style(k) | {"linewidth": 0.7})
+        middle.plot(f, one.complementary, **emphasised(k, chosen))
+        right.plot(f, one.balanced, **emphasised(k, chosen))
         if one.design.measures is not None and np.isfinite(one.design.measures.bandwidth):
             at = one.design.measures.bandwidth * _HZ
-            left.plot([at], [np.sqrt(0.5)], MARKERS[k % 8], color=SERIES[k % 8], markersize=5)
+            left.plot([at], [np.sqrt(0.5)], MARKERS[k % 8], color=SERIES[k % 8], markersize=5, zorder=4)
     for axes, curves in ((left, "sensitivity"), (middle, "complementary"), (right, "balanced")):
         frequency_axes(axes, f[0], f[-1])
         gain_limits(axes, [getattr(one, curves) for one in responses.designs], low=1e-3, high=1e2)
     left.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
-    left.annotate("1/√2", (f[0], np.sqrt(0.5)), (3, 2), textcoords="offset points", color=MUTED, fontsize=7)
+    at_end: dict[str, Any] = {"textcoords": "offset points", "color": MUTED, "fontsize": 7, "ha": "right", "va": "top"}
+    left.annotate("1/√2", (f[-1], np.sqrt(0.5)), (-3, -2), **at_end)
     if limits.bandwidth_hz is not None:
         left.axvspan(f[0], limits.bandwidth_hz, color=BAND, linewidth=0, zorder=0)
-    if limits.disk_margin is not None:
-        _ceiling(right, 1.0 / limits.disk_margin, f"1/{limits.disk_margin:g}")
+    goal_frequency(left, soft.bandwidth_hz)
+    ceilings(left, limits.sensitivity_peak, soft.sensitivity_peak)
+    band_ceilings(left, (limits.tracking, soft.tracking), (limits.tracking_hz, soft.tracking_hz))
+    ceilings(middle, limits.complementary_peak, soft.complementary_peak)
+    ceilings(right, limits.disk_margin, soft.disk_margin, words="1/{}")
     left.set_title("S: what is left of a disturbance")
     middle.set_title("T: what passes through")
     right.set_title("(S − T)/2: 1/disk margin at its peak")
     left.set_ylabel("singular values, 1")
-    _design_legend(figure, handles, responses)
+    legend_above(figure, handles, names)
     return figure
 
 
-def loop_transfer_figure(responses: LoopResponses, torques: tuple[str, ...]) -> Figure:
+def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...], nutation: float) -> Figure:
     """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel."""
-    figure, rows = panels(2, 1 + len(torques), 4.4, legend=True)
+    names = design_names(responses)
+    figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
     f = responses.frequency * _HZ
     handles = []
     for k, one in enumerate(responses.designs):
-        for j, gain in enumerate(one.loop_gains):
-            drawn = rows[0][0].plot(f, gain, **line_style(k) | ({} if j == 0 else {"linewidth": 0.8}))
+        chosen = one.design.name == responses.closed
+        every = chosen or len(responses.designs) <= _ALL_LINES
+        for j, gain in enumerate(one.loop_gains if every else one.loop_gains[:1]):
+            drawn = rows[0][0].plot(f, gain, **emphasised(k, chosen) | ({} if j == 0 else {"linewidth": 0.8}))
             handles += drawn if j == 0 else []
-        rows[1][0].plot(f, one.controller_gain, **line_style(k))
+        rows[1][0].plot(f, one.controller_gain, **emphasised(k, chosen))
         for i, channel in enumerate(one.channels):
-            rows[0][1 + i].plot(f, np.abs(channel), **line_style(k))
-            rows[1][1 + i].plot(f, phase_in_degrees(channel), **line_style(k))
+            rows[0][1 + i].plot(f, np.abs(channel), **emphasised(k, chosen))
+            rows[1][1 + i].plot(f, phase_in_degrees(channel), **emphasised(k, chosen))
     for axes in rows[0]:
         frequency_axes(axes, f[0], f[-1], label=False)
         axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
     gain_limits(rows[0][0], [one.loop_gains for one in responses.designs], low=1e-3, high=1e4)
     frequency_axes(rows[1][0], f[0], f[-1])
     gain_limits(rows[1][0], [one.controller_gain for one in responses.designs])
+    asked = (spec.limits.controller_gain, spec.soft.controller_gain)
+    late_ceilings(rows[1][0], asked, nutation / 10.0 * _HZ)
     for i, name in enumerate(torques):
         gain_limits(rows[0][1 + i], [np.abs(one.channels[i]) for one in responses.designs], low=1e-3, high=1e4)
         rows[0][1 + i].set_title(f"{name}, others closed")
@@ -91,57 +117,87 @@ def loop_transfer_figure(responses: LoopResponses, torques: tuple[str, ...]) -> 
     rows[1][0].set_title("controller, largest gain")
     rows[1][0].set_ylabel("N m/rad")
     rows[1][1].set_ylabel("phase, degrees")
-    _design_legend(figure, handles, responses)
+    legend_above(figure, handles, names)
     return figure
 
 
-def disturbance_figure(responses: LoopResponses) -> Figure:
-    """From platform rate, axis by axis, and from torque disturbance to the gimbal angles: closed against open loop."""
+def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
+    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for."""
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
-    figure, [row] = panels(1, len(acting) + 1, 3.0, legend=True)
+    shares = [one.torque_share for one in responses.designs]
+    limited = bool(np.nanmax(shares, initial=0.0) > 0.0)
+    names = ["open loop", *design_names(responses)]
+    number = len(acting) + 1 + limited
+    columns = number if number <= _ONE_ROW else -(-number // 2)
+    rows = -(-number // columns)
+    figure, grid = panels(rows, columns, 3.0 * rows, legend=legend_rows(names))
+    cells = [axes for row in grid for axes in row]
+    for unused in cells[number:]:
+        unused.remove()
     f = responses.frequency * _HZ
+    limits, soft = spec.limits, spec.soft
     handles: list[Any] = []
-    for axes, a in zip(row, acting, strict=False):
+    for axes, a in zip(cells, acting, strict=False):
         opened = 1e3 * responses.open_angle_per_rate[a]
-        closed = [1e3 * one.angle_per_rate[a] for one in responses.designs]
-        handles = _open_and_closed(axes, f, opened, closed)
+        handles = _open_and_closed(
+            axes, f, opened, [1e3 * one.angle_per_rate[a] for one in responses.designs], responses
+        )
         axes.set_title(f"rate Omega{a + 1} → angles")
-    row[0].set_ylabel("mrad per rad/s" if acting else "mrad per mN m")
-    handles = _open_and_closed(
-        row[-1], f, responses.open_angle_per_torque, [one.angle_per_torque for one in responses.designs]
-    )
-    row[-1].set_title("torque disturbance → angles")
-    row[-1].set_ylabel("mrad per mN m")
-    legend_above(figure, handles, ["open loop", *(one.design.name for one in responses.designs)])
+        ceilings(axes, _times(1e3, limits.Omega_rejection), _times(1e3, soft.Omega_rejection))
+    cells[0].set_ylabel("mrad per rad/s" if acting else "mrad per mN m")
+    axes = cells[len(acting)]
+    closed = [one.angle_per_torque for one in responses.designs]
+    handles = _open_and_closed(axes, f, responses.open_angle_per_torque, closed, responses)
+    axes.set_title("torque disturbance → angles")
+    axes.set_ylabel("mrad per mN m")
+    ceilings(axes, limits.torque_rejection, soft.torque_rejection)
+    if limited:
+        _torque_share(cells[number - 1], f, responses, spec)
+    legend_above(figure, handles, names)
     return figure
 
 
-def pole_figure(responses: LoopResponses, limits: LoopLimits, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong) and of all others (faint), with the damping that is asked."""
-    figure, [[wide, close]] = panels(1, 2, 3.7, legend=True)
+def _torque_share(axes: Axes, f: FloatArray, responses: LoopResponses, spec: LoopSpec) -> None:
+    for k, one in enumerate(responses.designs):
+        axes.plot(f, one.torque_share, **emphasised(k, one.design.name == responses.closed))
+    frequency_axes(axes, f[0], f[-1])
+    gain_limits(axes, [one.torque_share for one in responses.designs], low=1e-3, high=1e2)
+    axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
+    asked, wished = spec.limits, spec.soft
+    band_ceilings(axes, (asked.torque_limit, wished.torque_limit), (asked.torque_limit_hz, wished.torque_limit_hz))
+    axes.set_title("full Omega → torque")
+    axes.set_ylabel("torque over its limit, 1")
+
+
+def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
+    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses)."""
+    names = design_names(responses)
+    figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))
     nyquist = np.pi / period
     handles = []
     for axes in (wide, close):
         for k, one in enumerate(responses.designs):
-            spread, own = _upper(one.spread_poles), _upper(one.poles)
+            spread, faults, own = (_upper(s) for s in (one.spread_poles, one.fault_poles, one.poles))
             style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
             axes.plot(spread.real, spread.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
+            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
+            axes.plot(faults.real, faults.imag, **style | crossed)
             drawn = axes.plot(
                 own.real, own.imag, **style | {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
             )
             handles += drawn if axes is wide else []
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, False)
+    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
     extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, True)
+    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
     wide.set_title("all poles up to the Nyquist frequency")
     close.set_title("around the nutation frequency and below")
-    _design_legend(figure, handles, responses)
+    legend_above(figure, handles, names)
     return figure
 
 
-def root_locus_figure(locus: RootLocus, limits: LoopLimits, nutation: float, period: float) -> Figure:
+def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
     """Poles of the closed design while its gain goes from 0 to twice its value."""
-    figure, [[wide, close]] = panels(1, 2, 3.9, legend=True)
+    figure, [[wide, close]] = panels(1, 2, 3.9, legend=1)
     nyquist = np.pi / period
     handles: list[Any] = []
     marks = [int(np.argmin(np.abs(locus.gains - g))) for g in _LABELLED_GAINS if g <= locus.gains[-1]]
@@ -163,9 +219,9 @@ def root_locus_figure(locus: RootLocus, limits: LoopLimits, nutation: float, per
                 markerfacecolor="none",
             )
             handles += drawn if axes is wide else []
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, limits, False)
+    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
     extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, limits, True)
+    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
     _label_gains(close, locus, marks, extent)
     legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
     wide.set_title("all branches up to the Nyquist frequency")
@@ -192,28 +248,12 @@ def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) 
             last = s
 
 
-def _s_plane(axes: Axes, left: float, right: float, top: float, limits: LoopLimits, named: bool) -> None:
+def _s_plane(axes: Axes, left: float, right: float, top: float, spec: LoopSpec, period: float, *, named: bool) -> None:
     """Axes of the upper half plane; fast poles to the right of a damping line are damped too little."""
     axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
     axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-    for ratio, dashes, height in (
-        (limits.damping, (0, (5, 2)), 0.96),
-        (limits.damping_spread, (0, (1.2, 1.4)), 0.88),
-    ):
-        if ratio is not None and 0.0 < ratio < 1.0:
-            slope = ratio / np.sqrt(1.0 - ratio**2)
-            axes.plot([0.0, -slope * top], [0.0, top], color=LIMIT, linestyle=dashes, linewidth=0.9)
-            if named:
-                axes.annotate(
-                    f"{ratio:g}",
-                    (-slope * height * top, height * top),
-                    (-3, 0),
-                    textcoords="offset points",
-                    ha="right",
-                    va="center",
-                    color=LIMIT,
-                    fontsize=7,
-                )
+    damping_lines(axes, spec, top, named)
+    fastest_pole_line(axes, spec, period)
     axes.set_xlim(left, right)
     axes.set_ylim(0.0, top)
     linear_axis(axes.xaxis, 6)
@@ -222,25 +262,26 @@ def _s_plane(axes: Axes, left: float, right: float, top: float, limits: LoopLimi
     axes.set_ylabel("imaginary part, rad/s")
 
 
-def _open_and_closed(axes: Axes, f: FloatArray, opened: FloatArray, closed: list[FloatArray]) -> list[Any]:
+def _open_and_closed(
+    axes: Axes, f: FloatArray, opened: FloatArray, closed: list[FloatArray], responses: LoopResponses
+) -> list[Any]:
     handles = axes.plot(f, opened, color=REFERENCE, linewidth=1.1)
-    for k, curve in enumerate(closed):
-        handles += axes.plot(f, curve, **line_style(k))
+    for k, (curve, one) in enumerate(zip(closed, responses.designs, strict=True)):
+        handles += axes.plot(f, curve, **emphasised(k, one.design.name == responses.closed))
     frequency_axes(axes, f[0], f[-1])
     top = 10.0 * max((float(np.nanmax(curve)) for curve in closed), default=float(np.nanmax(opened)))
     gain_limits(axes, [*closed, opened], low=1e-5 * top, high=top)
     return handles
 
 
-def _ceiling(axes: Axes, level: float, text: str) -> None:
-    axes.axhline(level, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
-    axes.annotate(
-        text, (axes.get_xlim()[0], level), (3, 2), textcoords="offset points", color=LIMIT, fontsize=7, va="bottom"
-    )
+def design_names(responses: LoopResponses) -> list[str]:
+    """Return what the legend calls the designs: which one is closed, where there are several."""
+    names = [one.design.name for one in responses.designs]
+    return names if len(names) == 1 else [f"{name}, closed" if name == responses.closed else name for name in names]
 
 
-def _design_legend(figure: Figure, handles: list[Any], responses: LoopResponses) -> None:
-    legend_above(figure, handles, [one.design.name for one in responses.designs])
+def _times(factor: float, number: float | None) -> float | None:
+    return None if number is None else factor * number
 
 
 def phase_in_degrees(channel: ComplexArray) -> FloatArray:

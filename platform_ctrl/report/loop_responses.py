@@ -8,6 +8,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
+from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.description import OMEGA_NAMES
@@ -48,8 +49,11 @@ class DesignResponses:
         Norm of all angles per rate about each root axis.
     angle_per_torque : (N,)
         Largest singular value from torque disturbance to angle.
-    poles, spread_poles
-        Closed loop with the nominal and with all other plants, s-plane equivalents, rad/s.
+    torque_share : (N,)
+        Torque over its limit for a sinusoidal platform rate of the job's size, worst torquer; 0 without limits.
+    poles, spread_poles, fault_poles
+        Closed loop with the nominal plant, with those of the spread and of Omega, and with a fault; s-plane
+        equivalents, rad/s.
     """
 
     design: LoopDesign
@@ -63,8 +67,10 @@ class DesignResponses:
     controller_gain: FloatArray
     angle_per_rate: FloatArray
     angle_per_torque: FloatArray
+    torque_share: FloatArray
     poles: ComplexArray
     spread_poles: ComplexArray
+    fault_poles: ComplexArray
 
 
 @value
@@ -77,12 +83,15 @@ class LoopResponses:
         rad/s.
     designs
         In the job's order.
+    closed
+        Name of the one that is closed.
     open_angle_per_rate : (3, N), open_angle_per_torque : (N,)
         The same disturbances without a controller.
     """
 
     frequency: FloatArray
     designs: tuple[DesignResponses, ...]
+    closed: str
     open_angle_per_rate: FloatArray
     open_angle_per_torque: FloatArray
 
@@ -152,21 +161,30 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
     frequency = following_grid(every, low, 0.999 * nyquist)
     from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
+    held = (plants.A[0], plants.B_Omega[0], plants.C[0], np.zeros((len(plants.angles), 3)), plants.period)
+    rate_held = frequency_response_arrays(*held, frequency)
     open_torque = frequency_response_arrays(
         plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period, frequency
     )
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
-            _design_responses(d, gang(plant, d.controller, frequency), from_rate, poles[id(d)]) for d in designs
+            _design_responses(d, plants, gang(plant, d.controller, frequency), from_rate, rate_held, poles[id(d)])
+            for d in designs
         ),
+        closed=outcome.use,
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
         open_angle_per_torque=_largest(open_torque),
     )
 
 
 def _design_responses(
-    design: LoopDesign, responses: Gang, from_rate: ComplexArray, poles: ComplexArray
+    design: LoopDesign,
+    plants: PlantSet,
+    responses: Gang,
+    from_rate: ComplexArray,
+    rate_held: ComplexArray,
+    poles: ComplexArray,
 ) -> DesignResponses:
     S_in, T_in = _frequency_first(responses.S_input), _frequency_first(responses.T_input)
     S_out, T_out = _frequency_first(responses.S_output), _frequency_first(responses.T_output)
@@ -175,7 +193,9 @@ def _design_responses(
         # L = S⁻¹ T: never the product of two integrators' infinities.
         loop = np.linalg.solve(S_in, T_in)
         channels = 1.0 / own - 1.0
-    K = state_arrays(design.controller, design.name)
+    K = frequency_response_arrays(*state_arrays(design.controller, design.name), responses.frequency)
+    share = K @ S_out @ rate_held * (plants.Omega / plants.torque_limit[:, None])
+    faults = plants.of(("faults",))
     return DesignResponses(
         design=design,
         gang=responses,
@@ -185,11 +205,13 @@ def _design_responses(
         smallest_sensitivity=np.asarray(np.linalg.svd(S_in, compute_uv=False)[:, -1], dtype=np.float64),
         loop_gains=np.asarray(np.linalg.svd(loop, compute_uv=False).T, dtype=np.float64),
         channels=channels,
-        controller_gain=_largest(frequency_response_arrays(*K, responses.frequency)),
+        controller_gain=_largest(K),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
         angle_per_torque=_largest(_frequency_first(responses.angle_per_torque)),
+        torque_share=np.linalg.norm(share, axis=-1).max(axis=-1, initial=0.0),
         poles=poles[0],
-        spread_poles=poles[1:].ravel(),
+        spread_poles=poles[1:][~faults[1:]].ravel(),
+        fault_poles=poles[faults].ravel(),
     )
 
 

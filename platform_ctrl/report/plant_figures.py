@@ -16,7 +16,7 @@ def nutation_figure(result: JobResult) -> Figure | None:
     lines = nutation_over_speed(result, speed)
     if not lines:
         return None
-    figure, [[axes]] = panels(1, 1, 2.7, legend=True, titles=False, width=6.4)
+    figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False, width=6.4)
     handles = []
     nominal = int(np.argmin(np.abs(speed - 1.0)))
     for k, (_, frequency) in enumerate(lines):

@@ -7,7 +7,18 @@ import math
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
 
-MINUS = "\u2212"
+MINUS, DASH = "\u2212", "\u2013"
+MET, NOT_MET = "\u2713", "\u2717"
+BOUND = {"at least": "\u2265", "at most": "\u2264"}
+
+# Units that the name of a claim may end in, after a comma as on an axis.
+_UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad s/rad", "N m s/rad"})
+# Claims whose names are not words yet; the second is a share.
+_CLAIMED = {
+    "gamma": "norm on the weights, γ",
+    "gamma_optimal": "least γ of any controller",
+    "price": "price of simplicity",
+}
 
 
 def handy_unit(unit: str, size: float) -> tuple[float, str]:
@@ -54,9 +65,28 @@ def compared(number: float, limit: float, unit: str) -> tuple[str, str]:
 def percent(share: float) -> str:
     """Return `share` in per cent with its sign; a dash where it is not finite."""
     if not math.isfinite(share):
-        return "\u2013"
+        return DASH
     text = f"{100.0 * share:+.1f}" if abs(share) < 0.0995 else f"{100.0 * share:+.0f}"
     return f"{text} %".replace("-", MINUS)
+
+
+def claimed(name: str, number: float) -> tuple[str, str]:
+    """Return a claim in words and with its unit.
+
+    Parameters
+    ----------
+    name
+        Ends in ``, `` and a unit (``"survived Omega1, rad/s"``), or in ``_hz`` as options do; otherwise a plain number.
+    number
+        In that unit.
+    """
+    words, _, unit = name.rpartition(", ")
+    if unit not in _UNITS:
+        words, unit = (name.removesuffix("_hz"), "Hz") if name.endswith("_hz") else (name, "")
+    words = _CLAIMED.get(words, words.replace("_", " "))
+    if not math.isfinite(number):
+        return words, DASH if math.isnan(number) else "∞"
+    return words, percent(number) if name == "price" else quantity(number, unit)
 
 
 def count(number: int, noun: str, plural: str = "") -> str:

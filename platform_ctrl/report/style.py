@@ -20,6 +20,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.quantities import power_of_ten
+from platform_ctrl.report.svg_pieces import text_width
 
 # Okabe and Ito's colours, yellow left out: it vanishes on white. Line styles and markers differ as well.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a00", "#6a5acd")
@@ -28,7 +29,7 @@ DASHES: tuple[Any, ...] = (
     (0, (5, 2)),
     (0, (1.2, 1.4)),
     (0, (6, 1.6, 1.2, 1.6)),
-    (0, (8, 2)),
+    (0, (6, 1.4, 1.2, 1.4, 1.2, 1.4)),
     (0, (3, 1)),
     "-",
     "-",
@@ -109,14 +110,17 @@ def panels(
     height: float,
     *,
     width: float = FULL_WIDTH,
-    legend: bool = False,
+    legend: int = 0,
     titles: bool = True,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with a grid of axes, margins in inches so that every figure of the page lines up."""
+    """Return a figure with a grid of axes, margins in inches so that every figure of the page lines up.
+
+    `legend`: rows of the legend above (see `legend_rows`).
+    """
     figure = Figure(figsize=(width, height))
     FigureCanvasSVG(figure)
     left, right, bottom, gap_x, gap_y = 0.62, 0.14, 0.46, 0.68, 0.72
-    top = 0.08 + (0.22 if legend else 0.0) + (0.24 if titles else 0.0)
+    top = 0.08 + 0.22 * legend + (0.24 if titles else 0.0)
     cell = (
         (width - left - right - (columns - 1) * gap_x) / columns,
         (height - top - bottom - (rows - 1) * gap_y) / rows,
@@ -147,13 +151,27 @@ def signal_style(k: int) -> dict[str, Any]:
     return line_style(k) | {"linewidth": 1.0}
 
 
+def emphasised(k: int, chosen: bool) -> dict[str, Any]:
+    """Return the style of the k-th of several designs: the chosen one is heavier, and above the others."""
+    return line_style(k) | ({"linewidth": 2.1, "zorder": 3} if chosen else {"linewidth": 1.2})
+
+
+def legend_rows(labels: Sequence[str], width: float = FULL_WIDTH) -> int:
+    """Return how many rows a legend of `labels` needs in a figure of `width` inches."""
+    size = float(_SETTINGS["legend.fontsize"])
+    longest = max((text_width(label, size) for label in labels), default=0.0)
+    columns = max(1, int(72.0 * width // (longest + 5.2 * size)))
+    return -(-len(labels) // columns)
+
+
 def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
     """Put one legend for all panels into the strip above them."""
+    rows = legend_rows(labels, float(figure.get_size_inches()[0]))
     figure.legend(
         handles,
         labels,
         loc="upper left",
-        ncols=max(1, len(labels)),
+        ncols=max(1, -(-len(labels) // max(rows, 1))),
         bbox_to_anchor=(0.0, 1.0),
         borderaxespad=0.0,
         borderpad=0.1,

@@ -7,20 +7,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.loop_measures import LoopMeasures
+from platform_ctrl.check.proofs import PROVED
 from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.frozen import value
 from platform_ctrl.report.modes import Mode, modes_at
-from platform_ctrl.report.quantities import MINUS, compared, count, percent, plain, quantity
-from platform_ctrl.requirements import SPREAD, CheckResult
+from platform_ctrl.report.quantities import (
+    BOUND,
+    DASH,
+    MET,
+    MINUS,
+    NOT_MET,
+    compared,
+    count,
+    percent,
+    plain,
+    quantity,
+)
+from platform_ctrl.requirements import CheckResult
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-MET, NOT_MET = "\u2713", "\u2717"
-_BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
 
 @value
@@ -37,6 +43,8 @@ class RequirementRow:
         Whether it is met.
     evidence
         What recomputes the value.
+    goal
+        Whether it is a goal, which is no part of the verdict.
     """
 
     subject: str
@@ -49,42 +57,50 @@ class RequirementRow:
     stage: str
     passed: bool
     evidence: str
+    goal: bool = False
 
     @property
     def symbol(self) -> str:
-        """A tick or a cross."""
-        return MET if self.passed else NOT_MET
-
-
-@value
-class MeasureRow:
-    """One figure of every design of a loop: for each design (text, passed or None where nothing is asked)."""
-
-    name: str
-    limit: str
-    cells: tuple[tuple[str, bool | None], ...]
+        """A tick or a cross; for a goal that is not reached a dash."""
+        return MET if self.passed else DASH if self.goal else NOT_MET
 
 
 def requirement_rows(result: JobResult) -> tuple[RequirementRow, ...]:
     """Return all requirements, subjects in the order of the chain, the worst first within each."""
-    subjects = list(dict.fromkeys(one.subject for one in result.requirements))
-    ordered = sorted(result.requirements, key=lambda one: (subjects.index(one.subject), one.passed, one.margin))
-    return tuple(_row(one) for one in ordered)
+    return _ordered(result, result.requirements)
 
 
-def _row(one: CheckResult) -> RequirementRow:
+def goal_rows(result: JobResult) -> tuple[RequirementRow, ...]:
+    """Return the goals of all closed designs, in the same order."""
+    return _ordered(result, [goal for outcome in result.loops for goal in outcome.closed.goals])
+
+
+def _ordered(result: JobResult, judged: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
+    subjects = list(dict.fromkeys(one.subject for one in judged))
+    ordered = sorted(judged, key=lambda one: (subjects.index(one.subject), one.passed, one.margin))
+    return tuple(_row(result, one) for one in ordered)
+
+
+def _row(result: JobResult, one: CheckResult) -> RequirementRow:
     number, limit = compared(one.value, one.limit, one.unit)
+    number, limit, margin = number, f"{BOUND[one.sense]} {limit}", percent(one.margin)
+    if one.name == PROVED.name:
+        # A share of claims is a number of them, and all are asked for: there is no margin.
+        proofs = result.proofs[one.subject if one.design else "", one.design]
+        number, limit, margin = f"{proofs.proved} of {proofs.of}", "all", ""
+    share = one.margin if margin and np.isfinite(one.margin) else 0.0
     return RequirementRow(
         subject=one.subject,
         design=one.design,
         requirement=one.name,
         value=number,
-        limit=f"{_BOUND[one.sense]} {limit}",
-        margin=percent(one.margin),
-        share=float(np.clip(one.margin, -1.0, 1.0)) if np.isfinite(one.margin) else 0.0,
+        limit=limit,
+        margin=margin,
+        share=float(np.clip(share, -1.0, 1.0)),
         stage=one.stage,
         passed=one.passed,
         evidence=one.evidence,
+        goal=not one.hard,
     )
 
 
@@ -109,16 +125,25 @@ def terminal_table(result: JobResult) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("stage", no_wrap=True)
     table.add_column("met", justify="center", no_wrap=True)
-    rows = requirement_rows(result)
-    for k, row in enumerate(rows):
-        new = k == 0 or rows[k - 1].subject != row.subject
-        if new and k:
-            table.add_section()
-        style = "" if row.passed else "bold red"
-        cells = [row.subject if new else "", row.requirement, row.value, row.limit, row.margin, row.stage]
-        words = [Text(cell, style="" if cell == row.subject else style) for cell in cells]
-        table.add_row(*words, Text(row.symbol, style="green" if row.passed else "bold red"))
+    goals = goal_rows(result)
+    if goals:
+        table.caption, table.caption_justify = "Goals are no part of the verdict.", "left"
+    for subject, rows in by_subject(result).items():
+        table.add_section()
+        for k, row in enumerate((*rows, *(goal for goal in goals if goal.subject == subject))):
+            style, mark = ("dim", "dim") if row.goal else ("", "green") if row.passed else ("bold red", "bold red")
+            cells = [row.requirement, row.value, row.limit, row.margin, row.stage]
+            words = [Text(subject if k == 0 else ""), *(Text(cell, style=style) for cell in cells)]
+            table.add_row(*words, Text(row.symbol, style=mark))
     return table
+
+
+def by_subject(result: JobResult) -> dict[str, list[RequirementRow]]:
+    """Return `requirement_rows` by loop and manoeuvre."""
+    out: dict[str, list[RequirementRow]] = {}
+    for row in requirement_rows(result):
+        out.setdefault(row.subject, []).append(row)
+    return out
 
 
 def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
@@ -234,65 +259,3 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
     if mode.growth > 0.0:
         kind += f", unstable, grows at {plain(mode.growth, 3)} 1/s"
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency
-
-
-def measure_rows(outcome: LoopOutcome) -> list[MeasureRow]:
-    """Return what the designs of a loop do, side by side: first what is asked, then what was measured besides."""
-    designs = outcome.designs
-    rows = []
-    judged = [(*design.results, *design.goals) for design in designs]
-    for name in dict.fromkeys(one.name for results in judged for one in results):
-        found = [next((one for one in results if one.name == name), None) for results in judged]
-        first = next(one for one in found if one is not None)
-        cells: list[tuple[str, bool | None]] = [
-            ("\u2013", None) if one is None else (compared(one.value, one.limit, one.unit)[0], one.passed)
-            for one in found
-        ]
-        limit = f"{_BOUND[first.sense]} {compared(first.value, first.limit, first.unit)[1]}"
-        rows.append(MeasureRow(name=name, limit=limit, cells=tuple(cells)))
-    asked = {row.name for row in rows}
-    measured = [{} if design.measures is None else _measured(design.measures) for design in designs]
-    for name in dict.fromkeys(name for figures in measured for name in figures if name not in asked):
-        cells = [(figures.get(name, "\u2013"), None) for figures in measured]
-        rows.append(MeasureRow(name=name, limit="", cells=tuple(cells)))
-    return rows
-
-
-def _measured(measures: LoopMeasures) -> dict[str, str]:
-    """Return all figures by the names that requirements give them."""
-    out = {
-        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz"),
-        "disk margin": plain(float(measures.disk_margin[0])),
-        "damping": plain(float(measures.damping[0])),
-        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
-    }
-    if len(measures.disk_margin) > 1:
-        spread = measures.of(SPREAD)
-        out["disk margin over the spread"] = plain(float(measures.disk_margin[spread].min()))
-        out["damping over the spread"] = plain(float(measures.damping[spread].min()))
-    return out
-
-
-def claim_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
-    """Return what the methods claim beyond the measures, name by name, a text for every design."""
-    return _by_name([design.claims for design in outcome.designs])
-
-
-def option_rows(outcome: LoopOutcome) -> list[tuple[str, tuple[str, ...]]]:
-    """Return the options as finally used, name by name, a text for every design."""
-    return _by_name([design.options for design in outcome.designs])
-
-
-def _by_name(columns: Sequence[dict[str, float]]) -> list[tuple[str, tuple[str, ...]]]:
-    names = dict.fromkeys(name for column in columns for name in column)
-    return [(name, tuple(plain(column[name]) if name in column else "\u2013" for column in columns)) for name in names]
-
-
-def signals(design: LoopDesign) -> tuple[str, str, str]:
-    """Return what a controller reads, what it sets, and its order and sample period, in words."""
-    K = design.controller
-    return (
-        ", ".join(K.input_labels),
-        ", ".join(K.output_labels),
-        f"{count(K.nstates, 'state')}, {plain(1e3 * float(K.dt or 0.0))} ms",
-    )

@@ -1,0 +1,253 @@
+"""The designs of a loop side by side: what is asked of them, what they do, what is proved, what they are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from platform_ctrl.analysis.loop_measures import LoopMeasures
+from platform_ctrl.analysis.plant_set import Group, PlantSet
+from platform_ctrl.check.proofs import Proofs
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.frozen import value
+from platform_ctrl.report.quantities import (
+    BOUND,
+    DASH,
+    MET,
+    NOT_MET,
+    claimed,
+    compared,
+    count,
+    listed,
+    percent,
+    plain,
+    quantity,
+)
+from platform_ctrl.requirements import FAULTS, SPREAD, CheckResult, requirement
+
+GOAL = "goal: "
+_GROUPS: dict[Group, tuple[str, str]] = {
+    "nominal": ("nominal", "the nominal one"),
+    "spread": ("parameter spread", "{} of the parameter spread"),
+    "Omega": ("platform rates", "{} with a platform rate"),
+    "faults": ("faults", "{} with a fault"),
+}
+
+
+@value
+class Cell:
+    """A figure of one design.
+
+    Attributes
+    ----------
+    text
+        Words.
+    met
+        Whether it is as asked; None where nothing is asked of it, or nothing that counts.
+    """
+
+    text: str
+    met: bool | None = None
+
+
+@value
+class Row:
+    """One figure of all designs: its name, what is asked, a cell for each."""
+
+    name: str
+    limit: str
+    cells: tuple[Cell, ...]
+
+
+@value
+class Section:
+    """Rows of one kind under a title."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+def sections(result: JobResult, outcome: LoopOutcome) -> list[Section]:
+    """Return the comparison of a loop's designs, section by section, without those that are empty."""
+    designs = outcome.designs
+    proofs = [result.proofs[design.loop, design.name] for design in designs]
+    found = [
+        Section(title="limits, measured on the closed loop", rows=tuple(limit_rows(outcome))),
+        Section(title="goals, no part of the verdict", rows=tuple(goal_rows(outcome))),
+        Section(title="measured besides", rows=tuple(measured_rows(outcome))),
+        Section(title="proved in interval arithmetic", rows=tuple(proof_rows(designs, proofs))),
+        Section(title="claimed by the method", rows=tuple(_by_name([_claims(design) for design in designs]))),
+        Section(title="options used", rows=tuple(_by_name([_options(design) for design in designs]))),
+        Section(title="controller", rows=tuple(_by_name([signals(design) for design in designs]))),
+    ]
+    return [one for one in found if one.rows]
+
+
+def limit_rows(outcome: LoopOutcome) -> list[Row]:
+    """Return what is asked of every design, met or not."""
+
+    def cell(one: CheckResult) -> Cell:
+        symbol = MET if one.passed else NOT_MET
+        return Cell(text=f"{symbol} {compared(one.value, one.limit, one.unit)[0]}", met=one.passed)
+
+    return [_judged(name, found, cell) for name, found in _results([d.results for d in outcome.designs])]
+
+
+def goal_rows(outcome: LoopOutcome) -> list[Row]:
+    """Return the loop's goals: reached, or how far from it; a goal that is missed is no failure."""
+
+    def cell(one: CheckResult) -> Cell:
+        text = compared(one.value, one.limit, one.unit)[0]
+        return Cell(text=f"{MET} {text}", met=True) if one.passed else Cell(text=f"{text} ({percent(one.margin)})")
+
+    found = _results([d.goals for d in outcome.designs])
+    return [_judged(name.removeprefix(GOAL), results, cell) for name, results in found]
+
+
+def _results(columns: Sequence[Sequence[CheckResult]]) -> list[tuple[str, list[CheckResult | None]]]:
+    names = dict.fromkeys(one.name for results in columns for one in results)
+    return [(name, [next((one for one in r if one.name == name), None) for r in columns]) for name in names]
+
+
+def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[CheckResult], Cell]) -> Row:
+    first = next(one for one in found if one is not None)
+    limit = f"{BOUND[first.sense]} {compared(first.value, first.limit, first.unit)[1]}"
+    cells = tuple(Cell(text=DASH) if one is None else cell(one) for one in found)
+    return Row(name=name, limit=limit, cells=cells)
+
+
+def measured_rows(outcome: LoopOutcome) -> list[Row]:
+    """Return the figures of every design that nothing is asked of."""
+    asked = {one.name for design in outcome.designs for one in design.results}
+    measured = [{} if design.measures is None else _measured(design.measures) for design in outcome.designs]
+    return [row for row in _by_name(measured) if row.name not in asked]
+
+
+def _measured(measures: LoopMeasures) -> dict[str, str]:
+    """Return all figures by the names that requirements give them."""
+    out = {
+        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz"),
+        "disk margin": plain(float(measures.disk_margin[0])),
+        "damping": plain(float(measures.damping[0])),
+        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
+    }
+    for groups, where in ((SPREAD, "over the spread"), (FAULTS, "with a fault")):
+        chosen = measures.of(groups)
+        if chosen.sum() > 1:
+            out[f"disk margin {where}"] = plain(float(measures.disk_margin[chosen].min()))
+            out[f"damping {where}"] = plain(float(measures.damping[chosen].min()))
+    return out
+
+
+def proof_rows(designs: Sequence[LoopDesign], proofs: Sequence[Proofs]) -> list[Row]:
+    """Return what is proved of every design: with how many plants, and which bounds."""
+    return _rows([_proved(design, found) for design, found in zip(designs, proofs, strict=True)])
+
+
+def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
+    if proofs.of == 0 or design.plants is None:
+        return {}
+    plants = design.plants
+    shown = [
+        one
+        for one, found in zip(proofs.certificates, proofs.verifications, strict=True)
+        if found.proved and len(one.loops) == 1
+    ]
+    decay = {one.loops[0].label: one.bound for one in shown if one.claim == "stability"}
+    norms: dict[str, list[float]] = {}
+    for one in shown:
+        plant, found, _ = one.loops[0].label.rpartition(", (S \u2212 T)/2 at the ")
+        if one.claim == "norm" and found:
+            norms.setdefault(plant, []).append(one.bound)
+    # A margin needs both norms, at the torques and at the pick-offs.
+    margins = {plant: 1.0 / max(bounds) for plant, bounds in norms.items() if len(bounds) == 2}
+    stable = sum(label in decay for label in plants.labels)
+    whole = stable == len(plants.labels)
+    out = {
+        "stable": Cell(
+            text=f"{MET if whole else NOT_MET} with {_share(stable, len(plants.labels))} plants",
+            met=whole,
+        )
+    }
+    if whole:
+        out["slowest decay over all plants"] = Cell(text=f"≥ {quantity(min(decay.values()), '1/s', 3)}")
+    if plants.labels[0] in margins:
+        out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]])}")
+    others = [margins[label] for label in plants.labels[1:] if label in margins]
+    if others:
+        out["disk margin with others"] = Cell(text=f"≥ {plain(min(others))} with {count(len(others), 'plant')}")
+    bits = max((found.precision for found in proofs.verifications), default=0)
+    all_of = proofs.proved == proofs.of
+    out["claims proved"] = Cell(
+        text=f"{MET if all_of else NOT_MET} {_share(proofs.proved, proofs.of)}, {bits} bits", met=all_of
+    )
+    return out
+
+
+def _share(part: int, whole: int) -> str:
+    return f"all {whole}" if part == whole else f"{part} of {whole}"
+
+
+def plants_in_words(plants: PlantSet) -> str:
+    """Return how many plants there are of each group, in words."""
+    parts = [
+        words.format(number)
+        for group, (_, words) in _GROUPS.items()
+        if (number := sum(one == group for one in plants.groups))
+    ]
+    return f"{count(len(plants.labels), 'plant')}: {listed(parts)}" if len(parts) > 1 else "the nominal plant alone"
+
+
+def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
+    """Return for each group of plants how many, slowest decay, least damping and disk margin, and where the last is."""
+    plants, measures = design.plants, design.measures
+    if plants is None or measures is None or len(set(plants.groups)) == 1:
+        return []
+    rows = []
+    for group, (name, _) in _GROUPS.items():
+        chosen = measures.of((group,))
+        if not chosen.any():
+            continue
+        margin = requirement("disk margin", 1.0, over=(group,)).check(plants, design.controller)
+        rows.append(
+            (
+                name,
+                str(int(chosen.sum())),
+                quantity(float(measures.decay[chosen].min()), "1/s"),
+                plain(float(measures.damping[chosen].min())),
+                plain(margin.value),
+                "" if group == "nominal" else margin.evidence.rpartition(";")[0],
+            )
+        )
+    return rows
+
+
+def signals(design: LoopDesign) -> dict[str, str]:
+    """Return what a controller reads, what it sets, and its order and sample period, in words."""
+    K = design.controller
+    return {
+        "reads": ", ".join(K.input_labels),
+        "sets": ", ".join(K.output_labels),
+        "order and sample period": f"{count(K.nstates, 'state')}, {plain(1e3 * float(K.dt or 0.0))} ms",
+    }
+
+
+def _claims(design: LoopDesign) -> dict[str, str]:
+    return dict(claimed(name, number) for name, number in design.claims.items())
+
+
+def _options(design: LoopDesign) -> dict[str, str]:
+    return {name: plain(number) for name, number in design.options.items()}
+
+
+def _by_name(columns: Iterable[dict[str, str]]) -> list[Row]:
+    return _rows([{name: Cell(text=text) for name, text in column.items()} for column in columns])
+
+
+def _rows(columns: Sequence[dict[str, Cell]]) -> list[Row]:
+    names = dict.fromkeys(name for column in columns for name in column)
+    none = Cell(text=DASH)
+    return [Row(name=name, limit="", cells=tuple(column.get(name, none) for column in columns)) for name in names]

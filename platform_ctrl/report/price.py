@@ -1,0 +1,87 @@
+"""What the closed controller costs against the best that is known, in words with numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.report.quantities import count, plain, quantity
+
+
+def price(outcome: LoopOutcome) -> list[str]:
+    """Return sentences: order and bandwidth against the best alternative, and against bounds that are claimed."""
+    return [*_against_others(outcome), *_against_bounds(outcome.closed)]
+
+
+def bandwidth_hz(design: LoopDesign) -> float:
+    """Return the bandwidth of the nominal loop in Hz; 0 where the loop is unstable or has no plants of its own."""
+    measures = design.measures
+    if measures is None or not measures.decay[0] > 0.0 or not np.isfinite(measures.bandwidth):
+        return 0.0
+    return measures.bandwidth / (2.0 * np.pi)
+
+
+def _against_others(outcome: LoopOutcome) -> list[str]:
+    """Compare with the widest of the alternatives that meet their limits; of all, where none does."""
+    closed = outcome.closed
+    own = bandwidth_hz(closed)
+    others = [design for design in outcome.alternatives if bandwidth_hz(design) > 0.0]
+    if not others or own == 0.0:
+        return []
+    best = max(others, key=lambda design: (design.passed, bandwidth_hz(design)))
+    its = bandwidth_hz(best)
+    if not best.passed:
+        kept = "but misses limits"
+    elif closed.passed:
+        kept = "and meets every limit too"
+    else:
+        kept = "and meets every limit"
+    text = (
+        f"With {_states(closed)} “{closed.name}” reaches {quantity(own, 'Hz', 3)}; “{best.name}”, the best of the "
+        f"others, reaches {quantity(its, 'Hz', 3)} with {_states(best)} {kept}"
+    )
+    fewer = best.controller.nstates - closed.controller.nstates
+    loss = _percent(1.0 - own / its)
+    if fewer > 0 and own < its:
+        return [f"{text}: {loss} of bandwidth is the price of {count(fewer, 'state')} fewer."]
+    if fewer > 0:
+        return [f"{text}: being simpler by {count(fewer, 'state')} costs no bandwidth."]
+    if own < its:
+        return [f"{text}: {loss} more bandwidth, with no more states."]
+    if fewer < 0:
+        gain = _percent(own / its - 1.0)
+        return [f"{text}: {count(-fewer, 'state')} more for {gain} of bandwidth."]
+    return [f"{text}."]
+
+
+def _against_bounds(design: LoopDesign) -> list[str]:
+    out = []
+    own, claims = bandwidth_hz(design), design.claims
+    bound = claims.get("bandwidth_bound_hz", np.nan)
+    if np.isfinite(bound) and own > 0.0:
+        share = _percent(1.0 - own / bound)
+        out.append(
+            f"No controller within these limits reaches more than {quantity(bound, 'Hz', 3)}: {share} is all that "
+            "any other could add."
+            if own < bound
+            else f"No controller within these limits reaches more than {quantity(bound, 'Hz', 3)}."
+        )
+    gamma, least = claims.get("gamma", np.nan), claims.get("gamma_optimal", np.nan)
+    told = claims.get("price", gamma / least - 1.0)
+    if np.isfinite(told) and np.isfinite(gamma) and np.isfinite(least):
+        out.append(
+            f"On its weights the norm is {plain(gamma)}, {_percent(told)} above the least that any controller of "
+            f"whatever order reaches, {plain(least)}."
+        )
+    elif np.isfinite(told):
+        out.append(f"Its simplicity costs {_percent(told)} against the best controller of whatever order.")
+    return out
+
+
+def _states(design: LoopDesign) -> str:
+    return count(design.controller.nstates, "state")
+
+
+def _percent(share: float) -> str:
+    return f"{plain(100.0 * share, 2)} %"
