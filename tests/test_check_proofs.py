@@ -184,7 +184,10 @@ def test_an_unstable_loop_is_not_certified() -> None:
     for name in ("spread", "coupled", "manoeuvre"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
-    loop |= {"use": "classical", "design": [{"name": "classical", "method": "classical", "crossover_hz": 400, "damping_hz": 1}]}
+    loop |= {
+        "use": "classical",
+        "design": [{"name": "classical", "method": "classical", "crossover_hz": 400, "damping_hz": 1}],
+    }
     job = pc.read_job(data | {"loop": [loop], "operation": {"Omega": [0.0, 0.0, 0.0]}})
     with pytest.raises(NotCertifiedError, match="the closed loop grows at"):
         loops(job)
