@@ -9,12 +9,13 @@ asked on it cost nothing: what is bounded on the axis is bounded to the right of
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray, value
 
-# A pole between two frequencies: the response changes by more than this share of its size, and is larger than beyond.
-_CHANGE = 1.2
+# A pole between two frequencies: the response turns by more than this, rad, and is larger than beyond by this factor.
+_TURN = np.radians(110.0)
 _PEAK = 1.5
 # Towards the pole the contour first follows the axis, halving the distance so many times.
 _HALVINGS = 6
@@ -66,15 +67,19 @@ def _measured(frequency: FloatArray, P: ComplexArray) -> Contour:
     return Contour(s=np.asarray(1j * frequency, dtype=np.complex128), P=P, residue=np.zeros(len(frequency)))
 
 
-def _jumps(P: ComplexArray) -> FloatArray:
+def _jumps(P: ComplexArray) -> NDArray[np.bool_]:
     """Whether a pole lies between two frequencies that are next to each other, (N − 1,)."""
-    size = np.linalg.norm(P, 2, axis=(-2, -1))
-    change = np.linalg.norm(P[1:] - P[:-1], 2, axis=(-2, -1))
+    U, sizes, V = np.linalg.svd(P)
+    size = sizes[:, 0]
+    left = size[:-1] > size[1:]
+    u, v = (np.where(left[:, None], item[:-1], item[1:]) for item in (U[:, :, 0], V[:, 0]))
+    # What turns is the direction in which the larger of the two answers most.
+    here, there = (np.einsum("ki,kij,kj->k", u.conj(), item, v.conj()) for item in (P[:-1], P[1:]))
     higher = np.maximum(size[1:], size[:-1])
     beyond = np.concatenate([[0.0], size, [0.0]])
     # Dead time turns the response as well; a pole raises it above what is on both sides.
-    out: FloatArray = (change > _CHANGE * higher) & (higher > _PEAK * np.maximum(beyond[:-3], beyond[3:]))
-    return out
+    turned = np.abs(np.angle(there * here.conj())) > _TURN
+    return np.asarray(turned & (higher > _PEAK * np.maximum(beyond[:-3], beyond[3:])))
 
 
 def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
