@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.hinf_riccati import _floor, _normal_form, _sides, _trial, hinf_riccati
+from platform_ctrl.design.hinf_riccati import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
 from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
 from platform_ctrl.design.partition import Realisation, closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, balance
@@ -447,3 +447,22 @@ def test_the_proof_is_made_when_asked_for():
     result = hinf(*coprime_problem(*gyro()), method="riccati")
     assert result.certificate is result.certificate
     assert result.certificate.verify().proved
+
+
+def test_where_the_central_controller_is_not_well_posed_another_one_is_taken():
+    # T = P/(1 − P K) has the norm 1 at least: T = 1/z. The central controller of the w-plane makes T vanish at z = −1.
+    P = control.ss(0.5, [[1, 1]], [[1], [1]], 0, 0.1)
+    result = hinf(P, 1, 1, method="riccati")
+    assert result.gamma_optimal == pytest.approx(1, rel=1e-6)
+    assert 1 <= result.gamma <= 1.021
+
+
+@pytest.mark.parametrize("share", [0.3, -0.9])
+def test_every_free_parameter_below_gamma_keeps_gamma(share):
+    P = random_plant(5)
+    scaled = autoscale(partition(P, 2, 2))
+    normal = _normal_form(scaled.plant)
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    best = _trial(_sides(normal), (1.05 * least) ** -2).solution
+    loop = closed_loop(normal, _central(normal, best, share))
+    assert hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0] <= 1.05 * least * (1 + 1e-9)

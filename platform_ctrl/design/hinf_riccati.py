@@ -29,6 +29,8 @@ ACCURACY = 1e-8
 LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
 # Largest slack that is told from an infinite one, and largest bound on t that a first trial is derived from.
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
+# Free parameters that are tried, and the largest condition of the loop around D22.
+SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
 # Trials of gamma at most; about six are needed.
 LONGEST_SEARCH = 100
 # Eigenvalues this near to the imaginary axis, relative to the norm, are looked at as frequencies of a peak.
@@ -98,15 +100,20 @@ def hinf_riccati(
         residual[f"relative residual of the Riccati equation of {name}"] = float(
             np.linalg.norm(error) / (1 + np.linalg.norm(V)) / np.linalg.norm(H)
         )
-    try:
-        made = _central(normal, best)
-    except np.linalg.LinAlgError:
-        raise UnscalableError(
-            f"hinf, riccati: the controller at gamma = {best.gamma * scaled.gain:.6g} is not finite; "
-            'give a larger backoff, or method="lmi"',
-            P,
-        ) from None
-    return unscale(made, scaled), least * scaled.gain, residual
+    for share in SHARES:
+        try:
+            made = _central(normal, best, share)
+            # The loop around D22, which was left out so far, has to stay well posed.
+            around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
+            if around < LARGEST_SHIFT:
+                return unscale(made, scaled), least * scaled.gain, residual
+        except np.linalg.LinAlgError:
+            continue
+    raise UnscalableError(
+        f"hinf, riccati: the controllers at gamma = {best.gamma * scaled.gain:.6g} are not finite; "
+        'give a larger backoff, or method="lmi"',
+        P,
+    )
 
 
 def _normal_form(plant: Partition) -> Partition:
@@ -325,8 +332,11 @@ def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray
     return float(np.linalg.norm(rest, 2, axis=(-2, -1)).max())
 
 
-def _central(p: Partition, best: Solution) -> Realisation:
-    """The central controller; the names follow theorem 17.1, with 1 and 2 for the parts of the controller's ports."""
+def _central(p: Partition, best: Solution, share: float) -> Realisation:
+    """The controller with the free parameter Q = `share` gamma I, the central one for 0; every |Q| < gamma keeps gamma.
+
+    The names follow theorem 17.1, with 1 and 2 for the parts of the controller's ports.
+    """
     gamma, X, Y = best.gamma, best.X, best.Y
     nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
     w, z = nw - ny, nz - nu
@@ -352,4 +362,5 @@ def _central(p: Partition, best: Solution) -> Realisation:
     B1 = -Z @ L2 + B2 @ np.linalg.solve(D12, D11)
     C1 = F2 + D11 @ np.linalg.solve(D21, C2)
     A = p.A + B @ F + B1 @ np.linalg.solve(D21, C2)
-    return Realisation(A=A, B=B1, C=C1, D=D11)
+    Q = share * gamma * np.eye(nu, ny)
+    return Realisation(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)
