@@ -500,9 +500,9 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     best = max(others, key=price.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
-    assert "4 % above the least" in sentences[2]
+    assert "4\u00a0% above the least" in sentences[2]
     lost = 100.0 * (1.0 - price.bandwidth_hz(outcome.closed) / 80.0)
-    assert f"{plain(lost, 2)} % is all that any other could add" in sentences[1]
+    assert f"{plain(lost, 2)}\u00a0% is all that any other could add" in sentences[1]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
 
@@ -557,7 +557,11 @@ def test_the_comparison_shows_every_design_and_its_options(result: JobResult) ->
 
 
 def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
-    asked = {row.name for row in comparison.limit_rows(result.loops[0])}
+    rows = {row.name: row for row in comparison.limit_rows(result.loops[0])}
+    asked = set(rows)
+    [found] = [one for one in result.loops[0].closed.results if one.name == "bandwidth"]
+    assert (rows["bandwidth"].limit, rows["bandwidth"].cells[0].text) == ("≥ 20 Hz", f"✗ {plain(found.value)}")
+    assert not found.passed
     besides = {row.name for row in comparison.measured_rows(result.loops[0])}
     assert asked.isdisjoint(besides)
     assert "damping" in besides

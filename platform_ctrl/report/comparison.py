@@ -90,8 +90,7 @@ def limit_rows(outcome: LoopOutcome) -> list[Row]:
     """Return what is asked of every design, met or not."""
 
     def cell(one: CheckResult) -> Cell:
-        symbol = MET if one.passed else NOT_MET
-        return Cell(text=f"{symbol} {compared(one.value, one.limit, one.unit)[0]}", met=one.passed)
+        return Cell(text=f"{MET if one.passed else NOT_MET} {_number(one)}", met=one.passed)
 
     return [_judged(name, found, cell) for name, found in _results([d.results for d in outcome.designs])]
 
@@ -100,11 +99,19 @@ def goal_rows(outcome: LoopOutcome) -> list[Row]:
     """Return the loop's goals: reached, or how far from it; a goal that is missed is no failure."""
 
     def cell(one: CheckResult) -> Cell:
-        text = compared(one.value, one.limit, one.unit)[0]
-        return Cell(text=f"{MET} {text}", met=True) if one.passed else Cell(text=f"{text} ({percent(one.margin)})")
+        if one.passed:
+            return Cell(text=f"{MET} {_number(one)}", met=True)
+        return Cell(text=f"{_number(one)} ({percent(one.margin)})")
 
     found = _results([d.goals for d in outcome.designs])
     return [_judged(name.removeprefix(GOAL), results, cell) for name, results in found]
+
+
+def _number(one: CheckResult) -> str:
+    """Return the figure in the unit that the limit beside it shows."""
+    text, limit = compared(one.value, one.limit, one.unit)
+    unit = limit.partition(" ")[2]
+    return text.removesuffix(f" {unit}") if unit else text
 
 
 def _results(columns: Sequence[Sequence[CheckResult]]) -> list[tuple[str, list[CheckResult | None]]]:
@@ -178,7 +185,7 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
         out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]])}")
     others = [margins[label] for label in plants.labels[1:] if label in margins]
     if others:
-        out["disk margin with others"] = Cell(text=f"≥ {plain(min(others))} with {count(len(others), 'plant')}")
+        out["disk margin with others"] = Cell(text=f"≥ {plain(min(others))}, {count(len(others), 'plant')}")
     bits = max((found.precision for found in proofs.verifications), default=0)
     all_of = proofs.proved == proofs.of
     out["claims proved"] = Cell(
@@ -211,15 +218,19 @@ def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
         chosen = measures.of((group,))
         if not chosen.any():
             continue
-        margin = requirement("disk margin", 1.0, over=(group,)).check(plants, design.controller)
+        margin, where = float(measures.disk_margin[0]), ""
+        if group != "nominal":
+            # Measured margins are exact near the worst of all groups together, not of each.
+            worst = requirement("disk margin", 1.0, over=(group,)).check(plants, design.controller)
+            margin, where = worst.value, worst.evidence.rpartition(";")[0]
         rows.append(
             (
                 name,
                 str(int(chosen.sum())),
                 quantity(float(measures.decay[chosen].min()), "1/s"),
                 plain(float(measures.damping[chosen].min())),
-                plain(margin.value),
-                "" if group == "nominal" else margin.evidence.rpartition(";")[0],
+                plain(margin),
+                where,
             )
         )
     return rows

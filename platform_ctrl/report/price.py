@@ -84,4 +84,4 @@ def _states(design: LoopDesign) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{plain(100.0 * share, 2)} %"
+    return f"{plain(100.0 * share, 2)}\u00a0%"
