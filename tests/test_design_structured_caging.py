@@ -346,3 +346,25 @@ def test_a_single_gimbal_is_caged_too(structure):
     (outcome,) = design.loops(small_job(plant, ["frame"], structure, bandwidth_hz=20.0, disk_margin=0.6, damping=0.2))
     assert outcome.closed.passed
     assert outcome.closed.controller.ninputs == 1
+
+
+@pytest.mark.parametrize("change", [{"spread": 0.3}, {"rate_hz": 1000}])
+def test_a_start_that_is_not_stable_is_brought_there_first(change):
+    """The classical rules of thumb fail with some plants of a wide spread, and with all of them at a low rate."""
+    data = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))
+    data["spread"] = dict.fromkeys(("inertia", "spin"), change.get("spread", 0.1))
+    rate = change.get("rate_hz", 2000)
+    data["sampling"] = {"rate_hz": rate, "delay": 1 / rate}
+    loop = next(loop for loop in data["loop"] if loop["name"] == "caging 9-10")
+    loop |= {
+        "use": "one",
+        "limits": {"disk_margin": 0.5, "disk_margin_spread": 0.3, "damping_spread": 0.05, "torque_noise": 0.005},
+        "soft": {"bandwidth_hz": 25},
+        "design": [{"name": "one", "method": "structured", "integral_hz": 2}],
+    }
+    small = {key: data[key] for key in ("schema", "name", "plant", "operation", "spread", "sampling")}
+    said = []
+    (outcome,) = design.loops(read_job(small | {"loop": [loop]}), said.append)
+    assert said[1] == "caging 9-10: one, not stable with all plants yet"
+    assert outcome.closed.passed
+    assert hertz(outcome.closed) > 20.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 
@@ -129,8 +130,8 @@ def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: P
     hard, soft = hard_and_soft(spec.limits, spec.soft)
 
     def progress(limits: float, goals: float) -> None:
-        told = f", goals at {goals:.0%}" if soft else ""
-        say(f"{spec.name}: {design.name}, limits at {limits:.0%}{told}")
+        told = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if soft else "")
+        say(f"{spec.name}: {design.name}, {told if math.isfinite(limits) else 'not stable with all plants yet'}")
 
     found = tuned_controller(
         options,

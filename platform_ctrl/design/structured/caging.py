@@ -98,7 +98,7 @@ def tuned_controller(
     others
         Further starting points, tried in turn where ``starts`` asks for more than one.
     progress
-        Called with the largest ratio of a limit and of a goal.
+        Called with the largest ratio of a limit and of a goal; infinite where a loop is not stable yet.
     """
     integral = 2.0 * np.pi * options["integral_hz"]
     kept = _INTEGRAL_KEPT * integral

@@ -116,7 +116,7 @@ class Search:
     evaluations
         Most evaluations in all.
     progress
-        Called with the largest hard piece and the largest soft ratio.
+        Called with the largest hard piece and the largest soft ratio; infinite where a loop is not stable yet.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class Search:
             x = np.append(x, np.log(self._bandwidth(family, x)))
         spent = self._left
         hard, soft, worst = self._all(family, x)
-        self._progress(hard, soft)
+        self._tell(hard, soft)
         best = Found(x=x, hard=hard, soft=soft, evaluations=0)
         view = sorted({0, *worst[:_FIRST]})
         state = _State(H=np.eye(len(x)), radius=0.05)
@@ -157,7 +157,7 @@ class Search:
             better = found.better_than(best, self._reserve)
             if better:
                 best = found
-                self._progress(hard, soft)
+                self._tell(hard, soft)
             elif state.ended and (not added or len(view) >= len(self._plants.labels)):
                 break
             else:
@@ -173,6 +173,10 @@ class Search:
                 if state.tries > _TRIES:
                     break
         return dataclasses.replace(best, x=best.x[: len(family.start)], evaluations=spent - self._left)
+
+    def _tell(self, hard: float, soft: float) -> None:
+        unstable = hard >= _UNSTABLE
+        self._progress(np.inf if unstable else hard, np.inf if unstable else soft)
 
     def _enough(self, found: Found) -> bool:
         return found.hard <= 1.0 - _SPARED * self._reserve and found.soft <= 1.0 + 1e-6
@@ -194,10 +198,10 @@ class Search:
         if not found.stable:
             return _UNSTABLE + float(found.values.max()), _UNSTABLE, _ranked(by_plant)
         if self._soft:
-            hard = float(found.values[found.hard].max(initial=0.0)) - self._reserve
-            soft = float(found.values[~found.hard].max())
+            hard = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
+            soft = _ratio(float(found.values[~found.hard].max()))
         else:
-            hard, soft = float(found.values.max()), 0.0
+            hard, soft = _ratio(float(found.values.max())), 0.0
         return hard, soft, _ranked(by_plant)
 
     def _pieces(self, family: Family, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:
@@ -241,9 +245,12 @@ class Search:
             gradient = np.zeros((1, len(x)))
             gradient[0, -1] = -ratio
             add(np.array([ratio]), gradient, False, -3, np.zeros(1, dtype=np.intp))
+        ratios = np.concatenate(values)
+        # Far from met, ratios grow like 1/margin; their logarithm is nearer to a straight line.
+        beyond = np.maximum(ratios, 1.0)
         return _Pieces(
-            values=np.concatenate(values),
-            gradients=np.concatenate(gradients),
+            values=np.where(ratios > 1.0, 1.0 + np.log(beyond), ratios),
+            gradients=np.concatenate(gradients) / beyond[:, None],
             hard=np.concatenate(hard),
             owner=np.concatenate(owner),
             stable=stable,
@@ -271,8 +278,9 @@ class Search:
             move = np.zeros(len(x)) if step is None else step.move
             predicted = 0.0
             if step is not None:
-                predicted = merit - (step.level + _PENALTY * step.violation + 0.5 * float(move @ state.H @ move))
-            if step is None or predicted <= 1e-6 * max(1.0, merit):
+                modelled = merit if here.stable else merit - _UNSTABLE
+                predicted = modelled - (step.level + _PENALTY * step.violation + 0.5 * float(move @ state.H @ move))
+            if step is None or predicted <= 1e-6:
                 break
             there = self._pieces(family, x + move, plants, _FLOOR)
             ratio = (merit - there.merit()) / predicted
@@ -282,7 +290,7 @@ class Search:
                 state.H = _updated(state.H, move, here, there, weights)
             length = float(np.abs(move).max())
             if ratio > 1e-3:
-                small = small + 1 if merit - there.merit() < 1e-5 * merit else 0
+                small = small + 1 if merit - there.merit() < 1e-5 else 0
                 x, here, merit = x + move, there, there.merit()
                 if ratio > 0.7 and length > 0.7 * state.radius:
                     state.radius *= 2.0
@@ -304,6 +312,11 @@ class Search:
         if not self._soft:
             return soft <= 1.0 - self._reserve
         return soft <= 1.0 and bool(here.values[here.hard].max(initial=0.0) <= 1.0 + 0.1 * self._reserve)
+
+
+def _ratio(value: float) -> float:
+    """Return the ratio that a piece stands for."""
+    return float(np.exp(value - 1.0)) if value > 1.0 else value
 
 
 def _ranked(by_plant: FloatArray) -> list[int]:
