@@ -158,6 +158,8 @@ def test_what_no_input_moves_or_no_weight_sees_is_named():
         lqr(DOUBLE, np.diag([0.0, 1.0]), np.eye(1))
     with pytest.raises(IllPosedError, match=r"Q2 is 0 for Q10"):
         lqr(gyro(), WEIGHTS[0], np.diag([1.0, 0.0]))
+    with pytest.raises(IllPosedError, match=r"Q2 is -1 for u\[0\]"):
+        lqr(DOUBLE, np.eye(2), [[-1.0]])
     with pytest.raises(IllPosedError, match="R2 is not positive definite, for "):
         lqe(gyro(), NOISE[0], np.ones((2, 2)))
     with pytest.raises(IllPosedError, match="not positive semidefinite"):

@@ -134,7 +134,7 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     ),
     "method unknown": (
         put("clasical", "loop", 0, "design", 0, "method"),
-        [HAND, 'method = "clasical"', 'expected "classical" or "hinf" or "structured" or "platform-servo"'],
+        [HAND, 'method = "clasical"', 'expected "classical" or "hinf" or "lqg" or "structured" or "platform-servo"'],
     ),
     "method for another kind": (
         put({"name": "machine", "method": "platform-servo", "crossover_hz": 40}, "loop", 0, "design", 1),

@@ -10,28 +10,23 @@ Riccati equation and the poles that it leads to.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_scaling, state_space
-from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import real_array
 from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition, with_direct_path
-from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
+from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
+from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
     from control import StateSpace
 
-# Largest relative residual of a Riccati equation (scaled).
-RESIDUAL = 1e-6
-# A weight may be negative by this share of its largest eigenvalue: rounding.
-SEMIDEFINITE = 1e-10
 # The recomputed cost of LQG may exceed the claimed one by this share of its root.
 TOLERANCE = 1e-5
 
@@ -149,7 +144,7 @@ def lqr(
         The Riccati equation was not solved, or the loop is not stable.
     """
     arrays = state_arrays(system, "lqr")
-    weights = _weights(
+    weights = judged_weights(
         "lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), len(arrays.A), arrays.B.shape[1], system.input_labels, system
     )
     return _feedback(system, arrays, weights, integral, "lqr")
@@ -172,7 +167,9 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
         As `lqr`, for noise and measurements in place of weights and inputs.
     """
     arrays = state_arrays(system, "lqe")
-    noise = _weights("lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system)
+    noise = judged_weights(
+        "lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system
+    )
     return _estimator(system, arrays, noise, "lqe")
 
 
@@ -209,8 +206,8 @@ def lqg(
     """
     arrays = state_arrays(system, "lqg")
     n, m = arrays.B.shape
-    weights = _weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
-    noise = _weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
+    weights = judged_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
+    noise = judged_weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
     feedback = _feedback(system, arrays, weights, integral, "lqg")
     estimator = _estimator(system, arrays, noise, "lqg")
     plant = _cost_plant(arrays, weights, noise, integral)
@@ -236,125 +233,6 @@ def lqg(
     )  # fmt: skip
 
 
-class Weights(NamedTuple):
-    """[first, cross; cross', second], positive semidefinite with a positive definite second."""
-
-    first: FloatArray
-    second: FloatArray
-    cross: FloatArray
-
-
-def _weights(
-    where: str,
-    names: str,
-    given: tuple[ArrayLike | None, ...],
-    n: int,
-    m: int,
-    labels: list[str],
-    system: StateSpace,
-) -> Weights:
-    """Judge a pair of weights or intensities."""
-    first, second, between = names.split(", ")
-    Q = real_array(f"{where}: {first}", given[0], (n, n))
-    R = real_array(f"{where}: {second}", given[1], (m, m))
-    N = real_array(f"{where}: {between}", given[2], (n, m), 0.0)
-    for name, matrix in ((first, Q), (second, R)):
-        if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
-            raise ArgumentError(f"{where}: {name} is not symmetric; expected a symmetric matrix")
-    Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)
-    # In units of their own: a weight of 1e-12 beside one of 1 is small, not zero.
-    unit = np.sqrt(np.diag(R))
-    if not np.all(unit > 0.0):
-        k = int(np.argmin(np.diag(R)))
-        raise IllPosedError(
-            f"{where}: {second} is {R[k, k]:.4g} for {labels[k]}; expected a positive definite {second}: every one "
-            'counts; give a small positive number, or design.h2 with method="lmi"',
-            system,
-        )
-    values, vectors = np.linalg.eigh(R / unit / unit[:, None])
-    if values[0] <= SEMIDEFINITE * values[-1]:
-        k = int(np.argmax(np.abs(vectors[:, 0])))
-        raise IllPosedError(
-            f"{where}: {second} is not positive definite, for {labels[k]} among others; expected a positive definite "
-            f"{second}; give larger numbers on its diagonal",
-            system,
-        )
-    rest = Q - N @ np.linalg.solve(R, N.T)
-    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
-    size[size == 0.0] = 1.0
-    if n and np.linalg.eigvalsh(rest / size / size[:, None])[0] < -SEMIDEFINITE * n:
-        raise IllPosedError(
-            f"{where}: [{first}, {between}; {between}', {second}] is not positive semidefinite; expected one: the cost "
-            "has no least value otherwise",
-            system,
-        )
-    return Weights(Q, R, N)
-
-
-def _solved(
-    A: FloatArray, B: FloatArray, weights: Weights, dt: float, where: str, system: StateSpace
-) -> tuple[FloatArray, FloatArray, ComplexArray, float]:
-    """X, the gain F of u = F x, the poles of A + B F and the residual, solved in scaled units."""
-    Q, R, N = weights
-    unit = 1.0 / np.sqrt(np.diag(R))
-    s = state_scaling(A, B * unit, _root(Q).T if np.any(Q) else np.zeros((1, len(A))))
-    As, Bs = A * s / s[:, None], B * unit / s[:, None]
-    Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
-    # Units of time and of the cost in which A and Q are near one.
-    rate = 1.0 if dt else max(float(np.linalg.norm(As, 2)), np.finfo(float).tiny)
-    cost = max(float(np.linalg.norm(Qs, 2)), np.finfo(float).tiny)
-    root = np.sqrt(cost)
-    equation = (As / rate, Bs * root / rate, Qs / cost, Rs, Ns / root)
-    try:
-        found = discrete_solution(*equation) if dt else continuous_solution(*equation)
-    except np.linalg.LinAlgError:
-        found = None
-    if found is None:
-        _name_blind_mode(equation, rate, dt, where, system)
-        raise UnscalableError(
-            f"{where}: the Riccati equation has no stabilising solution in scaled units; expected weights and modes "
-            "with less spread; try larger weights on the slow states",
-            system,
-        )
-    X, F = found[0], found[1]
-    residual = relative_residual(*equation, X, discrete=dt > 0)
-    F = F * (unit[:, None] * root) / s
-    poles = np.asarray(np.linalg.eigvals(A + B @ F), dtype=np.complex128)
-    if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0 or not residual <= RESIDUAL:
-        raise NotCertifiedError(
-            f"{where}: the loop is not stable, or its Riccati equation holds to {residual:.2g} alone; expected a "
-            f"stable loop and {RESIDUAL:g}; try weights with less spread",
-            system,
-        )
-    return X * (cost / rate) / s / s[:, None], F, poles, residual
-
-
-def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
-    """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
-    A, B, Q, R, N = equation
-    closed = A - B @ np.linalg.solve(R, N.T)
-    seen = Q - N @ np.linalg.solve(R, N.T)
-    for pole in np.linalg.eigvals(closed):
-        distance = abs(abs(pole) - 1.0) if dt else abs(pole.real)
-        shifted = np.vstack([closed - pole * np.eye(len(A)), seen])
-        if distance < 1e-6 and np.linalg.svd(shifted, compute_uv=False)[-1] < 1e-9:
-            at = f"z = {pole:.6g}" if dt else f"{pole * rate:.4g} rad/s"
-            raise IllPosedError(
-                f"{where}: the weights (or noise intensities) do not reach the mode at {at} on the stability boundary; "
-                "expected one on every such mode; add a small weight (or noise) on its states",
-                system,
-            )
-
-
-def _root(Q: FloatArray) -> FloatArray:
-    """Return a square root G, Q = G G', of a positive semidefinite matrix; zero columns left out."""
-    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
-    size[size == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(Q / size / size[:, None])
-    keep = values > 1e-14 * max(float(values[-1]), 0.0)
-    return np.asarray(size[:, None] * vectors[:, keep] * np.sqrt(values[keep]))
-
-
 def _with_integrals(
     arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
 ) -> tuple[FloatArray, FloatArray, Weights, int]:
@@ -377,13 +255,13 @@ def _feedback(
 ) -> StateFeedback:
     A, B, weights, p = _with_integrals(arrays, weights, integral, where)
     _require(A, B, np.eye(len(A)), arrays.dt, where, system)
-    X, F, poles, residual = _solved(A, B, weights, arrays.dt, where, system)
+    X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
     return StateFeedback(system=system, state_gain=F, X=X, poles=poles, integrals=p, residual=residual)
 
 
 def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
     _require(arrays.A, np.eye(len(arrays.A)), arrays.C, arrays.dt, where, system)
-    Y, Lt, poles, residual = _solved(arrays.A.T, arrays.C.T, noise, arrays.dt, where, system)
+    Y, Lt, poles, residual = solved(arrays.A.T, arrays.C.T, noise, arrays.dt, where, system)
     present = np.zeros((len(Y), 0))
     if arrays.dt:
         S = noise.second + arrays.C @ Y @ arrays.C.T
@@ -405,8 +283,8 @@ def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral:
     """The H2 problem: w = roots of the noise, z = roots of the cost, measurements [y, its integrals]."""
     n, m = arrays.B.shape
     A, B, weights, p = _with_integrals(arrays, weights, integral, "lqg")
-    V = _root(np.block([[noise.first, noise.cross], [noise.cross.T, noise.second]]))
-    Z = _root(np.block([[weights.first, weights.cross], [weights.cross.T, weights.second]])).T
+    V = square_root(np.block([[noise.first, noise.cross], [noise.cross.T, noise.second]]))
+    Z = square_root(np.block([[weights.first, weights.cross], [weights.cross.T, weights.second]])).T
     V2 = V[n:]
     return Partition(
         A=A, B1=V[: n + p], B2=B, C1=Z[:, : n + p],
