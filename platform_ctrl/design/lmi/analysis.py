@@ -15,10 +15,17 @@ from platform_ctrl.frozen import FloatArray
 
 # Largest eigenvalue of V relative to the one before, on the average, and the inverse of the least one.
 ROOM = 10.0
+# Factor of `near`.
+NEAR = 30.0
 
 
 def slackest(
-    problem: Problem, plants: Sequence[Partition], ratios: Sequence[Any], V: FloatArray, K: Realisation
+    problem: Problem,
+    plants: Sequence[Partition],
+    ratios: Sequence[Any],
+    V: FloatArray,
+    K: Realisation,
+    near: FloatArray | None = None,
 ) -> FloatArray:
     """Return the matrix for which the requirements hold with the most slack, the norms at `ratios` times their limits.
 
@@ -32,6 +39,8 @@ def slackest(
         A matrix to start from.
     K
         The controller.
+    near
+        A matrix from which that one stays within a factor, as a quadratic form.
 
     Raises
     ------
@@ -40,7 +49,7 @@ def slackest(
     """
     cp = cvxpy()
     slack = cp.Variable()
-    return _solved(problem, plants, ratios, V, K, slack, cp.Maximize(slack), [slack >= 0], "looking for slack")
+    return _solved(problem, plants, ratios, V, K, slack, cp.Maximize(slack), [slack >= 0], "looking for slack", near)
 
 
 def least_ratio(
@@ -64,6 +73,7 @@ def _solved(
     objective: Any,
     more: list[Any],
     what: str,
+    near: FloatArray | None = None,
 ) -> FloatArray:
     cp = cvxpy()
     # In the states in which the last V is the identity.
@@ -72,6 +82,9 @@ def _solved(
     size = len(V)
     new = cp.Variable((size, size), symmetric=True)
     constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, *more]
+    if near is not None:
+        there = inverse.T @ near @ inverse
+        constraints += [new >> there / NEAR, new << NEAR * there]
     for plant in plants:
         loop = closed_loop(plant, K)
         linear = LinearLoop(

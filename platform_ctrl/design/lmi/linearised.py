@@ -2,7 +2,7 @@
 
 Scherer, Gahinet and Chilali (1997): with one Lyapunov matrix V for all of a loop's inequalities, a congruence turns
 V, V A, V B, C, D of the closed loop into matrices linear in X, Y and the transformed controller Â, B̂, Ĉ, D̂. The
-expressions are those of cvxpy; with a known V they are linear in the controller itself.
+expressions are those of cvxpy.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 
 from platform_ctrl.design.lmi.regions import Region
 from platform_ctrl.design.partition import Partition, Realisation
-from platform_ctrl.frozen import FloatArray
 
 
 class LinearLoop(NamedTuple):
@@ -62,19 +61,6 @@ def output_feedback(p: Partition, X: Any, Y: Any, hat: Hats) -> LinearLoop:
 def state_feedback(p: Partition, X: Any, L: Any) -> LinearLoop:
     """Return the loop of u = L X⁻¹ x."""
     return LinearLoop(V=X, VA=p.A @ X + p.B2 @ L, VB=p.B1, C=p.C1 @ X + p.D12 @ L, D=p.D11)
-
-
-def fixed_matrix(p: Partition, V: FloatArray, K: Hats) -> LinearLoop:
-    """Return the loop with a known V (2n, 2n), linear in the controller itself, in the states in which V is one."""
-    cp = cvxpy()
-    A = cp.bmat([[p.A + p.B2 @ K.D @ p.C2, p.B2 @ K.C], [K.B @ p.C2, K.A]])
-    B = cp.vstack([p.B1 + p.B2 @ K.D @ p.D21, K.B @ p.D21])
-    C = cp.hstack([p.C1 + p.D12 @ K.D @ p.C2, p.D12 @ K.C])
-    root = np.linalg.cholesky(V).T
-    inverse = np.linalg.inv(root)
-    return LinearLoop(
-        V=np.eye(len(V)), VA=root @ A @ inverse, VB=root @ B, C=C @ inverse, D=p.D11 + p.D12 @ K.D @ p.D21
-    )
 
 
 def hinf_below(

@@ -19,7 +19,8 @@ from platform_ctrl.certificates.closed_loop import ClosedLoop
 from platform_ctrl.design.lmi.analysis import least_ratio, slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
 from platform_ctrl.design.lmi.conic import solve
-from platform_ctrl.design.lmi.linearised import Hats, cvxpy, fixed_matrix, state_feedback
+from platform_ctrl.design.lmi.known_matrix import KnownMatrix
+from platform_ctrl.design.lmi.linearised import cvxpy, state_feedback
 from platform_ctrl.design.lmi.polytope import require_alike, require_common
 from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
@@ -255,30 +256,20 @@ def _between(a: Partition, b: Partition, share: float) -> Partition:
 
 def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> Realisation:
     """The controller of the least ratio for a known matrix; without norms, of the most slack."""
-    cp, p = cvxpy(), plants[0]
-    n = len(p.A)
-    # In states in which both diagonal blocks of V are one.
-    first, last = np.linalg.cholesky(V[:n, :n]).T, np.linalg.cholesky(V[n:, n:]).T
-    inner = np.linalg.inv(first)
-    plants = [turned(plant, inner) for plant in plants]
-    corner = inner.T @ V[:n, n:] @ np.linalg.inv(last)
-    V = np.block([[np.eye(n), corner], [corner.T, np.eye(n)]])
-    nu, ny = p.B2.shape[1], len(p.C2)
-    K = Hats(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
+    cp = cvxpy()
+    known = KnownMatrix(plants, V, direct(problem))
     goal = cp.Variable()
     norms = bool(problem.asked.norms)
     ratios = [goal if one else 1.0 for one in problem.goals]
     constraints = [goal >= 0] if norms else [goal <= 1]
-    for plant in plants:
-        constraints += constrained(problem, fixed_matrix(plant, V, K), ratios, 1.0, MARGIN if norms else goal)[0]
+    for loop in known.loops:
+        constraints += constrained(problem, loop, ratios, 1.0, MARGIN if norms else goal)[0]
     solve(
-        cp.Problem(cp.Minimize(goal) if norms else cp.Maximize(goal), constraints), (K.A, K.B, K.C),
+        cp.Problem(cp.Minimize(goal) if norms else cp.Maximize(goal), constraints), known.unknowns,
         what=f"{WHERE}: the controller for a matrix",
         time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
     )  # fmt: skip
-    made = K.values()
-    out = np.linalg.inv(last)
-    return Realisation(A=out @ made.A @ last, B=out @ made.B, C=made.C @ last, D=made.D)
+    return known.controller()
 
 
 def _finished(

@@ -15,14 +15,15 @@ import numpy as np
 from platform_ctrl.design.lmi.analysis import slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix
 from platform_ctrl.design.lmi.conic import solve
-from platform_ctrl.design.lmi.linearised import Hats, cvxpy, fixed_matrix
+from platform_ctrl.design.lmi.known_matrix import KnownMatrix
+from platform_ctrl.design.lmi.linearised import cvxpy
 from platform_ctrl.design.lmi.search import CURE, FINE, Found, Problem, constrained, direct
 from platform_ctrl.design.partition import Realisation
 from platform_ctrl.errors import InfeasibleError, UnscalableError
 from platform_ctrl.frozen import FloatArray
 
 # Rounds, and what one must bring.
-MOST_ROUNDS, LEAST_PROGRESS = 60, 1e-3
+MOST_ROUNDS, LEAST_PROGRESS = 40, 1e-3
 # Strictness of the inequalities while the controller changes, and of the bound that is met.
 MARGIN, BELOW = 1e-6, 0.999
 
@@ -40,22 +41,23 @@ def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Reali
     n = len(problem.plant.A)
     X, Y = best.pair.X, best.pair.Y
     V = lyapunov_matrix(X, Y, *factors(X, Y))
-    W = V[n:, n:]
+    # Near the first matrix: from one to the next their condition would grow without end.
+    first, W = V, V[n:, n:]
     problem = problem._replace(splits=best.splits)
     fastest = _fastest(K)
     for _ in range(MOST_ROUNDS):
         if fastest <= BELOW * bound:
             return K
-        before = fastest
         try:
-            K = _slowest(problem, best, V, W)
-            fastest = _fastest(K)
-            V = slackest(problem, [problem.plant], best.ratios, V, K)
+            slower = _slowest(problem, best, V, W)
+            reached = _fastest(slower)
+            if not reached < (1 - LEAST_PROGRESS) * fastest:
+                break
+            K, fastest = slower, reached
+            V = slackest(problem, [problem.plant], best.ratios, V, K, first)
         except (InfeasibleError, UnscalableError):
             break
         W = _own(K, fastest)
-        if fastest > (1 - LEAST_PROGRESS) * before:
-            break
     if fastest <= BELOW * bound:
         return K
     rate = problem.scaled.rate
@@ -72,17 +74,18 @@ def _fastest(K: Realisation) -> float:
 
 def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Realisation:
     """The controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
-    cp, p = cvxpy(), problem.plant
-    n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
-    K = Hats(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
+    cp = cvxpy()
+    known = KnownMatrix([problem.plant], V, direct(problem))
     r = cp.Variable()
-    constraints, _ = constrained(problem, fixed_matrix(p, V, K), best.ratios, 1.0, MARGIN)
+    constraints, _ = constrained(problem, known.loops[0], best.ratios, 1.0, MARGIN)
     # In the states in which W is the identity.
-    root = np.linalg.cholesky(W).T
-    turned = root @ K.A @ np.linalg.inv(root)
-    constraints.append(cp.bmat([[r * np.eye(n), turned], [turned.T, r * np.eye(n)]]) >> 0)
-    _solve(problem, cp.Problem(cp.Minimize(r), constraints), (r, K.A, K.B, K.C))
-    return K.values()
+    inverse = np.linalg.inv(known.own)
+    root = np.linalg.cholesky(inverse.T @ W @ inverse).T
+    turned = root @ known.A_K @ np.linalg.inv(root)
+    eye = np.eye(len(W))
+    constraints.append(cp.bmat([[r * eye, turned], [turned.T, r * eye]]) >> 0)
+    _solve(problem, cp.Problem(cp.Minimize(r), constraints), (r, *known.unknowns))
+    return known.controller()
 
 
 def _own(K: Realisation, fastest: float) -> FloatArray:
