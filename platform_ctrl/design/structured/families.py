@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.blocks import Block, first_order, series, side_by_side
 from platform_ctrl.design.channels import Channels
@@ -293,12 +294,10 @@ def of_order(block: Block, order: int, rate: float) -> Block:
 
 def truncated(block: Block, order: int) -> Block:
     """Return the balanced truncation of a stable sampled block, by square roots (Tombs and Postlethwaite, 1987)."""
-    from scipy.linalg import solve_discrete_lyapunov
-
     A, B, C, D = block
     if not len(A):
         return block
-    reach, show = (_root(solve_discrete_lyapunov(a, b)) for a, b in ((A, B @ B.T), (A.T, C.T @ C)))
+    reach, show = (_root(stationary_covariance(a, b)) for a, b in ((A, B), (A.T, C.T)))
     U, s, V = np.linalg.svd(show.T @ reach)
     order = min(order, int(np.sum(s > _NEGLIGIBLE * s[0])))
     scale = 1.0 / np.sqrt(s[:order])

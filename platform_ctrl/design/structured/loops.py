@@ -279,7 +279,7 @@ class ClosedLoops:
         if not self.order:
             return self.none()
         z, x = np.linalg.eig(self.A_K)
-        y = np.linalg.inv(x)
+        y = left_vectors(x)
         two = 2.0 / self.plants.period
         w = two * (z - 1.0) / (z + 1.0)
         _, k = _reaching(np.abs(w)[None] / limit, (z.imag >= 0.0)[None], floor)
@@ -294,8 +294,8 @@ class ClosedLoops:
         if self._poles is None:
             A, into, out = self._stacked()
             z, x = np.linalg.eig(A)
-            # Left eigenvectors; A is defective only on a set that no search meets twice.
-            y = np.linalg.inv(x)
+            # Left eigenvectors. Where A is defective, as with several samples of pure delay, slopes do not exist.
+            y = left_vectors(x)
             s = continuous_poles(z, self.plants.period)
             left, right = np.asarray(y @ into, dtype=np.complex128), np.asarray(out @ x, dtype=np.complex128)
             self._poles = Poles(np.asarray(z, dtype=np.complex128), s, left, right)
@@ -369,6 +369,14 @@ class Poles(NamedTuple):
     s: ComplexArray
     left: ComplexArray
     right: ComplexArray
+
+
+def left_vectors(x: ComplexArray) -> ComplexArray:
+    """Return the inverses of stacks of eigenvectors, or least-squares ones where there are none."""
+    try:
+        return np.asarray(np.linalg.inv(x), dtype=np.complex128)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(x), dtype=np.complex128)
 
 
 def at_least(measured: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:

@@ -250,7 +250,7 @@ class Search:
         beyond = np.maximum(ratios, 1.0)
         return _Pieces(
             values=np.where(ratios > 1.0, 1.0 + np.log(beyond), ratios),
-            gradients=np.concatenate(gradients) / beyond[:, None],
+            gradients=np.nan_to_num(np.concatenate(gradients) / beyond[:, None], posinf=0.0, neginf=0.0),
             hard=np.concatenate(hard),
             owner=np.concatenate(owner),
             stable=stable,
