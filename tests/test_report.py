@@ -23,6 +23,7 @@ import platform_ctrl as pc
 from platform_ctrl import report
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.check import JobResult, checked
+from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
@@ -376,7 +377,7 @@ def test_the_worst_requirement_of_a_subject_comes_first(result: JobResult) -> No
     margins = {(one.subject, one.name): (one.passed, one.margin) for one in result.requirements}
     rows = tables.requirement_rows(result)
     for above, below in pairwise(rows):
-        if above.subject == below.subject:
+        if above.subject == below.subject and below.requirement != "claims proved":
             assert margins[above.subject, above.requirement] <= margins[below.subject, below.requirement]
 
 
@@ -415,6 +416,19 @@ def test_a_goal_that_is_missed_is_dim_in_the_terminal_and_not_red(compared_desig
     assert "\x1b[2m" in line
     assert "\x1b[1;31m" not in line
     assert "Goals are no part of the verdict." in capture.get()
+
+
+def test_a_narrow_terminal_lists_goals_too_and_no_proof_is_the_tightest(
+    compared_designs: JobResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    show_result(compared_designs)
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("met") and "goal: bandwidth" in line for line in lines) == 1
+    assert sum(line.startswith("not met") and "goal: disk margin" in line for line in lines) == 1
+    verdict = " ".join(lines[next(k for k, line in enumerate(lines) if line.startswith("PASSED")) :])
+    assert "tightest" in verdict
+    assert "claims proved" not in verdict
 
 
 def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: JobResult) -> None:
@@ -500,9 +514,9 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     best = max(others, key=price.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
-    assert "4\u00a0% above the least" in sentences[2]
+    assert "4\u00a0% above the least" in sentences[-1]
     lost = 100.0 * (1.0 - price.bandwidth_hz(outcome.closed) / 80.0)
-    assert f"{plain(lost, 2)}\u00a0% is all that any other could add" in sentences[1]
+    assert f"{plain(lost, 2)}\u00a0% is all that any other could add" in sentences[-2]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
 
@@ -519,11 +533,25 @@ def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobRes
     assert fewer > 0
     assert price.bandwidth_hz(named["slow"]) < price.bandwidth_hz(named["H-infinity"])
     assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
-    assert f"{fewer} states more for" in told("H-infinity", "slow")
-    assert "more bandwidth, with no more states" in told("slow", "simple")
-    assert told("simple", "slow").endswith("too.")
+    assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
+    assert "is given up without fewer states" in told("slow", "simple")
+    assert told("simple", "slow").endswith("more bandwidth.")
     assert price.price(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity")) != []
     assert price.price(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
+
+
+def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    named = {d.name: d for d in outcome.designs}
+    pair = (named["H-infinity"], named["simple"])
+    sentences = price.price(dataclasses.replace(outcome, designs=pair, use="H-infinity"))
+    theirs = {one.name: one.ratio for one in named["simple"].results}
+    worst = max(
+        (one for one in named["H-infinity"].results if not one.name.startswith(("bandwidth", "slowest"))),
+        key=lambda one: one.ratio / theirs[one.name],
+    )
+    assert worst.ratio > 1.05 * theirs[worst.name]
+    assert any(sentence.startswith(f"It pays most in {worst.name}: ") for sentence in sentences)
 
 
 @pytest.mark.parametrize(

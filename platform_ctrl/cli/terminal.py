@@ -102,6 +102,7 @@ def show_result(result: JobResult) -> None:
     else:
         console.print(result.job.name, style="bold", markup=False)
         _show_lines(console, result.requirements)
+        _show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
     _show_verdict(console, result.requirements)
 
 
@@ -132,7 +133,8 @@ def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
     from rich.text import Text
 
     for one in results:
-        mark = Text("met    ", "green") if one.passed else Text("NOT MET", "bold red")
+        style = "dim" if not one.hard else "green" if one.passed else "bold red"
+        mark = Text("met    " if one.passed else "NOT MET" if one.hard else "not met", style)
         found, limit = f"{one.value:.4g} {one.unit}".rstrip(), f"{one.sense} {one.limit:.6g}"
         console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({limit})"))
 
@@ -140,8 +142,8 @@ def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
 def _show_verdict(console: Console, results: Sequence[CheckResult]) -> None:
     missed = sum(not one.passed for one in results)
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
-    # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is.
-    telling = [one for one in results if not (one.passed and one.name.startswith("slowest decay"))]
+    # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is; nor is a proof.
+    telling = [one for one in results if not (one.passed and one.name.startswith(("slowest decay", "claims proved")))]
     if telling:
         worst = min(telling, key=lambda one: (one.passed, one.margin))
         words += f"; {'worst' if missed else 'tightest'}: {_subject(worst)}, {worst.name}"

@@ -200,6 +200,9 @@ def coupled_summary(result: JobResult) -> str:
     text = (
         f"With all loops closed the coupled system is stable: {poles}, the slowest decays with {plain(decay, 3)} 1/s."
     )
+    proofs = result.proofs["", ""]
+    if 0 < proofs.of == proofs.proved:
+        text += " That it is stable is proved in interval arithmetic."
     if np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))
         cost = plain(100.0 * max(float(check.cost[k]), 0.0), 2)

@@ -8,6 +8,9 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.report.quantities import count, plain, quantity
 
+# Of two ratios to a limit; less is not worth a sentence.
+_WORTH_TELLING = 1.05
+
 
 def price(outcome: LoopOutcome) -> list[str]:
     """Return sentences: order and bandwidth against the best alternative, and against bounds that are claimed."""
@@ -42,17 +45,33 @@ def _against_others(outcome: LoopOutcome) -> list[str]:
         f"others, reaches {quantity(its, 'Hz', 3)} with {_states(best)} {kept}"
     )
     fewer = best.controller.nstates - closed.controller.nstates
-    loss = _percent(1.0 - own / its)
+    loss, gain = _percent(1.0 - own / its), _percent(own / its - 1.0)
     if fewer > 0 and own < its:
-        return [f"{text}: {loss} of bandwidth is the price of {count(fewer, 'state')} fewer."]
-    if fewer > 0:
-        return [f"{text}: being simpler by {count(fewer, 'state')} costs no bandwidth."]
-    if own < its:
-        return [f"{text}: {loss} more bandwidth, with no more states."]
-    if fewer < 0:
-        gain = _percent(own / its - 1.0)
-        return [f"{text}: {count(-fewer, 'state')} more for {gain} of bandwidth."]
-    return [f"{text}."]
+        told = f"{loss} of bandwidth is the price of {count(fewer, 'state')} fewer"
+    elif fewer > 0:
+        told = f"{gain} more bandwidth with {count(fewer, 'state')} fewer"
+    elif own < its:
+        told = f"{loss} of bandwidth is given up without fewer states"
+    else:
+        told = f"{gain} more bandwidth with {count(-fewer, 'state')} more" if fewer else f"{gain} more bandwidth"
+    return [f"{text}: {told}.", *_paid_in(closed, best)]
+
+
+def _paid_in(closed: LoopDesign, best: LoopDesign) -> list[str]:
+    """Name the limit, bandwidth apart, that `closed` comes nearer to than `best` by most; nothing below 5 %."""
+    theirs = {one.name: one for one in best.results}
+    # How slow the slowest pole is says little as long as it decays.
+    apart = [
+        (one.ratio / theirs[one.name].ratio, one)
+        for one in closed.results
+        if one.name in theirs and theirs[one.name].ratio > 0.0 and not one.name.startswith(("bandwidth", "slowest"))
+    ]
+    worse, paid = max(apart, key=lambda pair: pair[0], default=(1.0, None))
+    if paid is None or not worse > _WORTH_TELLING:
+        return []
+    other = theirs[paid.name].value
+    shown = quantity(paid.value, paid.unit, 3, like=paid.limit), quantity(other, paid.unit, 3, like=paid.limit)
+    return [f"It pays most in {paid.name}: {shown[0]} against {shown[1]}."]
 
 
 def _against_bounds(design: LoopDesign) -> list[str]:

@@ -77,13 +77,18 @@ def goal_rows(result: JobResult) -> tuple[RequirementRow, ...]:
 
 def _ordered(result: JobResult, judged: Sequence[CheckResult]) -> tuple[RequirementRow, ...]:
     subjects = list(dict.fromkeys(one.subject for one in judged))
-    ordered = sorted(judged, key=lambda one: (subjects.index(one.subject), one.passed, one.margin))
-    return tuple(_row(result, one) for one in ordered)
+
+    def place(one: CheckResult) -> tuple[int, bool, float]:
+        # That all is proved has no margin: it comes last.
+        margin = np.inf if one.passed and one.name == PROVED.name else one.margin
+        return subjects.index(one.subject), one.passed, margin
+
+    return tuple(_row(result, one) for one in sorted(judged, key=place))
 
 
 def _row(result: JobResult, one: CheckResult) -> RequirementRow:
     number, limit = compared(one.value, one.limit, one.unit)
-    number, limit, margin = number, f"{BOUND[one.sense]} {limit}", percent(one.margin)
+    limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)
     if one.name == PROVED.name:
         # A share of claims is a number of them, and all are asked for: there is no margin.
         proofs = result.proofs[one.subject if one.design else "", one.design]
