@@ -228,6 +228,17 @@ def test_poles_lie_in_the_region_that_is_asked(period):
     assert result.ratio_optimal > free.ratio_optimal
 
 
+def test_every_claim_is_proved():
+    P = random_plant()
+    fastest = requirement("controller poles", 100.0)
+    result = design.multiobjective(P, 2, 2, [h2_bound(inputs=("d1", "d2")), hinf_bound(80.0, True), *REGION, fastest])
+    certificates = result.certificates()
+    assert len(certificates) == 1 + len(result.outcomes)
+    assert all(certificate.verify().proved for certificate in certificates)
+    for certificate, outcome in zip(certificates[1:3], result.outcomes[:2], strict=True):
+        assert certificate.bound == pytest.approx(outcome.value, rel=1e-3)
+
+
 def test_a_region_alone_is_enough():
     result = design.multiobjective(random_plant(), 2, 2, REGION)
     assert np.isnan(result.ratio_optimal)

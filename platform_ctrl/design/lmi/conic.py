@@ -181,6 +181,7 @@ def solve(
     P: object,
     tolerance: float = 1e-8,
     cure: str = "",
+    decompose: bool = True,
     wait: float = 0.0,
 ) -> Solved:
     """Solve a cvxpy problem in silence; afterwards its variables have values.
@@ -203,6 +204,8 @@ def solve(
         Of gap and feasibility.
     cure
         What to try next, for messages.
+    decompose
+        Whether matrices with zeros may be taken apart. Of small ones that only makes the problem larger.
     wait
         Pause of the worker before it solves, s: stands for a solver that hangs.
 
@@ -222,6 +225,7 @@ def solve(
         try:
             data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
             request = _request(data, time_limit, tolerance) | {"wait": wait}
+            request["settings"]["chordal_decomposition_enable"] = decompose
             answer = _shared.solve(request, time_limit + GRACE)
             status = answer["status"]
             if status == "MaxTime":

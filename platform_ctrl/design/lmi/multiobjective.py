@@ -18,6 +18,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.arguments import positive
+from platform_ctrl.certificates import Certificate
+from platform_ctrl.design.lmi.proofs import proofs
 from platform_ctrl.design.lmi.search import CURE, posed
 from platform_ctrl.design.lmi.solutions import Solution, solutions
 from platform_ctrl.design.lmi.tasks import judged, tasks
@@ -41,6 +43,8 @@ class Multiobjective:
     ----------
     plant, nmeas, ncon
         The plant P with inputs [w, u] and outputs [z, y].
+    requirements
+        What was asked.
     controller, closed_loop
         K, u = K y (positive feedback), and the loop from w to z.
     outcomes
@@ -61,6 +65,7 @@ class Multiobjective:
     plant: StateSpace
     nmeas: int
     ncon: int
+    requirements: tuple[LoopRequirement, ...]
     controller: StateSpace
     closed_loop: StateSpace
     outcomes: tuple[CheckResult, ...]
@@ -69,6 +74,18 @@ class Multiobjective:
     poles: ComplexArray
     method: str
     residual: dict[str, float]
+
+    def certificates(self) -> tuple[Certificate, ...]:
+        """Return proofs in interval arithmetic: stability, then one for each requirement, of `closed_loop` as it is.
+
+        Norms are proved just above what they are, pole regions as asked.
+
+        Raises
+        ------
+        NotCertifiedError
+            A claim was not proved; the message says which.
+        """
+        return proofs(self.requirements, self.closed_loop, self.controller)
 
     @property
     def ratio(self) -> float:
@@ -171,6 +188,7 @@ def _finished(
         plant=P,
         nmeas=len(y),
         ncon=len(u),
+        requirements=tuple(requirements),
         controller=controller,
         closed_loop=system,
         outcomes=outcomes,
