@@ -105,8 +105,6 @@ class Pid:
     ) -> None:
         self._period, self._basis = period, channel.basis
         self._n = len(channel.basis)
-        # Units of P, I and D: equally large at the nutation.
-        self._rates = (1.0, 1.0 / integral, nutation)
         K_P, K_I, K_D = self._fitted(like, nutation, rolloff)
         self._unit = float(np.abs(K_P).max() + nutation * np.abs(K_D).max()) or 1.0
         gains = [K_P, K_I / integral, K_D * nutation]
@@ -124,24 +122,42 @@ class Pid:
         """Return the controller."""
         n = self._n
         K_P, K_I, K_D = x[: 3 * n * n].reshape(3, n, n) * self._unit
-        w, z = np.exp(x[3 * n * n : 3 * n * n + n]), np.exp(x[3 * n * n + n :])
-        filters = side_by_side(*(_low_pass(w[k], z[k], self._period) for k in range(n)))
-        # Filtered angle and rate of every channel, then the integral of the angle.
-        A, B, C, D = filters
-        angle, rate = slice(0, None, 2), slice(1, None, 2)
-        K_I, K_D = K_I * self._integral, K_D / self._nutation
-        half = 0.5 * self._period
-        whole_A = np.block([[A, np.zeros((len(A), n))], [self._period * C[angle], np.eye(n)]])
-        whole_B = np.vstack([B, self._period * D[angle]])
-        proportional = K_P + half * K_I
-        whole_C = np.hstack([proportional @ C[angle] + K_D @ C[rate], K_I])
-        whole_D = proportional @ D[angle] + K_D @ D[rate]
+        A, B, angle, rate = self._filters(x)
+        # The filtered angle and rate of every channel, and the integral of the angle, by Tustin's rule.
+        integral = self._integrated(angle)
         basis = self._basis
-        return whole_A, whole_B @ basis, basis.T @ whole_C, basis.T @ whole_D @ basis
+        shown = K_P @ angle + K_I @ integral + K_D @ rate
+        into = np.vstack([B, self._period * angle[:, 3 * n :]])
+        whole = np.block([[A, np.zeros((2 * n, n))], [self._period * angle[:, : 2 * n], np.eye(n)]])
+        return whole, into @ basis, basis.T @ shown[:, : 3 * n], basis.T @ shown[:, 3 * n :] @ basis
 
     def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return dM/dx by central differences."""
-        return differences(self.block, x)
+        """Return dM/dx: what the gains read, and central differences for the filters."""
+        n = self._n
+        _, _, angle, rate = self._filters(x)
+        read = np.array([angle, self._integrated(angle), rate]) * self._unit
+        read[:, :, 3 * n :] = read[:, :, 3 * n :] @ self._basis
+        out = np.zeros((len(x), 4 * n, 4 * n))
+        # Gain k, row i, column j: M changes by row i of the basis times what gain k reads of channel j.
+        gains = np.einsum("ia,kjb->kijab", self._basis, read)
+        out[: 3 * n * n, 3 * n :] = gains.reshape(3 * n * n, n, 4 * n)
+        out[3 * n * n :] = differences(self.block, x, range(3 * n * n, len(x)))
+        return out
+
+    def _filters(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B of the filters, and the filtered angle and rate of every channel from [filters, integrals, y]."""
+        n = self._n
+        w, z = np.exp(x[3 * n * n : 3 * n * n + n]), np.exp(x[3 * n * n + n :])
+        A, B, C, D = side_by_side(*(_low_pass(w[k], z[k], self._period) for k in range(n)))
+        none = np.zeros((n, n))
+        angle, rate = (np.hstack([C[k::2], none, D[k::2]]) for k in (0, 1))
+        return A, B, angle, rate / self._nutation
+
+    def _integrated(self, angle: FloatArray) -> FloatArray:
+        """Return the integral of the filtered angle, in units of 1/integral."""
+        out = 0.5 * self._period * angle
+        out[:, 2 * self._n : 3 * self._n] += np.eye(self._n)
+        return self._integral * out
 
     def _fitted(self, like: Block, nutation: float, rolloff: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         w = np.geomspace(0.1 * nutation, min(4.0 * nutation, 0.4 * np.pi / self._period), 40)
@@ -220,10 +236,10 @@ class StateSpace:
         return self._derivative
 
 
-def differences(build: Callable[[FloatArray], Block], x: FloatArray) -> FloatArray:
-    """Return dM/dx of a builder by central differences."""
+def differences(build: Callable[[FloatArray], Block], x: FloatArray, which: Sequence[int] | None = None) -> FloatArray:
+    """Return dM/dx of a builder by central differences, for all parameters or those in `which`."""
     out = []
-    for k in range(len(x)):
+    for k in range(len(x)) if which is None else which:
         step = np.zeros(len(x))
         step[k] = _STEP
         (A, B, C, D), (a, b, c, d) = build(x + step), build(x - step)
