@@ -145,12 +145,10 @@ class _Shared:
     def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
         with self.lock:
             for _ in range(ATTEMPTS):
-                if self.worker is None:
-                    self.worker = Worker()
-                kept, self.worker = self.worker, None
                 try:
+                    kept, self.worker = self.worker or Worker(), None
                     answer = kept.solve(request, time_limit)
-                except Ended:
+                except (Ended, OSError):
                     continue
                 self.worker = kept
                 return answer
