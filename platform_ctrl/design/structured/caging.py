@@ -149,6 +149,8 @@ def tuned_controller(
     }
     if any(not r.hard for r in asked):
         claims["goal_ratio"] = found.soft
+    if structure != "state-space":
+        options = {name: number for name, number in options.items() if name != "order"}
     if structure == "cross-axis":
         options = options | cross_axis.values(found.x)
     return Tuned(controller=controller, options=options, claims=claims)
