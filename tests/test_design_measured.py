@@ -259,6 +259,7 @@ def test_a_limit_is_what_stops_the_gain(design):
     assert design.objective == pytest.approx(np.linalg.svd(design.gains[1], compute_uv=False)[-1])
     assert design.objective > 100.0 * design.history[0, 0]
     assert design.history[-1, 0] == pytest.approx(design.objective)
+    assert design.ended == "no more progress"
 
 
 def test_the_pattern_keeps_gains_at_zero(design):
@@ -276,22 +277,15 @@ def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant,
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
 
 
-def test_one_controller_serves_several_measured_plants(measured, plant, design):
-    """A second plant with 15 % more momentum: less gain than for one, stable on both."""
-    heavier = control.FRD(
-        analysis.frequency_response(second_plant(), measured.omega),
-        measured.omega,
-        PERIOD,
-        inputs=TORQUES,
-        outputs=ANGLES,
-    )
-    both = measured_pid(
-        [measured, heavier], pattern="cross-axis", disk_margin=0.5, torque_per_noise=400.0, start=design.start
-    )
-    assert len(both.responses) == 2
-    assert both.objective < design.objective * 1.001
+def test_one_controller_serves_several_measured_plants(plant, design):
+    """A second plant with 15 % more momentum: every limit on both, and stable on both."""
+    both = [measurement(one, points=50) for one in (plant, second_plant())]
+    options = {"pattern": "cross-axis", "disk_margin": 0.6, "torque_per_noise": 400.0, "start": design.start}
+    found = measured_pid(both, **options)
+    assert found.unstable_poles == (0, 0)
+    assert max(ratio.max() for response in found.responses for ratio in response.ratios.values()) <= 1.0
     for one in (plant, second_plant()):
-        assert analysis.is_stable(analysis.closed_loop(one, both.controller))
+        assert analysis.is_stable(analysis.closed_loop(one, found.controller))
 
 
 def second_plant():
@@ -341,10 +335,12 @@ def test_a_hold_adds_its_half_period():
 
 
 def test_limits_that_cannot_be_met_name_the_obstacle_and_its_frequency(measured, design):
-    with pytest.raises(InfeasibleError, match=r"times its limit at [\d.]+ Hz") as caught:
+    with pytest.raises(
+        InfeasibleError,
+        match=r"measured_pid: (sensitivity_peak|resonance_damping) is [\d.]+ times its limit at [\d.]+ Hz",
+    ) as caught:
         measured_pid(measured, pattern="cross-axis", sensitivity_peak=1.02, start=design.start, steps=12)
     assert caught.value.problem is not None
-    assert "sensitivity_peak" in str(caught.value)
 
 
 def test_a_start_that_does_not_stabilise_is_refused(measured, design):

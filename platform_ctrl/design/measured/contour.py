@@ -19,6 +19,8 @@ _TURN = np.radians(110.0)
 _PEAK = 1.5
 # Towards the pole the contour first follows the axis, halving the distance so many times.
 _HALVINGS = 6
+# ... but not nearer than this share of the distance between the two frequencies.
+_NEAREST = 5e-3
 _ARC_POINTS = 5
 # Singular values of a residue that are smaller than this share of the largest one are noise.
 _NOISE = 0.2
@@ -86,6 +88,8 @@ def _around(w: FloatArray, P: ComplexArray, k: int) -> Contour:
     """The contour between frequencies k and k + 1, round the pole there."""
     p = _pole(w, P, k)
     approach = 0.5 * min(p.imag - w[k], w[k + 1] - p.imag) * 0.5 ** np.arange(_HALVINGS)
+    near = int(np.sum(approach > _NEAREST * (w[k + 1] - w[k])))
+    approach = approach[: max(near, 1)]
     arc = approach[-1] / 2.0 * np.exp(1j * np.linspace(-0.5 * np.pi, 0.5 * np.pi, _ARC_POINTS))
     s = 1j * p.imag + np.concatenate([-1j * approach, arc, 1j * approach[::-1]])
     # P = B + R/(s − p) with B and R from the two neighbours, and R without what is noise.

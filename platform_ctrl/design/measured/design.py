@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,6 +89,9 @@ class MeasuredDesign:
         Gains that the iterations began with.
     history : (steps, 2)
         Least singular value of Ki, and the worst ratio of all limits, after each step.
+    ended
+        Why the iterations ended: ``"no more progress"``, ``"the solver gave up"`` or ``"the steps are used up"``. The
+        limits are kept in any case.
     """
 
     controller: control.StateSpace
@@ -99,7 +101,8 @@ class MeasuredDesign:
     responses: tuple[ClosedLoopResponse, ...]
     unstable_poles: tuple[int, ...]
     start: FloatArray
-    history: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    history: FloatArray
+    ended: str
 
 
 def measured_pid(
@@ -119,7 +122,7 @@ def measured_pid(
     start: ArrayLike | MeasuredDesign | None = None,
     unstable: int = 0,
     integrators: int | None = None,
-    steps: int = 40,
+    steps: int = 100,
     time_limit: float = 300.0,
 ) -> MeasuredDesign:
     """Return the PID controller with the largest integral gain that keeps every limit at every measured frequency.
@@ -241,6 +244,7 @@ def _result(search: Search, gains: FloatArray, begun: FloatArray, history: Float
         unstable_poles=unstable,
         start=begun,
         history=history,
+        ended=search.ended,
     )
 
 

@@ -21,7 +21,7 @@ from platform_ctrl.errors import NotCertifiedError
 from platform_ctrl.frozen import FloatArray
 
 # An eigenvalue that turns by more than this between two frequencies was not followed, rad.
-_LARGEST_TURN = np.radians(110.0)
+_LARGEST_TURN = np.radians(140.0)
 # How far the slope of |det P| at the lowest frequencies may lie from a whole number, and its phase from a real one,
 # rad.
 _SLOPE_TOLERANCE = 0.3

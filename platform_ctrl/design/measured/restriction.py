@@ -23,13 +23,18 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.design.lmi.conic import solve
 from platform_ctrl.design.measured.limits import CENTRES, OF_ANGLE, Limit, ratios
 from platform_ctrl.design.measured.pid import controller_response
+from platform_ctrl.errors import UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 
 # Limits are tightened by this share, so that they hold after the solver's rounding.
-RESERVE = 1e-4
+RESERVE = 5e-4
 # A step may bring Z at most this near to singular, as a share of its present distance over that of the limit.
 _NEAREST = 0.3
-_TOLERANCE = 1e-7
+# By how much the integral gain may grow in a step, and the solver's tolerance, tried in turn: a step has to be good,
+# not best, and what it keeps is evaluated again.
+_TRIALS = ((20.0, 1e-5), (20.0, 1e-3), (4.0, 1e-5), (4.0, 1e-3), (1.5, 1e-5), (1.5, 1e-3))
+# By how much a step may stay within the limits, as a share of them.
+_ROOM = 0.05
 # How many times what is asked counts as far.
 _FAR = 4.0
 # Worth of the integral gain, in units of the present one, while the miss is what counts.
@@ -78,9 +83,10 @@ class Restriction:
         v, d = len(self.entries), self.n**2
         self.x, self.t = cp.Variable(v), cp.Variable()
         # How far limits are missed, and that of the sensitivity, which keeps the loop stable, apart.
-        self.miss, self.near = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
+        # Below zero they leave room: without an inside the solver would get stuck.
+        self.miss, self.near = cp.Variable(), cp.Variable()
         self.most, self.nearest = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
-        self.reward, self.price, self.least = (cp.Parameter(nonneg=True) for _ in range(3))
+        self.reward, self.price, self.least, self.growth = (cp.Parameter(nonneg=True) for _ in range(4))
         every = [limit for sample in samples for limit in sample.limits]
         rows = d * sum(len(_sides(limit, self.n)) * int(_asked(limit).sum()) for limit in every)
         noise_rows = 2 * d * sum(int(_asked(limit).sum()) for limit in every if limit.name == "torque_per_noise")
@@ -91,7 +97,9 @@ class Restriction:
             self.near <= self.nearest,
             self.near <= self.miss,
             self.miss <= self.most,
+            self.near >= -_ROOM,
             self.t >= self.least,
+            self.t <= self.growth,
             _square(cp, self.integral @ self.x, self.n) - self.t * np.eye(self.n) >> 0,
             *self._limits(cp, every),
         ]
@@ -114,8 +122,8 @@ class Restriction:
         DesignError
             As the solver says.
         """
-        size = np.linalg.norm(gains, axis=(1, 2))
-        unit = np.where(size > 0.0, size, size.max())[self.entries[:, 0]]
+        scale = np.linalg.norm(gains, axis=(1, 2))
+        unit = np.where(scale > 0.0, scale, scale.max())[self.entries[:, 0]]
         directions = np.zeros((len(unit), *self.shape))
         directions[np.arange(len(unit)), *self.entries.T] = unit
         slopes, offsets, noise_slopes = [], [], []
@@ -127,12 +135,14 @@ class Restriction:
                 at = _asked(limit)
                 part = Limit(name=limit.name, bound=limit.bound[at])
                 for side in _sides(limit, self.n):
-                    slope, offset, least = _linearised(part, side, sample.P[at], K[at], dK[at])
+                    slope, offset, weight, least = _linearised(part, side, sample.P[at], K[at], dK[at])
                     slopes.append(slope.reshape(-1, len(unit)))
                     offsets.append(offset.ravel())
                     distance = min(distance, least)
                 if limit.name == "torque_per_noise":
-                    noise = dK[at] / np.linalg.norm(K[at], 2, axis=(-2, -1))[:, None, None, None]
+                    # [[R, K*], [K, I]] ≥ 0 in other units of the first rows and columns.
+                    size = np.linalg.norm(K[at], 2, axis=(-2, -1)) / np.sqrt(weight)
+                    noise = dK[at] / size[:, None, None, None]
                     flat = noise.reshape(*noise.shape[:2], -1)
                     parts = np.concatenate([flat.real, flat.imag], axis=-1)
                     noise_slopes.append(np.moveaxis(parts, 1, -1).reshape(-1, len(unit)))
@@ -147,15 +157,23 @@ class Restriction:
         self.reward.value, self.price.value = (_CARE, 1.0) if miss else (1.0, 0.0)
         # While the miss is what counts the integral action may become weaker, but not vanish.
         self.least.value = 0.5 / float(np.linalg.cond(gains[1])) if miss else 0.0
-        solve(
-            self.convex,
-            (self.x,),
-            what="measured_pid: a convex step",
-            time_limit=time_limit,
-            P=self.problem,
-            tolerance=_TOLERANCE,
-            cure="another start or pattern, or looser limits",
-        )
+        for growth, tolerance in _TRIALS:
+            self.growth.value = growth
+            try:
+                solve(
+                    self.convex,
+                    (self.x,),
+                    what="measured_pid: a convex step",
+                    time_limit=time_limit,
+                    P=self.problem,
+                    tolerance=tolerance,
+                    decompose=False,
+                    cure="another start or pattern, or looser limits",
+                )
+                break
+            except UnscalableError:
+                if (growth, tolerance) == _TRIALS[-1]:
+                    raise
         return Step(gains=np.einsum("v,vbij->bij", self.x.value, directions), miss=float(self.miss.value))
 
     def _limits(self, cp: Any, every: list[Limit]) -> list[Any]:
@@ -192,8 +210,8 @@ def _asked(limit: Limit) -> NDArray[np.bool_]:
 
 def _linearised(
     limit: Limit, side: str, P: ComplexArray, K: ComplexArray, dK: ComplexArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Slopes (N, n², v) and offsets (N, n²) of what has to be ≥ 0; distance of S over its limit."""
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Slopes (N, n², v) and offsets (N, n²) of what has to be ≥ 0, their weights (N,); distance of S over its limit."""
     eye = np.eye(P.shape[-1])
     Z = eye - (P @ K if side == "output" else K @ P)
     dZ = -(P[:, None] @ dK if side == "output" else dK @ P[:, None])
@@ -208,8 +226,7 @@ def _linearised(
         # The offset holds the present controller's part, which the unknowns bring again.
         offset = offset - _hermitian(_star(U) @ (Z - eye))
         # Where Y is far from what is forbidden the inequality counts less: large numbers would hide the others.
-        weight = np.minimum(1.0, _FAR * r / np.linalg.norm(Y, 2, axis=(-2, -1)))[:, None, None]
-        slope, offset = weight[:, None] * slope, weight * offset
+        weight = np.minimum(1.0, _FAR * r / np.linalg.norm(Y, 2, axis=(-2, -1)))
         if limit.name == "sensitivity_peak":
             least = float((np.linalg.svd(Z, compute_uv=False)[:, -1] / r).min())
     else:
@@ -223,7 +240,10 @@ def _linearised(
         )
         if limit.name in OF_ANGLE:
             offset = offset - _star(P) @ P / np.linalg.norm(P, 2, axis=(-2, -1))[:, None, None] ** 2
-    return np.moveaxis(_parts(slope), 1, -1), _parts(offset), least
+        present = unit * (2.0 * _hermitian(_star(V) @ Z) - _star(V) @ V)
+        weight = np.minimum(1.0, _FAR / np.linalg.norm(present, 2, axis=(-2, -1)))
+    slopes, offsets = np.moveaxis(_parts(slope), 1, -1), _parts(offset)
+    return slopes * weight[:, None, None], offsets * weight[:, None], weight, least
 
 
 def _star(matrices: ComplexArray) -> ComplexArray:

@@ -31,7 +31,7 @@ from platform_ctrl.frozen import FloatArray
 _FIRST = 60
 _JOINING = 10
 # The gain has risen, or the miss has fallen, by less than these shares in so many steps: it is at its end.
-_PROGRESS = 2e-3
+_PROGRESS = 1e-2
 _NEARER = 0.01
 _PATIENCE = 2
 _BROKEN = 1.03
@@ -59,6 +59,8 @@ class Search:
     ) -> None:
         self.plants, self.free, self.filter_time = plants, free, filter_time
         self.unstable, self.integrators, self.end = unstable, integrators, end
+        # Why the iterations came to their end.
+        self.ended = ""
         self.contours = [contour(w, P) for w, P in zip(plants.frequency, plants.response, strict=True)]
         self.samples = [
             Sample(P=path.P, actions=basis(path.s, filter_time, plants.period), limits=limits_along(path, asked))
@@ -172,17 +174,23 @@ class Search:
     def _raised(self, restriction: Restriction, gains: FloatArray, history: list[Record], steps: int) -> FloatArray:
         """Raise the integral gain of a controller that is within the limits."""
         stalled = 0
+        self.ended = "no more progress"
         # A limit that breaks between the frequencies that take part ends it: they join first.
         while len(history) <= steps and stalled < _PATIENCE and history[-1][1] < _BROKEN:
             before = history[-1][0]
             try:
                 found = restriction.step(gains, miss=0.0, time_limit=self._left()).gains
             except UnscalableError:
-                # The present controller is within the limits: it stays.
-                break
+                # The present controller is within the limits: it stays, if the gain was raised at all.
+                if len(history) == 1:
+                    raise
+                self.ended = "the solver gave up"
+                return gains
             gains = self._stable_part(gains, found)
             history.append(self._record(gains))
             stalled = stalled + 1 if history[-1][0] < (1.0 + _PROGRESS) * before else 0
+        if len(history) > steps:
+            self.ended = "the steps are used up"
         return gains
 
     def _left(self) -> float:
