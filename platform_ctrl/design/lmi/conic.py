@@ -8,15 +8,9 @@ this process. Past the time limit it is killed; the next problem gets a new one.
 from __future__ import annotations
 
 import atexit
-import contextlib
 import inspect
 import os
-import pickle
-import queue
-import subprocess
-import sys
 import threading
-import time
 import warnings
 from importlib import import_module
 from types import SimpleNamespace
@@ -25,15 +19,12 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.design.lmi import worker
+from platform_ctrl.design.side_process import Ended, Late, SideProcess
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
 from platform_ctrl.frozen import value
 
-# Longest time that a worker may take to start, s; imports from a cold disk are slow.
-START_LIMIT = 120.0
 # Given to the solver to stop by itself before it is killed, s.
 GRACE = 0.25
-# An interrupt is noticed within this time, s, also where waiting for a lock does not notice it.
-POLL = 0.1
 # Starts of a worker for one problem.
 ATTEMPTS = 2
 
@@ -47,107 +38,19 @@ class Solved:
     iterations: int
 
 
-class Ended(Exception):
-    """The worker died."""
-
-
-class Late(Exception):
-    """The worker was killed: the time was over."""
-
-
-class Worker:
-    """A running solver process; one problem at a time."""
-
-    def __init__(self) -> None:
-        single = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        options: dict[str, Any] = {}
-        if sys.platform == "win32":
-            options["creationflags"] = subprocess.CREATE_NO_WINDOW
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-W", "ignore", "-c", inspect.getsource(worker)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**single, **os.environ},
-            **options,
-        )
-        self.answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
-        threading.Thread(target=self._read, daemon=True).start()
-        self._send(sys.path)
-        self._answer(START_LIMIT)
-
-    def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
-        """Return the worker's answer.
-
-        Raises
-        ------
-        Late, Ended
-            No answer in time, or no worker to give one; it is gone then.
-        """
-        self._send(request)
-        return self._answer(time_limit)
-
-    def end(self) -> None:
-        """Kill the process, if it still runs, and close its pipes."""
-        self.process.kill()
-        self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout):
-            # What was not written yet is lost on purpose.
-            with contextlib.suppress(OSError, ValueError):
-                if pipe is not None:
-                    pipe.close()
-
-    def _send(self, message: object) -> None:
-        # In a thread: a pipe whose other end is not read blocks, and nothing here may wait beyond the limit.
-        threading.Thread(target=self._write, args=(message,), daemon=True).start()
-
-    def _write(self, message: object) -> None:
-        assert self.process.stdin is not None
-        with contextlib.suppress(OSError, ValueError):  # the reader sees that the process died
-            self.process.stdin.write(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
-            self.process.stdin.flush()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        try:
-            while True:
-                self.answers.put(pickle.load(self.process.stdout))
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
-            self.answers.put(None)
-
-    def _answer(self, limit: float) -> dict[str, Any]:
-        end = time.monotonic() + limit
-        answer = None
-        try:
-            while True:
-                try:
-                    answer = self.answers.get(timeout=max(0.0, min(POLL, end - time.monotonic())))
-                    break
-                except queue.Empty:
-                    if time.monotonic() >= end:
-                        raise Late from None
-        finally:
-            # An interrupt passes through here too.
-            if answer is None:
-                self.end()
-        if answer is None:
-            raise Ended
-        return answer
-
-
 class _Shared:
     """The worker of this process, and the lock that gives it to one thread at a time."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.worker: Worker | None = None
+        self.worker: SideProcess | None = None
 
     def solve(self, request: dict[str, Any], time_limit: float) -> dict[str, Any]:
         with self.lock:
             for _ in range(ATTEMPTS):
                 try:
-                    kept, self.worker = self.worker or Worker(), None
-                    answer = kept.solve(request, time_limit)
+                    kept, self.worker = self.worker or SideProcess(inspect.getsource(worker)), None
+                    answer = kept.ask(request, time_limit)
                 except (Ended, OSError):
                     continue
                 self.worker = kept

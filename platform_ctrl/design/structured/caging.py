@@ -17,7 +17,7 @@ from platform_ctrl.design.blocks import Block
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.options import completed
 from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
-from platform_ctrl.design.structured.search import Found, Search
+from platform_ctrl.design.structured.descent import Found, Search
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Structure
@@ -26,6 +26,13 @@ from platform_ctrl.requirements import LoopRequirement, requirement
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
 # Shares of the evaluations on the way from one structure to the next.
+# Options of some structures alone, options that count something, and the largest count.
+_STRUCTURES: dict[str, tuple[Structure, ...]] = {
+    "order": ("state-space",),
+    "starts": ("pid", "state-space"),
+    "rolloff_hz": ("pid", "state-space"),
+}
+_COUNTS, _MOST = {"order", "starts", "evaluations"}, 1e6
 _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 
@@ -40,7 +47,7 @@ class Tuned:
     options
         As finally used; for the cross-axis structure with all its numbers.
     claims
-        ``parameters``, ``order``, ``starts``, ``evaluations``, ``limit_ratio`` and ``goal_ratio``: the largest ratios.
+        ``parameters``, ``order``, ``starts`` and ``evaluations``.
     """
 
     controller: Block
@@ -48,26 +55,34 @@ class Tuned:
     claims: dict[str, float]
 
 
-def default_options(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options, those not given from rules of thumb.
+def default_options(
+    given: dict[str, float], structure: Structure, channel: Channels, nutation: float, period: float
+) -> dict[str, float]:
+    """Return all options of a structure, those not given from rules of thumb.
 
     Raises
     ------
     DesignError
-        An option has no meaning, or is not positive.
+        An option has no meaning for the structure, or is out of range.
     """
-    return completed(
-        "structured",
-        given,
-        {
-            "order": 3.0 * len(channel.basis),
-            "starts": 1.0,
-            "integral_hz": 0.024 * nutation / (2.0 * np.pi),
-            "rolloff_hz": 0.4 / period,
-            "reserve": 0.01,
-            "evaluations": 400.0,
-        },
-    )
+    defaults = {
+        "order": 3.0 * len(channel.basis),
+        "starts": 1.0,
+        "integral_hz": 0.024 * nutation / (2.0 * np.pi),
+        "rolloff_hz": 0.4 / period,
+        "reserve": 0.01,
+        "evaluations": 400.0,
+    }
+    own = {name: x for name, x in defaults.items() if structure in _STRUCTURES.get(name, (structure,))}
+    out = completed(f'structured, structure = "{structure}"', given, own)
+    for name in sorted(_COUNTS & set(out)):
+        if not (out[name].is_integer() and out[name] <= _MOST):
+            raise DesignError(f"structured: {name} = {out[name]:g}; expected a whole number from 1 to {_MOST:g}")
+    bounds = {"reserve": (1.0, ""), "integral_hz": (0.5 / period, " Hz, half the sample rate")}
+    for name, (bound, text) in (bounds | {"rolloff_hz": bounds["integral_hz"]}).items():
+        if not out.get(name, 0.0) < bound:
+            raise DesignError(f"structured: {name} = {out[name]:g}; expected less than {bound:g}{text}")
+    return out
 
 
 def tuned_controller(
@@ -145,12 +160,7 @@ def tuned_controller(
         "order": float(len(controller[0])),
         "starts": float(max(1, len(starts))),
         "evaluations": float(spent),
-        "limit_ratio": found.hard,
     }
-    if any(not r.hard for r in asked):
-        claims["goal_ratio"] = found.soft
-    if structure != "state-space":
-        options = {name: number for name, number in options.items() if name != "order"}
     if structure == "cross-axis":
         options = options | cross_axis.values(found.x)
     return Tuned(controller=controller, options=options, claims=claims)

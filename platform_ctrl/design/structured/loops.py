@@ -44,8 +44,12 @@ _DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
 # Decay rates are counted in this share of the nutation frequency; poles as many units from their limit are in view.
 _DECAY_UNIT = 0.02
 _SLOW = 2.0
+# Share of a limit below which a measure that should be at least that counts along the tangent.
+_LEAST = 0.01
 # Relative step in frequency for the slope of a singular value.
 _SLOPE_STEP = 1e-4
+# Resonances of less damping may hide between two points of the grid.
+_HIDDEN = 0.02
 
 
 @value
@@ -194,9 +198,10 @@ class ClosedLoops:
         chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
         if ends:
             chosen[np.unravel_index(int(np.argmax(sizes)), sizes.shape)] = True
+        hidden = self._hidden(of, floor, members, (float(w[cut][0]), float(w[cut][-1])))
         row, k = np.nonzero(chosen)
         if not len(k):
-            return self.none()
+            return hidden
         x, step = _tops(np.log(w[cut]), np.log(sizes), row, k)
         # Once more, from three points close to the top.
         close = x + np.multiply.outer(np.array([-_CLOSER, 0.0, _CLOSER]), step)
@@ -205,7 +210,19 @@ class ClosedLoops:
         fall, rise = left - middle, right - middle
         bend = np.where(fall + rise < 0.0, fall + rise, -np.inf)
         x = x + _CLOSER * step * np.clip(0.5 * (fall - rise) / bend, -2.0, 2.0)
-        return self._pieces(of, members[row], np.exp(x))
+        found = self._pieces(of, members[row], np.exp(x))
+        return joined([found, hidden]) if len(hidden.ratio) else found
+
+    def _hidden(self, of: Map, floor: float, members: Numbers, band: tuple[float, float]) -> Pieces:
+        """Return a map's largest singular value at the resonances that are narrower than the grid, from `floor` on."""
+        s = self.poles().s[members]
+        narrow = np.isfinite(s) & (s.imag > band[0]) & (s.imag < band[1]) & (np.abs(s.real) < _HIDDEN * s.imag)
+        row, k = np.nonzero(narrow)
+        if not len(k):
+            return self.none()
+        found = self._pieces(of, members[row], s.imag[row, k])
+        high = found.ratio >= floor
+        return Pieces(ratio=found.ratio[high], gradient=found.gradient[high], plant=found.plant[high])
 
     def _pieces(self, of: Map, plant: Numbers, frequency: FloatArray) -> Pieces:
         at = Points(self, plant, frequency)
@@ -380,8 +397,8 @@ def left_vectors(x: ComplexArray) -> ComplexArray:
 
 
 def at_least(measured: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
-    """Return limit/measured and its slope; below limit/2 along the tangent, so that negative values count as worse."""
-    low = 0.5 * limit
+    """Return limit/measured and its slope; near zero along the tangent, so that negative values count as worse."""
+    low = _LEAST * limit
     inside = np.maximum(measured, low)
     slope = -limit / inside**2
     return limit / inside + np.minimum(measured - low, 0.0) * slope, slope

@@ -27,6 +27,8 @@ Curvature = Callable[[FloatArray, FloatArray], FloatArray]
 
 # Lewis and Overton's line search: sufficient decrease and weak Wolfe curvature.
 _DECREASE, _SLOPE = 1e-4, 0.5
+# Share of the distance to a wall that one step may take.
+_APPROACH = 0.95
 
 
 @value
@@ -80,13 +82,14 @@ class _Search:
         hard: Pieces | None,
         stability: Pieces | None,
         curvature: Curvature | None,
+        walls: Pieces | None,
         evaluations: int,
         deadline: float,
         target: float,
         progress: Callable[[float], None] | None,
     ) -> None:
         self.soft, self.hard_pieces, self.stability_pieces = pieces, hard, stability
-        self.curvature = curvature
+        self.curvature, self.walls = curvature, walls
         self.lower, self.upper = lower, upper
         self.left, self.spent, self.deadline = evaluations, 0, deadline
         self.target = target
@@ -120,9 +123,11 @@ def minimise(
     hard: Pieces | None = None,
     stability: Pieces | None = None,
     curvature: Curvature | None = None,
+    walls: Pieces | None = None,
     target: float = -np.inf,
     tolerance: float = 1e-7,
     evaluations: int = 4000,
+    settling: int = 400,
     descent: int = 400,
     radius: float = 1.0,
     time_limit: float = np.inf,
@@ -145,12 +150,14 @@ def minimise(
         Pieces that must be negative (spectral abscissas with a margin); they are brought there first.
     curvature
         Hessian of the weighted pieces at x.
+    walls
+        Pieces that are negative where `pieces` exist: the polish goes at most a share of the way to them in one step.
     target
         End as soon as the largest piece is not above it (and no hard piece above one).
     tolerance
         Relative decrease, predicted by the model, at which the search ends.
-    evaluations, descent, time_limit
-        Most evaluations in all, most iterations of the descent phase, longest time, s.
+    evaluations, settling, descent, time_limit
+        Most evaluations in all, most iterations of the phases to stability and of descent, longest time, s.
     radius
         First trust region of the polish.
     progress
@@ -165,14 +172,24 @@ def minimise(
     low = np.full(n, -np.inf) if lower is None else np.asarray(lower, dtype=np.float64)
     high = np.full(n, np.inf) if upper is None else np.asarray(upper, dtype=np.float64)
     search = _Search(
-        pieces, low, high, hard, stability, curvature, evaluations, time.monotonic() + time_limit, target, progress
+        pieces,
+        low,
+        high,
+        hard,
+        stability,
+        curvature,
+        walls,
+        evaluations,
+        time.monotonic() + time_limit,
+        target,
+        progress,
     )
     x = np.clip(np.asarray(x0, dtype=np.float64), low, high)
     best = x
     finished = True
     try:
         if stability is not None:
-            x = best = _descended(search, stability, x, -1e-300, descent, search.note)
+            x = best = _descended(search, stability, x, -1e-300, settling, None)
         if search.stable(x):
             if hard is not None:
                 x = best = _descended(search, _within(search, hard), x, 1.0, descent, None)
@@ -330,6 +347,7 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
         weights = None
         cuts: list[tuple[FloatArray, FloatArray]] = []
         small = 0
+        limits = _limits(search, x)
         while True:
             merit = _merit(values, hard_values, penalty)
             if search.target > -np.inf and np.max(values) <= search.target and merit <= search.target:
@@ -343,13 +361,16 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 if search.curvature is not None:
                     if weights is None:
                         first = least_maximum(
-                            all_values, all_gradients, 1e-8 * np.eye(n), low, high, hard_values, hard_gradients, penalty
-                        )
+                            all_values, all_gradients, 1e-8 * np.eye(n), low, high, hard_values, hard_gradients, penalty,
+                            limits,
+                        )  # fmt: skip
                         if first is None:
                             break
                         weights = first.weights[: len(values)]
                     H = _convex(search.curvature(x, weights))
-                step = least_maximum(all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty)
+                step = least_maximum(
+                    all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty, limits
+                )
                 if step is None or search.curvature is None:
                     break
                 changed = float(np.abs(step.weights[: len(values)] - weights).sum())
@@ -382,6 +403,7 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                     H = _updated(H, d, values, gradients, new_values, new_gradients, step.weights)
                 x, values, gradients, weights, cuts = y, new_values, new_gradients, None, []
                 hard_values, hard_gradients = new_hard
+                limits = _limits(search, x)
                 search.note(float(np.max(values)))
                 small = small + 1 if merit - trial <= tolerance * abs(merit) else 0
                 if small >= 3:
@@ -401,6 +423,15 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
     except _OutOfTime:
         raise _OutOfTime(x) from None
     return x
+
+
+def _limits(search: _Search, x: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return rows and limits of the step: no wall comes nearer than a share of its distance."""
+    if search.walls is None:
+        return None
+    values, gradients = search.walls(x)
+    inside = values < 0.0
+    return gradients[inside], -_APPROACH * values[inside]
 
 
 def _merit(values: FloatArray, hard_values: FloatArray | None, penalty: float) -> float:

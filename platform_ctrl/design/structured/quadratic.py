@@ -19,8 +19,9 @@ class Step:
         The largest soft piece of the model at d, without the curvature.
     violation
         By how much the model's hard pieces still exceed one.
-    weights, hard_weights
-        Multipliers of the soft and of the hard pieces, not negative; those of the soft ones add up to one.
+    weights, hard_weights, wall_weights
+        Multipliers of the soft pieces, the hard pieces and the walls, not negative; those of the soft ones add up to
+        one.
     """
 
     move: FloatArray
@@ -28,6 +29,7 @@ class Step:
     violation: float
     weights: FloatArray
     hard_weights: FloatArray
+    wall_weights: FloatArray
 
 
 def least_maximum(
@@ -39,6 +41,7 @@ def least_maximum(
     hard_values: FloatArray | None = None,
     hard_gradients: FloatArray | None = None,
     penalty: float = 0.0,
+    walls: tuple[FloatArray, FloatArray] | None = None,
 ) -> Step | None:
     """Minimise max(values + gradients d) + penalty max(0, hard_values + hard_gradients d − 1) + d'Hd/2 over the box.
 
@@ -54,6 +57,8 @@ def least_maximum(
         Pieces that must not exceed one.
     penalty
         Price of the largest excess.
+    walls : (r, n), (r,), optional
+        Rows and positive limits: rows @ d <= limits.
 
     Returns
     -------
@@ -81,6 +86,10 @@ def least_maximum(
         last[0, -1] = -1.0
         rows.append(last)
         limits.append(np.zeros(1))
+    if walls is not None and len(walls[1]):
+        limit = walls[1]
+        rows.append(np.hstack([walls[0] * width / limit[:, None], np.zeros((len(limit), columns - n))]))
+        limits.append(np.ones(len(limit)))
     box = np.zeros((2 * n, columns))
     box[:n, :n], box[n:, :n] = np.eye(n), -np.eye(n)
     rows.append(box)
@@ -108,6 +117,10 @@ def least_maximum(
     move = np.clip(z[:n] * width, lower, upper)
     weights = dual[:k]
     total = float(np.sum(weights))
+    wall_weights = np.zeros(0)
+    if walls is not None and len(walls[1]):
+        behind = k + (m + 1 if m else 0)
+        wall_weights = dual[behind : behind + len(walls[1])] / walls[1] * unit
     excess, hard_weights = 0.0, np.zeros(m)
     if m and hard_values is not None and hard_gradients is not None:
         excess = max(0.0, float(np.max(hard_values + hard_gradients @ move)) - 1.0)
@@ -118,4 +131,5 @@ def least_maximum(
         violation=excess,
         weights=weights / total if total > 0.0 else np.full(k, 1.0 / k),
         hard_weights=hard_weights,
+        wall_weights=wall_weights,
     )

@@ -1,365 +1,223 @@
-"""Moving a controller's parameters until the hard requirements hold and the soft ones are as small as they can be.
-
-A sequence of quadratic programs in a trust region: all pieces near the worst (see `goals`) are linearised, the
-curvature of their weighted sum is learned by damped BFGS, every old piece compared with the new piece of the same
-requirement and plant that continues it. A wanted bandwidth is one more variable, log ω_b, with S at most 1/√2 up to
-ω_b.
-
-The nominal plant and the worst few of the set are in view; all are looked at again after each search.
-"""
+"""One start of the search: where it begins, and how it goes on to a local minimum."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
+import time
 
 import numpy as np
 
-from platform_ctrl.analysis.bandwidth import LEVEL
-from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.design.structured.families import Family
-from platform_ctrl.design.structured.goals import pieces
-from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
-from platform_ctrl.design.structured.maps import largest
-from platform_ctrl.design.structured.quadratic import least_maximum
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.scaling import autoscale
+from platform_ctrl.design.structured.chart import Chart
+from platform_ctrl.design.structured.minimax import Minimum, minimise
+from platform_ctrl.design.structured.norm import ClosedLoop, augmented
+from platform_ctrl.design.structured.objective import WorstNorm
+from platform_ctrl.design.structured.structures import Structure, Units
+from platform_ctrl.design.structured.tuned import Tuned
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.requirements import LoopRequirement
 
-# What is not stable is worse than anything else.
-_UNSTABLE = 1e6
-# Price of the largest excess of a hard piece.
-_PENALTY = 5.0
-# Pieces below this ratio are not looked at; plants are ranked by what lies above the second.
-_FLOOR, _RANKED = 0.8, 0.5
-# Plants in view at first, beside the nominal one; added at a time; steps until all plants are looked at.
-_FIRST, _MORE, _STEPS = 6, 3, 25
-# Share of the reserve that has to be there in the end: plants out of view, and tops between grid points, may take some.
-_SPARED = 0.8
-# How often a search that has come to an end is tried again.
-_TRIES = 3
-# S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
-# what is found has to be there when it is measured exactly.
-_TIGHT, _BEYOND = 1e-4, 1.003
-# A bandwidth means something if S keeps falling below it: at a tenth of it, at most this.
-_TENTH = 0.15
+# Least sines of the angle to infinite gain, one stage after another.
+_STAGES = (1e-2, 1e-4, 1e-6)
+_ROUNDS = 4
 
 
 @value
-class Found:
-    """Where a search ended.
+class Problem:
+    """What every start is told.
 
     Attributes
     ----------
-    x : (d,)
-        Parameters.
-    hard, soft
-        Largest hard piece over all plants, at most 1 where every requirement is met; largest soft ratio, 0 without any.
-    evaluations
-        How often pieces were worked out.
+    plants
+        Continuous, or in the w-plane.
+    structure
+        What is tuned.
+    full
+        Full-order controller of the first plant, or None.
+    seed
+        Of the random starts.
     """
 
-    x: FloatArray
-    hard: float
-    soft: float
-    evaluations: int
-
-    def better_than(self, other: Found | None, reserve: float) -> bool:
-        """Whether this one meets more, or the same with smaller soft ratios."""
-        if other is None:
-            return True
-        allowed = 1.0 - _SPARED * reserve
-        return (max(self.hard, allowed), self.soft) < (max(other.hard, allowed), other.soft)
+    plants: tuple[Partition, ...]
+    structure: Structure
+    full: Realisation | None
+    seed: int
 
 
 @value
-class _Pieces:
-    """Pieces at a point: values (k,), gradients (k, d), which are hard, and what they belong to (k, 2).
+class Start:
+    """What one start came to.
 
-    Where a loop is not stable, its growth is all that counts.
-    """
-
-    values: FloatArray
-    gradients: FloatArray
-    hard: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    owner: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-    stable: bool
-
-    def merit(self) -> float:
-        if not self.stable:
-            return _UNSTABLE + float(self.values.max())
-        soft, excess = self.values[~self.hard].max(), self.values[self.hard].max(initial=0.0) - 1.0
-        return float(soft + _PENALTY * max(0.0, excess))
-
-
-@dataclasses.dataclass
-class _State:
-    """What a search carries from one set of plants in view to the next."""
-
-    H: FloatArray
-    radius: float
-    ended: bool = False
-    tries: int = 0
-
-
-class Search:
-    """One search.
-
-    Parameters
+    Attributes
     ----------
-    plants
-        The nominal plant first.
-    requirements
-        Hard and soft. Without a soft one the largest hard piece is made small.
-    reserve
-        Hard pieces end below 1 − reserve; the search ends when the soft ones are met too.
-    evaluations
-        Most evaluations in all.
-    progress
-        Called with the largest hard piece and the largest soft ratio; infinite where a loop is not stable yet.
+    number, kind
+        Which, and where it began: "given", "full order" or "random".
+    gamma
+        Largest norm over the plants; inf where no stable loop was found.
+    abscissa
+        Largest real part of all closed-loop poles, rad/s.
+    matrix
+        [A_K, B_K; C_K, D_K].
+    parameters
+        By name.
+    evaluations, seconds
+        What it took.
+    finished
+        Whether it ended by itself.
+    history
+        Largest norm after every accepted step.
     """
 
-    def __init__(
-        self,
-        plants: PlantSet,
-        requirements: Sequence[LoopRequirement],
-        reserve: float,
-        evaluations: int,
-        progress: Callable[[float, float], None],
-    ) -> None:
-        self._plants = finer(plants)
-        goals = [r for r in requirements if not r.hard and r.kind == "bandwidth"]
-        self._wanted = max((_BEYOND * r.limit for r in goals), default=None)
-        self._requirements = [r for r in requirements if r.hard or r.kind != "bandwidth"]
-        self._soft = any(not r.hard for r in requirements)
-        # Where nothing is asked of slow motion, a wanted bandwidth could be bought with a flat S.
-        slow = {"tracking", "Omega rejection", "torque rejection"}
-        self._guarded = self._wanted is not None and not any(r.kind in slow for r in requirements)
-        self._reserve, self._left, self._progress = reserve, evaluations, progress
+    number: int
+    kind: str
+    gamma: float
+    abscissa: float
+    matrix: FloatArray
+    parameters: dict[str, float]
+    evaluations: int
+    seconds: float
+    finished: bool
+    history: FloatArray
 
-    def run(self, family: Family, start: FloatArray | None = None) -> Found:
-        """Return the best parameters of `family`, from its own start or from `start`."""
-        x = family.start if start is None else start
-        moving = self._wanted is not None
-        if moving:
-            x = np.append(x, np.log(self._bandwidth(family, x)))
-        spent = self._left
-        hard, soft, worst = self._all(family, x)
-        self._tell(hard, soft)
-        best = Found(x=x, hard=hard, soft=soft, evaluations=0)
-        view = sorted({0, *worst[:_FIRST]})
-        state = _State(H=np.eye(len(x)), radius=0.05)
-        while self._left > 0 and not self._enough(best):
-            x = self._descended(family, best.x, self._plants.only(view), state)
-            hard, soft, worst = self._all(family, x)
-            found = Found(x=x, hard=hard, soft=soft, evaluations=0)
-            added = [k for k in worst if k not in view][:_MORE]
-            better = found.better_than(best, self._reserve)
-            if better:
-                best = found
-                self._tell(hard, soft)
-            elif state.ended and (not added or len(view) >= len(self._plants.labels)):
+
+def units_of(plant: Partition) -> tuple[Units, FloatArray, FloatArray]:
+    """Return typical gains and frequency of a plant, and the units of controls (nu, nu) and measurements (ny, ny)."""
+    scaled = autoscale(plant)
+    gain = np.sqrt(np.sum(scaled.control**2, axis=1))[:, None] * np.sqrt(np.sum(scaled.measurement**2, axis=0))
+    return Units(gain=gain, rate=scaled.rate), scaled.control, scaled.measurement
+
+
+def started(problem: Problem, number: int, time_limit: float) -> Start:
+    """Run one start; deterministic in `problem` and `number` unless time runs out."""
+    began = time.monotonic()
+    structure, plant = problem.structure, problem.plants[0]
+    ny, nu = plant.D22.shape
+    units, left, right = units_of(plant)
+    tuned = Tuned(structure, ny, nu, units)
+    order = structure.order(ny, nu)
+    plants = [augmented(one, order) for one in problem.plants]
+    x, kind = _beginning(problem, tuned, number)
+    if not structure.free:
+        objective = WorstNorm(plants, tuned)
+        found = _minimised(objective, x, tuned.lower, tuned.upper, time_limit)
+        M, parameters, history = tuned.matrix(found.x), tuned.named(found.x), list(found.history)
+        spent = found.evaluations
+    else:
+        M = tuned.matrix(x)
+        U = np.block([[units.rate * np.eye(order), np.zeros((order, nu))], [np.zeros((nu, order)), left]])
+        Y = np.block([[np.eye(order), np.zeros((order, ny))], [np.zeros((ny, order)), right]])
+        history, spent = [], 0
+        last = np.inf
+        stage = 0
+        rounds = 0
+        while True:
+            chart = Chart(M, U, Y, _STAGES[stage])
+            objective = WorstNorm(plants, chart)
+            left_over = time_limit - (time.monotonic() - began)
+            found = _minimised(objective, np.zeros(M.size), None, None, left_over)
+            spent += found.evaluations
+            M = chart.matrix(found.x)
+            history += found.history
+            rounds += 1
+            if not (found.stable and found.finished):
                 break
-            else:
-                # Plants that were out of view have become the worst: once more from where all was better.
-                view = sorted({*view, *added})
-                state = _State(H=state.H, radius=0.02)
-                continue
-            if state.ended:
-                if not added:
+            settled = found.value > last * (1.0 - 1e-6) or rounds >= _ROUNDS
+            last = min(last, found.value)
+            if settled:
+                if stage == len(_STAGES) - 1 or not chart.near_limit(found.x):
                     break
-                view = sorted({*view, *added[:1]})
-                state = _State(H=state.H, radius=0.02, tries=state.tries + 1)
-                if state.tries > _TRIES:
-                    break
-        return dataclasses.replace(best, x=best.x[: len(family.start)], evaluations=spent - self._left)
-
-    def _tell(self, hard: float, soft: float) -> None:
-        unstable = hard >= _UNSTABLE
-        self._progress(np.inf if unstable else hard, np.inf if unstable else soft)
-
-    def _enough(self, found: Found) -> bool:
-        return found.hard <= 1.0 - _SPARED * self._reserve and found.soft <= 1.0 + 1e-6
-
-    def _bandwidth(self, family: Family, x: FloatArray) -> float:
-        """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
-        loops = ClosedLoops(self._plants.only([0]), family.block(x))
-        sizes = np.maximum(largest(loops.S_output[0]), largest(loops.S_input[0]))
-        above = np.flatnonzero(sizes >= LEVEL)
-        k = int(above[0]) if above.size else len(sizes) - 1
-        return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)
-
-    def _all(self, family: Family, x: FloatArray) -> tuple[float, float, list[int]]:
-        """Return the largest hard piece and soft ratio over all plants, and the plants, the worst first."""
-        found = self._pieces(family, x, self._plants, _RANKED)
-        by_plant = np.zeros(len(self._plants.labels))
-        counted = found.hard | (not self._soft) | (not found.stable)
-        np.maximum.at(by_plant, found.owner[:, 1], np.where(counted, found.values, 0.0))
-        if not found.stable:
-            return _UNSTABLE + float(found.values.max()), _UNSTABLE, _ranked(by_plant)
-        if self._soft:
-            hard = _ratio(float(found.values[found.hard].max(initial=0.0))) - self._reserve
-            soft = _ratio(float(found.values[~found.hard].max()))
-        else:
-            hard, soft = _ratio(float(found.values.max())), 0.0
-        return hard, soft, _ranked(by_plant)
-
-    def _pieces(self, family: Family, x: FloatArray, plants: PlantSet, floor: float) -> _Pieces:
-        """Return all pieces; hard ones with the reserve added, so that 1 is their limit."""
-        self._left -= 1
-        own = x[: len(family.start)]
-        loops = ClosedLoops(plants, family.block(own))
-        derivative = family.jacobian(own)
-        values, gradients, hard, owner = [], [], [], []
-
-        def add(ratio: FloatArray, gradient: FloatArray, is_hard: bool, number: int, plant: Numbers) -> None:
-            values.append(ratio)
-            gradients.append(gradient)
-            hard.append(np.full(len(ratio), is_hard))
-            owner.append(np.column_stack([np.full(len(ratio), number), plant]).astype(np.intp))
-
-        def along(gradient: FloatArray, slope: FloatArray | float = 0.0) -> FloatArray:
-            out = np.tensordot(gradient, derivative, axes=([1, 2], [1, 2]))
-            if self._wanted is None:
-                return out
-            return np.column_stack([out, np.broadcast_to(slope, len(out))])
-
-        stable = bool(np.all(loops.poles().s.real < 0.0))
-        if not stable:
-            everywhere = np.arange(len(plants.labels))
-            growing = loops.decay(0.0, everywhere)
-            add(growing.ratio, along(growing.gradient), False, -4, growing.plant)
-        for number, requirement in enumerate(self._requirements if stable else ()):
-            found = pieces(loops, requirement, floor)
-            is_hard = requirement.hard and self._soft
-            add(found.ratio + (self._reserve if is_hard else 0.0), along(found.gradient), is_hard, number, found.plant)
-        if self._wanted is not None and stable:
-            frequency = 2.0 * np.pi * float(np.exp(x[-1]))
-            found, slope = loops.level(frequency, floor)
-            add(found.ratio + _TIGHT, along(found.gradient, slope), True, -1, found.plant)
-            if self._guarded:
-                found, slope = loops.level(0.1 * frequency, np.inf)
-                share = LEVEL / _TENTH
-                add(share * found.ratio, along(share * found.gradient, share * slope), True, -2, found.plant)
-            ratio = self._wanted / float(np.exp(x[-1]))
-            gradient = np.zeros((1, len(x)))
-            gradient[0, -1] = -ratio
-            add(np.array([ratio]), gradient, False, -3, np.zeros(1, dtype=np.intp))
-        ratios = np.concatenate(values)
-        # Far from met, ratios grow like 1/margin; their logarithm is nearer to a straight line.
-        beyond = np.maximum(ratios, 1.0)
-        return _Pieces(
-            values=np.where(ratios > 1.0, 1.0 + np.log(beyond), ratios),
-            gradients=np.nan_to_num(np.concatenate(gradients) / beyond[:, None], posinf=0.0, neginf=0.0),
-            hard=np.concatenate(hard),
-            owner=np.concatenate(owner),
-            stable=stable,
-        )
-
-    def _descended(self, family: Family, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
-        """Return where some quadratic programs lead on the plants in view; `state` says whether they came to an end."""
-        upper = np.append(family.upper, np.inf) if self._wanted is not None else family.upper
-        here = self._pieces(family, x, plants, _FLOOR)
-        merit, small = here.merit(), 0
-        for _ in range(_STEPS):
-            if self._left <= 0 or self._met(here):
-                return x
-            soft, hard = ~here.hard, here.hard
-            step = least_maximum(
-                here.values[soft],
-                here.gradients[soft],
-                state.H,
-                np.full(len(x), -state.radius),
-                np.minimum(state.radius, upper - x),
-                here.values[hard] if np.any(hard) else None,
-                here.gradients[hard] if np.any(hard) else None,
-                _PENALTY,
-            )
-            move = np.zeros(len(x)) if step is None else step.move
-            predicted = 0.0
-            if step is not None:
-                modelled = merit if here.stable else merit - _UNSTABLE
-                predicted = modelled - (step.level + _PENALTY * step.violation + 0.5 * float(move @ state.H @ move))
-            if step is None or predicted <= 1e-6:
-                break
-            there = self._pieces(family, x + move, plants, _FLOOR)
-            ratio = (merit - there.merit()) / predicted
-            if there.stable == here.stable:
-                weights = np.zeros(len(here.values))
-                weights[soft], weights[hard] = step.weights, step.hard_weights
-                state.H = _updated(state.H, move, here, there, weights)
-            length = float(np.abs(move).max())
-            if ratio > 1e-3:
-                small = small + 1 if merit - there.merit() < 1e-5 else 0
-                x, here, merit = x + move, there, there.merit()
-                if ratio > 0.7 and length > 0.7 * state.radius:
-                    state.radius *= 2.0
-                elif ratio < 0.25:
-                    state.radius = 0.5 * length
-            else:
-                state.radius = 0.4 * length
-            if state.radius < 1e-7 or small >= 5:
-                break
-        else:
-            return x
-        state.ended = True
-        return x
-
-    def _met(self, here: _Pieces) -> bool:
-        soft = float(here.values[~here.hard].max())
-        if not here.stable:
-            return False
-        if not self._soft:
-            return soft <= 1.0 - self._reserve
-        return soft <= 1.0 and bool(here.values[here.hard].max(initial=0.0) <= 1.0 + 0.1 * self._reserve)
-
-
-def _ratio(value: float) -> float:
-    """Return the ratio that a piece stands for."""
-    return float(np.exp(value - 1.0)) if value > 1.0 else value
-
-
-def _ranked(by_plant: FloatArray) -> list[int]:
-    return [int(k) for k in np.argsort(-by_plant, kind="stable")]
-
-
-def _updated(H: FloatArray, move: FloatArray, here: _Pieces, there: _Pieces, weights: FloatArray) -> FloatArray:
-    """Damped BFGS (Powell) on the gradient of the weighted pieces."""
-    change = np.zeros(len(move))
-    expected = here.values + here.gradients @ move
-    for i in np.flatnonzero(weights > 1e-6):
-        same = np.flatnonzero(np.all(there.owner == here.owner[i], axis=1) & np.isfinite(there.values))
-        if not len(same):
-            continue
-        size = float(np.linalg.norm(here.gradients[i])) or 1.0
-        turned = np.linalg.norm(there.gradients[same] - here.gradients[i], axis=1) / size
-        far = turned + 10.0 * np.abs(there.values[same] - expected[i])
-        change += weights[i] * (there.gradients[same[int(np.argmin(far))]] - here.gradients[i])
-    curved = H @ move
-    bend, slope = float(move @ curved), float(move @ change)
-    if not bend > 0.0 or not np.all(np.isfinite(change)):
-        return H
-    if slope < 0.2 * bend:
-        share = 0.8 * bend / (bend - slope)
-        change = share * change + (1.0 - share) * curved
-        slope = float(move @ change)
-    return np.asarray(H - np.outer(curved, curved) / bend + np.outer(change, change) / slope)
-
-
-def finer(plants: PlantSet) -> PlantSet:
-    """Return the set on a grid on which no resonance of its closed loops hides between two points."""
-    nyquist = 0.999 * np.pi / plants.period
-    edges = np.minimum(plants.nutation * np.array([1.0 / 100.0, 1.0 / 6.0, 2.2, np.inf]), nyquist)
-    parts = [
-        np.geomspace(low, high, k, endpoint=False)
-        for low, high, k in zip(edges, edges[1:], (15, 130, 25), strict=False)
-        if high > low
-    ]
-    grid = np.append(np.concatenate(parts), nyquist)
-    no_direct = np.zeros((*plants.D.shape[:-1], plants.B_Omega.shape[-1]))
-    return dataclasses.replace(
-        plants,
-        frequency=grid,
-        response=frequency_response_arrays(plants.A, plants.B, plants.C, plants.D, plants.period, grid),
-        Omega_response=frequency_response_arrays(plants.A, plants.B_Omega, plants.C, no_direct, plants.period, grid),
+                stage, rounds, last = stage + 1, 0, np.inf
+        names = [one.name for one in tuned.parameters]
+        k = order
+        flat = np.concatenate([M[:k, :k].ravel(), M[:k, k:].ravel(), M[k:, :k].ravel(), M[k:, k:].ravel()])
+        parameters = dict(zip(names, (float(p) for p in flat), strict=True))
+    return Start(
+        number=number,
+        kind=kind,
+        gamma=found.value,
+        abscissa=found.stability,
+        matrix=M,
+        parameters=parameters,
+        evaluations=spent,
+        seconds=time.monotonic() - began,
+        finished=found.finished,
+        history=np.array(history),
     )
+
+
+def _minimised(
+    objective: WorstNorm, x: FloatArray, lower: FloatArray | None, upper: FloatArray | None, time_limit: float
+) -> Minimum:
+    return minimise(
+        objective.pieces,
+        x,
+        lower,
+        upper,
+        stability=objective.stability,
+        curvature=objective.curvature,
+        walls=objective.walls,
+        descent=0,
+        evaluations=1500,
+        time_limit=time_limit,
+    )
+
+
+def _beginning(problem: Problem, tuned: Tuned, number: int) -> tuple[FloatArray, str]:
+    """Return where a start begins and what that is called."""
+    if number == 0:
+        return tuned.start, "given"
+    if number % 3 == 1 and problem.full is not None and number <= 7:
+        scatter = np.random.default_rng([problem.seed, number]).standard_normal(len(tuned.start)) * (number > 1)
+        return fitted(problem, tuned, np.clip(tuned.start + scatter, tuned.lower, tuned.upper)), "full order"
+    random = np.random.default_rng([problem.seed, number])
+    size = 10.0 ** random.uniform(-1.0, 1.0)
+    scatter = random.standard_normal(len(tuned.start)) * np.where(tuned.logarithmic, 0.7, size)
+    return np.clip(tuned.start + scatter, tuned.lower, tuned.upper), "random"
+
+
+def fitted(problem: Problem, tuned: Tuned, x: FloatArray) -> FloatArray:
+    """Return x for which the structure does to the closed loop most nearly what the full-order controller does.
+
+    Least squares of L (K(x) − K_full) R over frequency, the first-order change of the closed loop.
+    """
+    from scipy.optimize import least_squares
+
+    full = problem.full
+    assert full is not None
+    plant = problem.plants[0]
+    nk, (ny, nu) = len(full.A), plant.D22.shape
+    loop = ClosedLoop(augmented(plant, nk), np.block([[full.A, full.B], [full.C, full.D]]))
+    moduli = np.abs(loop.poles)
+    middle = float(np.exp(np.mean(np.log(np.maximum(moduli, 1e-12 * moduli.max())))))
+    frequency = np.geomspace(1e-3 * middle, 1e2 * middle, 40)
+    weights = [loop.responses(float(w)) for w in frequency]
+    L = np.array([one[1][:, nk:] for one in weights])
+    R = np.array([one[2][nk:] for one in weights])
+    s = 1j * frequency
+
+    def response(M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        k = len(M) - nu
+        X = np.linalg.inv(s[:, None, None] * np.eye(k) - M[:k, :k]) if k else np.zeros((len(s), 0, 0), complex)
+        left = np.concatenate([M[k:, :k] @ X, np.broadcast_to(np.eye(nu), (len(s), nu, nu))], axis=2)
+        right = np.concatenate([X @ M[:k, k:], np.broadcast_to(np.eye(ny), (len(s), ny, ny))], axis=1)
+        return left[:, :, :k] @ M[:k, k:] + M[k:, k:], left, right
+
+    wanted = response(np.block([[full.A, full.B], [full.C, full.D]]))[0]
+
+    def residual(y: FloatArray) -> FloatArray:
+        error = L @ (response(tuned.matrix(y))[0] - wanted) @ R
+        out = np.concatenate([error.real.ravel(), error.imag.ravel()])
+        return np.asarray(np.where(np.isfinite(out), np.clip(out, -1e100, 1e100), 1e100))
+
+    def slopes(y: FloatArray) -> FloatArray:
+        _, left, right = response(tuned.matrix(y))
+        moved = np.einsum("fai,ijx,fjb->fabx", L @ left, tuned.jacobian(y), right @ R, optimize=True)
+        out = np.concatenate([moved.real.reshape(-1, len(y)), moved.imag.reshape(-1, len(y))])
+        return np.asarray(np.where(np.isfinite(out), np.clip(out, -1e100, 1e100), 0.0))
+
+    try:
+        found = least_squares(
+            residual, x, jac=slopes, bounds=(tuned.lower, tuned.upper), x_scale="jac", max_nfev=60, xtol=1e-6, ftol=1e-6
+        )
+    except (ValueError, np.linalg.LinAlgError):
+        return x
+    return np.asarray(found.x, dtype=np.float64)

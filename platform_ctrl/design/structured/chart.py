@@ -1,0 +1,80 @@
+"""Matrices M without any pattern as points of a Grassmannian: very large gains are points like any other.
+
+A static gain y → u is the plane of all (y, u) with u = M y. Planes near that of M0 are Q [I; X] with Q orthogonal and
+[I; M0] = Q [R; 0], so
+
+    M = (Q21 + Q22 X) (Q11 + Q12 X)⁻¹.
+
+The optima of many static feedback problems lie at gains of 1e5 and more, in valleys that are narrow and curved in M
+and straight in X.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from platform_ctrl.design.structured.norm import second_order
+from platform_ctrl.frozen import FloatArray
+
+class Chart:
+    """M = left · K(X) · right around K0, X = 0 there; `left` and `right` carry units, K is at most about 1/`least`."""
+
+    def __init__(self, centre: FloatArray, left: FloatArray, right: FloatArray, least: float) -> None:
+        self.left, self.right, self.least = left, right, least
+        rows, columns = centre.shape
+        self.shape = (rows, columns)
+        scaled = np.linalg.solve(left, np.linalg.solve(right.T, centre.T).T)
+        Q = np.linalg.qr(np.vstack([np.eye(columns), scaled]), mode="complete")[0]
+        self.top, self.bottom = Q[:columns], Q[columns:]
+
+    def _parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return K, W = (Q11 + Q12 X)⁻¹ and V = Q22 − K Q12: dK = V dX W."""
+        columns = self.shape[1]
+        X = x.reshape(self.shape)
+        W = np.linalg.inv(self.top[:, :columns] + self.top[:, columns:] @ X)
+        K = (self.bottom[:, :columns] + self.bottom[:, columns:] @ X) @ W
+        return K, W, self.bottom[:, columns:] - K @ self.top[:, columns:]
+
+    def matrix(self, x: FloatArray) -> FloatArray:
+        """Return M."""
+        try:
+            return np.asarray(self.left @ self._parts(x)[0] @ self.right)
+        except np.linalg.LinAlgError:
+            return np.full(self.shape, np.inf)
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx."""
+        _, W, V = self._parts(x)
+        return np.einsum("ia,bj->ijab", self.left @ V, W @ self.right).reshape(*self.shape, x.size)
+
+    def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the Hessian of sum(weight * M): d²M = −V dX W Q12 dX' W − the same with dX and dX' exchanged."""
+        _, W, V = self._parts(x)
+        outer = V.T @ self.left.T @ weight @ self.right.T @ W.T  # (rows, columns) of the first dX's row, last column
+        inner = W @ self.top[:, self.shape[1] :]
+        H = -np.einsum("ad,bc->abcd", outer, inner).reshape(x.size, x.size)
+        return np.asarray(H + H.T)
+
+    def _edge(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return U, S, V' and the scale of Q11 + Q12 X, whose least singular value is zero at infinite gain."""
+        columns = self.shape[1]
+        U, S, Vh = np.linalg.svd(self.top[:, :columns] + self.top[:, columns:] @ x.reshape(self.shape))
+        return U, S, Vh, self.top[:, columns:]
+
+    def near_limit(self, x: FloatArray) -> bool:
+        """Return whether the largest gain allowed keeps x where it is."""
+        return bool(self._edge(x)[1][-1] < 3.0 * self.least)
+
+    def limits(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is negative while M is within its largest gain."""
+        U, S, Vh, Q12 = self._edge(x)
+        return np.array([self.least - S[-1]]), -np.outer(Q12.T @ U[:, -1], Vh[-1]).reshape(1, -1)
+
+    def limit_bend(self, x: FloatArray) -> FloatArray:
+        """Return the Hessian of the limit."""
+        U, S, Vh, Q12 = self._edge(x)
+        n = x.size
+        left = U.T @ Q12  # u_k' dD v = left[k] dX v
+        c = np.einsum("ka,b->kab", left, Vh[-1]).reshape(len(S), n)
+        d = np.einsum("a,kb->kab", left[-1], Vh).reshape(len(S), n)
+        return -second_order(c.astype(complex), d.astype(complex), S, len(S) - 1)

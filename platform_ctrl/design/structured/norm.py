@@ -1,0 +1,377 @@
+"""The H-infinity norm of a closed loop as smooth pieces: every peak near the highest, with derivatives.
+
+Everything of a dynamic controller stands in one matrix M = [A_K, B_K; C_K, D_K], which closes a static loop around the
+plant with the controller's integrators beside it. From M on, at any s,
+
+    T(M + dM) = T + L dM (I − N dM)⁻¹ R,     L, R, N: the loop from u to z, from w to y and from u to y,
+
+so that first and second derivatives of a singular value are products of small matrices (Apkarian and Noll, IEEE
+Trans. Automatic Control 51, 2006, for the first; the second is ordinary perturbation of a Hermitian eigenvalue). A
+peak's frequency moves with the controller: its gradient is that at fixed frequency, its curvature is the Schur
+complement of the frequency in the joint Hessian.
+
+Where peaks are follows from the eigenvalues of a Hamiltonian matrix at a level somewhat below the highest peak known
+(Boyd and Balakrishnan, Systems & Control Letters 15, 1990), used as proposals only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.design.partition import Partition
+from platform_ctrl.frozen import FloatArray, value
+
+ComplexArray = NDArray[np.complex128]
+
+# Steps of the search for the top of a peak.
+_CLIMBS = 12
+
+
+def augmented(plant: Partition, order: int) -> Partition:
+    """Return the plant with the controller's `order` integrators beside it: u = [xK', u], y = [xK, y]."""
+    if order == 0:
+        return plant
+    n, (nz, nw), (ny, nu) = len(plant.A), plant.D11.shape, plant.D22.shape
+    A = np.zeros((n + order, n + order))
+    A[:n, :n] = plant.A
+    B2 = np.zeros((n + order, order + nu))
+    B2[:n, order:], B2[n:, :order] = plant.B2, np.eye(order)
+    C2 = np.zeros((order + ny, n + order))
+    C2[order:, :n], C2[:order, n:] = plant.C2, np.eye(order)
+    D22 = np.zeros((order + ny, order + nu))
+    D22[order:, order:] = plant.D22
+    return Partition(
+        A=A,
+        B1=np.vstack([plant.B1, np.zeros((order, nw))]),
+        B2=B2,
+        C1=np.hstack([plant.C1, np.zeros((nz, order))]),
+        C2=C2,
+        D11=plant.D11,
+        D12=np.hstack([np.zeros((nz, order)), plant.D12]),
+        D21=np.vstack([np.zeros((order, nw)), plant.D21]),
+        D22=D22,
+    )
+
+
+@value
+class Peaks:
+    """Singular values at and near the peaks of a closed loop.
+
+    Attributes
+    ----------
+    frequency : (k,)
+        rad/s; inf for the direct term.
+    values : (k,)
+        Singular values, the largest first.
+    index : (k,)
+        Which singular value at that frequency.
+    gradients : (k, rows, columns)
+        With respect to M.
+    """
+
+    frequency: FloatArray
+    values: FloatArray
+    index: NDArray[np.intp]
+    gradients: FloatArray
+
+
+class ClosedLoop:
+    """The loop of an augmented plant and one matrix M.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The loop is not well posed.
+    """
+
+    def __init__(self, plant: Partition, M: FloatArray) -> None:
+        self.plant, self.M = plant, M
+        nu, ny = plant.D22.shape[1], plant.D22.shape[0]
+        if np.any(plant.D22):
+            self.E = np.linalg.inv(np.eye(nu) - M @ plant.D22)
+            if not np.abs(self.E).max() < 1e10:
+                raise np.linalg.LinAlgError("not well posed")
+            self.F = np.eye(ny) + plant.D22 @ self.E @ M
+        else:
+            self.E, self.F = np.eye(nu), np.eye(ny)
+        gain = self.E @ M
+        self.A = plant.A + plant.B2 @ gain @ plant.C2
+        self.B = plant.B1 + plant.B2 @ gain @ plant.D21
+        self.C = plant.C1 + plant.D12 @ gain @ plant.C2
+        self.D = plant.D11 + plant.D12 @ gain @ plant.D21
+        self.B2, self.C2 = plant.B2 @ self.E, self.F @ plant.C2
+        self.D12, self.D21, self.D22 = plant.D12 @ self.E, self.F @ plant.D21, plant.D22 @ self.E
+        self._poles: ComplexArray | None = None
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Closed-loop poles, rad/s."""
+        if self._poles is None:
+            self._poles = np.linalg.eigvals(self.A).astype(np.complex128)
+        return self._poles
+
+    def abscissa(self) -> float:
+        """Return the largest real part of the poles."""
+        return float(np.max(self.poles.real, initial=-np.inf))
+
+    def pole_pieces(self, window: float) -> tuple[FloatArray, FloatArray]:
+        """Return real parts within `window` of the largest, (k,), and their gradients with respect to M, (k, r, c)."""
+        from scipy.linalg import eig
+
+        poles, left, right = eig(self.A, left=True, right=True)
+        top = float(np.max(poles.real))
+        near = np.flatnonzero((poles.real >= top - window) & (poles.imag >= 0.0))
+        near = near[np.argsort(-poles.real[near], kind="stable")]
+        inner = np.einsum("ik,ik->k", left[:, near].conj(), right[:, near])
+        # A defective pole has no gradient; a finite one of the right direction serves.
+        inner = np.where(np.abs(inner) < 1e-8, 1e-8, inner)
+        a, b = left[:, near].conj().T @ self.B2, self.C2 @ right[:, near] / inner
+        return poles.real[near], np.real(a[:, :, None] * b.T[:, None, :])
+
+    def resolvent(self, frequency: FloatArray) -> ComplexArray:
+        """Return (jωI − A)⁻¹ at finite frequencies, (N, n, n)."""
+        n = len(self.A)
+        shifted = np.broadcast_to(-self.A, (len(frequency), n, n)).astype(np.complex128)
+        shifted[:, np.arange(n), np.arange(n)] += 1j * frequency[:, None]
+        return np.asarray(np.linalg.inv(shifted))
+
+    def gains(self, frequency: FloatArray) -> FloatArray:
+        """Return the largest singular value at finite frequencies."""
+        n = len(self.A)
+        shifted = np.broadcast_to(-self.A, (len(frequency), n, n)).astype(np.complex128)
+        shifted[:, np.arange(n), np.arange(n)] += 1j * frequency[:, None]
+        T = self.C @ np.linalg.solve(shifted, np.broadcast_to(self.B, (len(frequency), *self.B.shape))) + self.D
+        return np.asarray(np.linalg.svd(T, compute_uv=False)[:, 0])
+
+    def crossings(self, level: float) -> FloatArray:
+        """Return sorted frequencies that contain those where a singular value equals `level`."""
+        from platform_ctrl.analysis.norms import level_crossings
+
+        return level_crossings(self.A, self.B, self.C, self.D, level)
+
+    def peak_frequencies(self, window: float, memory: FloatArray) -> tuple[FloatArray, float]:
+        """Return the frequencies of the local maxima above (1 − window) of the highest, and the highest.
+
+        Parameters
+        ----------
+        window
+            Relative depth.
+        memory
+            Frequencies that are looked at in any case.
+        """
+        poles = self.poles
+        direct = float(np.linalg.norm(self.D, 2)) if self.D.size else 0.0
+        grid = np.unique(np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag), memory]))
+        gains = self.gains(grid)
+
+        def look(more: FloatArray) -> float:
+            nonlocal grid, gains
+            more = np.setdiff1d(more[np.isfinite(more)], grid)
+            if more.size == 0:
+                return 0.0
+            found = self.gains(more)
+            grid, gains = np.concatenate([grid, more]), np.concatenate([gains, found])
+            order = np.argsort(grid, kind="stable")
+            grid, gains = grid[order], gains[order]
+            return float(found.max())
+
+        for _ in range(3):
+            top = max(float(gains.max()), direct)
+            crossed = self.crossings((1.0 - window) * top)
+            look(_between(crossed))
+            inside = crossed[(crossed > 0.0)]
+            # An interval above the level may hold several peaks.
+            wide = np.flatnonzero(self._above(grid, gains, inside, (1.0 - window) * top))
+            if wide.size:
+                look(np.exp(np.linspace(np.log(inside[wide]), np.log(inside[wide + 1]), 8)[1:-1]).ravel())
+            # A level far below the new top still contains all that is near it; one far above has to be looked at again.
+            if gains.max() <= top * 1.5:
+                break
+        for _ in range(6):
+            frequency, found = self._tops(grid, gains, window, direct)
+            top = max(float(found.max(initial=0.0)), direct)
+            if look(_between(self.crossings(top * (1.0 + 1e-8)))) <= top * (1.0 + 1e-8):
+                break
+        frequency = frequency[found >= (1.0 - window) * top]
+        kept: list[float] = []
+        for w in np.sort(frequency):
+            if not kept or w - kept[-1] > 1e-6 * w:
+                kept.append(float(w))
+        if direct >= (1.0 - window) * top:
+            kept.append(np.inf)
+        return np.array(kept), top
+
+    @staticmethod
+    def _above(grid: FloatArray, gains: FloatArray, ends: FloatArray, level: float) -> NDArray[np.bool_]:
+        """Return which intervals between neighbouring `ends` hold a point of the grid above the level."""
+        if ends.size < 2:
+            return np.zeros(0, dtype=np.bool_)
+        place = np.searchsorted(ends, grid[gains > level], side="right") - 1
+        out = np.zeros(ends.size - 1, dtype=np.bool_)
+        out[place[(place >= 0) & (place < ends.size - 1)]] = True
+        return out & (ends[1:] > 1.001 * ends[:-1])
+
+    def _tops(self, grid: FloatArray, gains: FloatArray, window: float, direct: float) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies and heights of the local maxima of a sorted grid, climbed to their tops."""
+        padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+        local = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+        top = max(float(gains.max()), direct)
+        local = local[gains[local] >= (1.0 - 1.3 * window) * top]
+        start = grid[local]
+        if local.size == 0:
+            return start, np.zeros(0)
+        low = grid[np.maximum(local - 1, 0)]
+        high = np.where(local + 1 < len(grid), grid[np.minimum(local + 1, len(grid) - 1)], 2.0 * grid[-1])
+        frequency = self._climbed(start, low, high)
+        found = self.gains(frequency)
+        worse = found < gains[local]
+        return np.where(worse, start, frequency), np.where(worse, gains[local], found)
+
+    def _climbed(self, start: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Newton steps on dσ/dω between brackets, halved where Newton leaves them."""
+        w, low, high = start.copy(), low.copy(), high.copy()
+        active = w > 0.0
+        for _ in range(_CLIMBS):
+            if not np.any(active):
+                break
+            at = w[active]
+            slope, bend = self._along_axis(at)
+            rising = slope > 0.0
+            lo, hi = low[active], high[active]
+            lo, hi = np.where(rising, at, lo), np.where(rising, hi, at)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                new = at - slope / bend
+            fine = np.isfinite(new) & (bend < 0.0) & (new > lo) & (new < hi)
+            new = np.where(fine, new, 0.5 * (lo + hi))
+            moved = np.abs(new - at) > 1e-7 * at
+            low[active], high[active], w[active] = lo, hi, new
+            active[np.flatnonzero(active)] = moved
+        return w
+
+    def _along_axis(self, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return dσ/dω and d²σ/dω² of the largest singular value."""
+        X = self.resolvent(frequency)
+        XB = X @ self.B
+        CX = self.C @ X
+        T = self.C @ XB + self.D
+        T1 = -1j * (CX @ XB)
+        T2 = -2.0 * (CX @ (X @ XB))
+        U, S, Vh = np.linalg.svd(T, full_matrices=True)
+        c = U.conj().swapaxes(1, 2) @ T1 @ Vh[:, 0].conj()[:, :, None]  # u_k' T1 v
+        d = Vh @ T1.conj().swapaxes(1, 2) @ U[:, :, :1]  # v_k' T1' u
+        u, v = U[:, :, 0], Vh[:, 0].conj()
+        slope = c[:, 0, 0].real
+        bend = np.einsum("ni,nij,nj->n", u.conj(), T2, v).real
+        bend = bend + second_order(c[:, :, 0], d[:, :, 0], S, 0)
+        return slope, bend
+
+    def responses(self, frequency: float) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Return T, L, R, N at one frequency, rad/s or inf."""
+        if not np.isfinite(frequency):
+            return tuple(m.astype(np.complex128) for m in (self.D, self.D12, self.D21, self.D22))  # type: ignore[return-value]
+        X = self.resolvent(np.array([frequency]))[0]
+        CX, XB2 = self.C @ X, X @ self.B2
+        return (
+            CX @ self.B + self.D,
+            CX @ self.B2 + self.D12,
+            self.C2 @ X @ self.B + self.D21,
+            self.C2 @ XB2 + self.D22,
+        )
+
+    def peaks(self, window: float, memory: FloatArray) -> Peaks:
+        """Return all singular values within (1 − window) of the norm at the frequencies of the peaks."""
+        frequencies, top = self.peak_frequencies(window, memory)
+        out: list[tuple[float, float, int, FloatArray]] = []
+        for w in frequencies:
+            T, L, R, _ = self.responses(float(w))
+            U, S, Vh = np.linalg.svd(T, full_matrices=False)
+            for i in np.flatnonzero((1.0 - window) * top <= S):
+                a, b = L.conj().T @ U[:, i], R @ Vh[i].conj()
+                out.append((float(S[i]), float(w), int(i), np.real(np.outer(a.conj(), b))))
+        out.sort(key=lambda one: -one[0])
+        return Peaks(
+            frequency=np.array([one[1] for one in out]),
+            values=np.array([one[0] for one in out]),
+            index=np.array([one[2] for one in out], dtype=np.intp),
+            gradients=np.array([one[3] for one in out]).reshape(len(out), *self.M.shape),
+        )
+
+    def curvature(self, frequency: float, index: int, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a peak's gradient with respect to M and its Hessian in parameters that move M linearly, J = dM/dx."""
+        T, L, R, N = self.responses(frequency)
+        U, S, Vh = np.linalg.svd(T, full_matrices=True)
+        u, v = U[:, index], Vh[index].conj()
+        n = J.shape[2]
+        left, right = U.conj().T @ L, R @ v  # u_k' L, R v
+        JR = np.einsum("ijx,j->ix", J, right)
+        c = left @ JR
+        back, across = R @ Vh.conj().T, u.conj() @ L  # R v_k, u' L
+        LJ = np.einsum("i,ijx->jx", across, J)
+        d = (back.T @ LJ).conj()
+        bend = LJ.T @ N @ JR
+        H = np.real(bend + bend.T)
+        inner = np.isfinite(frequency) and frequency > 0.0
+        if inner:
+            X = self.resolvent(np.array([frequency]))[0]
+            CX, XB = self.C @ X, X @ self.B
+            T1, T2 = -1j * (CX @ XB), -2.0 * (CX @ X @ XB)
+            L1, R1 = -1j * (CX @ X @ self.B2), -1j * (self.C2 @ X @ XB)
+            c = np.hstack([c, (U.conj().T @ T1 @ v)[:, None]])
+            d = np.hstack([d, (Vh @ T1.conj().T @ u)[:, None]])
+            whole = np.zeros((n + 1, n + 1))
+            whole[:n, :n] = H
+            mixed = np.real((u.conj() @ L1) @ JR + LJ.T @ (R1 @ v))
+            whole[:n, n] = whole[n, :n] = mixed
+            whole[n, n] = float(np.real(u.conj() @ T2 @ v))
+            H = whole
+        H = H + second_order(c, d, S, index)
+        if inner:
+            bent = float(H[n, n])
+            H = H[:n, :n] - (np.outer(H[:n, n], H[:n, n]) / bent if bent < 0.0 else 0.0)
+        return np.real(np.outer(across, right)), np.asarray(0.5 * (H + H.T), dtype=np.float64)
+
+
+def _between(crossed: FloatArray) -> FloatArray:
+    """Return points in all intervals that sorted frequencies divide the axis into."""
+    if crossed.size == 0:
+        return crossed
+    return np.concatenate([[0.5 * crossed[0]], 0.5 * (crossed[1:] + crossed[:-1]), [2.0 * crossed[-1]]])
+
+
+def second_order(c: ComplexArray, d: ComplexArray, S: FloatArray, index: int) -> FloatArray:
+    """Second-order perturbation of the singular value S[index], a sum over the other eigenpairs of [0, T; T', 0].
+
+    Parameters
+    ----------
+    c
+        u_k' dT v for all left vectors k, (rows, n); or (N, rows), one direction at N places.
+    d
+        v_k' dT' u for all right vectors k, likewise.
+    S
+        Singular values, (r,) or (N, r).
+    index
+        Which one.
+
+    Returns
+    -------
+    (n, n) or (N,)
+    """
+    if S.ndim == 2:
+        return np.array(
+            [second_order(c[i][:, None], d[i][:, None], S[i], index)[0, 0] for i in range(len(S))], dtype=np.float64
+        )
+    n, r, s = c.shape[1], len(S), float(S[index])
+    out = np.zeros((n, n))
+    least = 1e-6 * s + 1e-300
+    for k in range(r):
+        plus, minus = 0.5 * (c[k] + d[k]), 0.5 * (c[k] - d[k])
+        if k != index:
+            gap = s - float(S[k])
+            # Values that coincide have no derivatives of their own; their pieces stand side by side instead.
+            if abs(gap) > 1e-3 * s:
+                out += 2.0 / gap * np.real(np.outer(plus.conj(), plus))
+        out += 2.0 / max(s + float(S[k]), least) * np.real(np.outer(minus.conj(), minus))
+    for rest in (c[r:], d[r:]):
+        out += np.real(rest.conj().T @ rest) / max(s, least)
+    return out

@@ -1,0 +1,156 @@
+"""A structure as a function of search coordinates: logarithms of positive numbers, others in units of their size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.design.structured.structures import Parameter, Structure, Units
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+# Step of the differences that give second derivatives, in search coordinates.
+_STEP = 1e-4
+
+
+class Parametrised:
+    """The matrix M = [A_K, B_K; C_K, D_K] of a structure over its free numbers x.
+
+    Attributes
+    ----------
+    names
+        All parameters, the fixed ones among them.
+    start, lower, upper : (n,)
+        Starting point and bounds in search coordinates.
+    """
+
+    def __init__(self, structure: Structure, nmeas: int, ncon: int, units: Units) -> None:
+        self.structure, self.nmeas, self.ncon = structure, nmeas, ncon
+        everything = [_given(one, structure) for one in structure.parameters(nmeas, ncon, units)]
+        self.names = tuple(one.name for one in everything)
+        for what in ("start", "bounds", "fixed"):
+            for name in getattr(structure, what):
+                known_name(f"{type(structure).__name__}: {what}", name, self.names)
+        fixed = {self.names.index(name): float(number) for name, number in structure.fixed.items()}
+        spread, leaders = _ties(structure.tied, everything, fixed, type(structure).__name__)
+        self._base = np.array([fixed.get(k, 0.0) for k in range(len(everything))])
+        self._spread = spread
+        free = [everything[k] for k in leaders]
+        self._size = np.array([one.size for one in free])
+        self._positive = np.array([one.positive for one in free], dtype=bool)
+        self.start = self._coordinates(np.array([one.start for one in free]))
+        self.lower = self._coordinates(np.array([one.lower for one in free]))
+        self.upper = self._coordinates(np.array([one.upper for one in free]))
+        self._kept: tuple[bytes, FloatArray, FloatArray] | None = None
+
+    def _coordinates(self, numbers: FloatArray) -> FloatArray:
+        out = numbers / self._size
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out[self._positive] = np.log(np.maximum(numbers[self._positive], 0.0))
+        return out
+
+    def parameters(self, x: FloatArray) -> FloatArray:
+        """Return all parameters at x."""
+        free = np.where(self._positive, np.exp(np.where(self._positive, x, 0.0)), self._size * x)
+        return np.asarray(self._base + self._spread @ free)
+
+    def named(self, x: FloatArray) -> dict[str, float]:
+        """Return all parameters by name."""
+        return dict(zip(self.names, map(float, self.parameters(x)), strict=True))
+
+    def _at(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = x.tobytes()
+        if self._kept is None or self._kept[0] != key:
+            whole = self.structure.block(self.parameters(x), self.nmeas, self.ncon).joined
+            slope = np.where(self._positive, np.exp(np.where(self._positive, x, 0.0)), self._size)
+            self._kept = key, whole.at, (whole.slope @ self._spread) * slope
+        return self._kept[1], self._kept[2]
+
+    def matrix(self, x: FloatArray) -> FloatArray:
+        """Return M."""
+        return self._at(x)[0]
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx, (rows, columns, n)."""
+        return self._at(x)[1]
+
+    def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the Hessian of sum(weight * M): differences along the positive numbers, M is affine in each other."""
+        H = np.zeros((len(x), len(x)))
+        along = np.flatnonzero(self._positive)
+        for k in along:
+            step = np.zeros(len(x))
+            step[k] = _STEP
+            ends = [np.einsum("ij,ijx->x", weight, self._at(x + sign * step)[1]) for sign in (1.0, -1.0)]
+            H[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        rest = np.flatnonzero(~self._positive)
+        H[np.ix_(along, rest)] = H[np.ix_(rest, along)].T
+        return np.asarray(0.5 * (H + H.T))
+
+    def limits(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return nothing: bounds are kept by the search itself."""
+        return np.zeros(0), np.zeros((0, len(x)))
+
+
+def _given(one: Parameter, structure: Structure) -> Parameter:
+    """Return the parameter with what the user gave for it."""
+    where = f"{type(structure).__name__}: {one.name}"
+    low, high = _pair(structure.bounds.get(one.name, (one.lower, one.upper)), where)
+    if one.positive and low < 0.0:
+        raise ArgumentError(f"{where}: given bounds {low:g} to {high:g}; expected positive ones")
+    given = structure.fixed.get(one.name, structure.start.get(one.name, one.start))
+    if not np.isfinite(given) or (one.positive and not given > 0.0):
+        raise ArgumentError(f"{where}: given {given!r}; expected a {'positive' if one.positive else 'finite'} number")
+    return Parameter(
+        name=one.name,
+        start=float(min(max(given, low), high)),
+        size=one.size,
+        positive=one.positive,
+        lower=low,
+        upper=high,
+    )
+
+
+def _pair(bounds: Any, where: str) -> tuple[float, float]:
+    try:
+        low, high = (float(x) for x in bounds)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{where}: bounds = {bounds!r}; expected (lower, upper)") from None
+    if not low < high:
+        raise ArgumentError(f"{where}: bounds = ({low:g}, {high:g}); expected lower < upper")
+    return low, high
+
+
+def _ties(
+    tied: Sequence[Sequence[str]], everything: Sequence[Parameter], fixed: Mapping[int, float], where: str
+) -> tuple[FloatArray, list[int]]:
+    """Return the matrix from free numbers to parameters, and which parameter stands for each free number."""
+    names = [one.name for one in everything]
+    leader: dict[int, tuple[int, float]] = {}
+    for group in tied:
+        if isinstance(group, str) or len(group) < 2:
+            raise ArgumentError(f"{where}: tied = {group!r}; expected groups of two names or more")
+        first: tuple[int, float] | None = None
+        for word in group:
+            sign = -1.0 if word.startswith("-") else 1.0
+            k = known_name(f"{where}: tied", word.removeprefix("-"), names)
+            if k in leader or k in fixed:
+                raise ArgumentError(f"{where}: tied: {names[k]!r} is tied or fixed already; expected each name once")
+            if sign < 0.0 and everything[k].positive:
+                raise ArgumentError(f"{where}: tied: {word!r}: a positive number has no opposite")
+            first = first or (k, sign)
+            if everything[first[0]].positive != everything[k].positive:
+                raise ArgumentError(f"{where}: tied: {names[first[0]]!r} and {names[k]!r} are of different kinds")
+            leader[k] = (first[0], sign * first[1])
+    leaders = [k for k in range(len(names)) if k not in fixed and leader.get(k, (k, 1.0))[0] == k]
+    if not leaders:
+        raise ArgumentError(f"{where}: every parameter is fixed; expected at least one free")
+    spread = np.zeros((len(names), len(leaders)))
+    for k in range(len(names)):
+        if k not in fixed:
+            at, sign = leader.get(k, (k, 1.0))
+            spread[k, leaders.index(at)] = sign
+    return spread, leaders

@@ -1,0 +1,181 @@
+"""One search from one starting point: what a worker does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.design.partition import Partition
+from platform_ctrl.design.structured.chart import Chart
+from platform_ctrl.design.structured.minimax import Minimum, Pieces, minimise
+from platform_ctrl.design.structured.objective import Parametrisation, WorstNorm
+from platform_ctrl.design.structured.parametrised import Parametrised
+from platform_ctrl.design.structured.power import WorstPower
+from platform_ctrl.frozen import FloatArray, value
+
+# Most charts that a search without a pattern goes through, and the decrease that is worth another one.
+_CHARTS, _WORTH = 6, 1e-7
+
+
+@value
+class Goal:
+    """A norm of every plant, in units of its limit.
+
+    Attributes
+    ----------
+    plants
+        Augmented, with the goal's own w and z.
+    h2
+        Whether it is the H2 norm.
+    """
+
+    plants: tuple[Partition, ...]
+    h2: bool = False
+
+
+@value
+class Problem:
+    """What is searched for.
+
+    Attributes
+    ----------
+    plants
+        Augmented by the controller's integrators; their poles have to be stable.
+    soft, hard
+        Norms to be minimised, and norms that must not exceed one.
+    decay
+        Least distance of every pole from the axis, rad/s.
+    units : (left, right)
+        M = left · M_scaled · right, for controllers without a pattern.
+    structured
+        The pattern; None: every entry of M is free.
+    """
+
+    plants: tuple[Partition, ...]
+    soft: tuple[Goal, ...]
+    hard: tuple[Goal, ...]
+    decay: float
+    units: tuple[FloatArray, FloatArray]
+    structured: Parametrised | None
+
+
+@value
+class Outcome:
+    """Where one search ended.
+
+    Attributes
+    ----------
+    x
+        Search coordinates, empty where there is no pattern.
+    M
+        [A_K, B_K; C_K, D_K].
+    value, hard, stability
+        As in `minimax.Minimum`.
+    evaluations, seconds, finished
+        What was spent, and whether the search ended by itself.
+    """
+
+    x: FloatArray
+    M: FloatArray
+    value: float
+    hard: float
+    stability: float
+    evaluations: int
+    seconds: float
+    finished: bool
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The smaller the better: stability first, then hard limits, then the value."""
+        if not self.stability < 0.0:
+            return 2.0, self.stability
+        if self.hard > 1.0 + 1e-6:
+            return 1.0, self.hard
+        return 0.0, self.value
+
+
+def searched(
+    problem: Problem, start: FloatArray, time_limit: float, progress: Callable[[float], None] | None = None
+) -> Outcome:
+    """Return what the search from `start` (search coordinates, or M where there is no pattern) finds."""
+    began = time.monotonic()
+    if problem.structured is not None:
+        least, _ = _minimised(problem, problem.structured, start, time_limit, True, progress)
+        return _outcome(problem.structured.matrix(least.x), least, least.evaluations, began)
+    M, best, spent = start, None, 0
+    for k in range(_CHARTS):
+        chart = Chart(M, *problem.units)
+        left = time_limit - (time.monotonic() - began)
+        least, moved = _minimised(problem, chart, np.zeros(M.size), left, k == 0, progress)
+        spent += least.evaluations
+        better = best is None or not best[0].stable or least.value < best[0].value * (1.0 - _WORTH)
+        if better:
+            M = chart.matrix(least.x)
+            best = least, M
+        if not better or not least.finished or not least.stable or not moved:
+            break
+    assert best is not None
+    return _outcome(best[1], best[0], spent, began, plain=True)
+
+
+def _outcome(M: FloatArray, least: Minimum, evaluations: int, began: float, plain: bool = False) -> Outcome:
+    return Outcome(
+        x=np.zeros(0) if plain else least.x,
+        M=M,
+        value=least.value,
+        hard=least.hard,
+        stability=least.stability,
+        evaluations=evaluations,
+        seconds=time.monotonic() - began,
+        finished=least.finished,
+    )
+
+
+def _minimised(
+    problem: Problem,
+    controller: Parametrisation,
+    start: FloatArray,
+    time_limit: float,
+    first: bool,
+    progress: Callable[[float], None] | None,
+) -> tuple[Minimum, bool]:
+    """Return the minimum, and whether it lies away from the start."""
+    loops = WorstNorm(problem.plants, controller, margin=problem.decay)
+    soft, curved = _pieces(problem.soft, controller, loops)
+    hard = _pieces(problem.hard, controller, loops)[0] if problem.hard else None
+    bounded = isinstance(controller, Parametrised)
+    least = minimise(
+        soft,
+        start,
+        controller.lower if bounded else None,
+        controller.upper if bounded else None,
+        hard=hard,
+        stability=loops.stability,
+        curvature=curved,
+        walls=loops.walls,
+        time_limit=time_limit,
+        descent=0 if curved is not None else 200,
+        evaluations=1200 if first else 600,
+        progress=progress,
+    )
+    return least, bool(np.any(least.x != start))
+
+
+def _pieces(
+    goals: tuple[Goal, ...], controller: Parametrisation, loops: WorstNorm
+) -> tuple[Pieces, Callable[[FloatArray, FloatArray], FloatArray] | None]:
+    """Return the pieces of all goals, and their curvature where it is known."""
+    if len(goals) == 1 and not goals[0].h2:
+        only = loops if goals[0].plants is loops.plants else WorstNorm(goals[0].plants, controller)
+        return only.pieces, only.curvature
+    parts: list[WorstNorm | WorstPower] = [
+        WorstPower(goal.plants, controller) if goal.h2 else WorstNorm(goal.plants, controller) for goal in goals
+    ]
+
+    def pieces(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = [part.pieces(x) for part in parts]
+        return np.concatenate([one[0] for one in found]), np.vstack([one[1] for one in found])
+
+    return pieces, None
