@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from platform_ctrl.design.antiwindup import AntiWindup, SurvivedOmega, anti_windup, survived_Omega
+from platform_ctrl.design.antiwindup_job import LoopSurvival, caging_loop_limits, caging_survival
+from platform_ctrl.design.antiwindup_loop import LimitedLoop, limited_loop
 from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_plant, complex_response
 from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist, complex_loop, two_sided_nyquist
 from platform_ctrl.design.crossover import CrossoverDesign, from_crossover_and_margin
 from platform_ctrl.design.h2 import h2
+from platform_ctrl.design.intersample_loop import IntersampleGains, intersample_gains
 from platform_ctrl.design.jobs import LoopOutcome, loops
 from platform_ctrl.design.lmi.caging import ScheduledCaging, scheduled_caging
 from platform_ctrl.design.lmi.multiobjective import Multiobjective, multiobjective
@@ -15,32 +19,44 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
 from platform_ctrl.design.measured import MeasuredDesign, measured_pid, read_measurement
 from platform_ctrl.design.pole_placement import PolePlacement, pole_placement
+from platform_ctrl.design.sampled_hinf import SampledSynthesis, sampled_hinf
 from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
 
 __all__ = [
+    "AntiWindup",
     "Claim",
     "ComplexLoop",
     "ComplexSystem",
     "CrossoverDesign",
     "Estimator",
+    "IntersampleGains",
+    "LimitedLoop",
     "LoopDesign",
     "LoopOutcome",
+    "LoopSurvival",
     "LqgDesign",
     "MeasuredDesign",
     "Multiobjective",
     "PolePlacement",
     "Robust",
+    "SampledSynthesis",
     "Scheduled",
     "ScheduledCaging",
     "StateFeedback",
+    "SurvivedOmega",
     "Synthesis",
     "TwoSidedNyquist",
+    "anti_windup",
+    "caging_loop_limits",
+    "caging_survival",
     "complex_loop",
     "complex_plant",
     "complex_response",
     "from_crossover_and_margin",
     "h2",
     "hinf",
+    "intersample_gains",
+    "limited_loop",
     "loops",
     "lqe",
     "lqg",
@@ -50,7 +66,9 @@ __all__ = [
     "pole_placement",
     "read_measurement",
     "robust",
+    "sampled_hinf",
     "scheduled",
     "scheduled_caging",
+    "survived_Omega",
     "two_sided_nyquist",
 ]

@@ -41,7 +41,8 @@ class SurvivedOmega:
     static_Omega
         Where the torques in equilibrium take all of a limit: no loop survives more for long.
     ellipsoid
-        The proof's data.
+        The proof's data; its `gain` is the anti-windup gain that the figure counts on, zero where torques stay
+        below their limits.
     verification
         What became of the proof.
     """
@@ -88,19 +89,33 @@ class AntiWindup:
     verification: Verification
 
 
-def survived_Omega(loop: LimitedLoop) -> SurvivedOmega:
-    """Return the largest Omega for which the loop provably stays off its limits, from rest or inside the ellipsoid.
+def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> SurvivedOmega:
+    """Return the largest Omega for which the loop provably keeps within its stops and returns.
 
-    It needs no anti-windup, since there is no excess. The bound is sharp to a few per cent where the manoeuvre is slow
-    against the loop; for fast ones an ellipsoid gives away more.
+    The bound is sharp to a few per cent where the manoeuvre is slow against the loop; for fast ones an ellipsoid
+    gives away more.
+
+    Parameters
+    ----------
+    loop
+        The loop, see `limited_loop`.
+    saturating
+        False: torques stay below their limits, which needs no anti-windup and no solver. True: they may exceed them,
+        with an anti-windup gain found for the purpose.
+    time_limit
+        Longest time that one call of the solver may take, s.
 
     Raises
     ------
     NotCertifiedError
         The proof failed.
+    DesignError
+        The solver failed.
     """
     slowest = slowest_decay(loop)
     best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
+    if saturating:
+        best = widest(loop, best.Omega, best.alpha, time_limit=time_limit)
     shown = best.verify()
     if not shown.proved:
         raise NotCertifiedError(

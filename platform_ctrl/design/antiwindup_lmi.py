@@ -16,6 +16,7 @@ room is kept by K η itself the torques never reach their limits, φ is zero, an
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -302,10 +303,9 @@ class _Problem:
 
     def solve(self, gain: FloatArray | None, best: _Solution | None, time_limit: float) -> _Solution:
         """Minimise the objective; with `best` maximise the slack near it."""
-        import cvxpy as cp
-
         from platform_ctrl.design.lmi.conic import solve
 
+        cp = import_module("cvxpy")
         n, m = self.B.shape
         order = self.R.shape[1]
         Q, S, Y = cp.Variable((n, n), symmetric=True), cp.Variable(m), cp.Variable((m, n))
@@ -329,12 +329,14 @@ class _Problem:
                 [moved.T, -late, self.B_w, Q],
             ]
         )
-        constraints = [kept >> slack * np.eye(2 * n + m + 1), S >= slack, slack <= 1e-3]
+        constraints = [kept >> slack * np.eye(2 * n + m + 1), slack <= S, slack <= 1e-3]
         for k in range(m):
             over = self.K[k : k + 1] @ Q - Y[k : k + 1]
             corner = cp.reshape(used, (1, 1), order="C")
             constraints.append(cp.bmat([[Q, over.T], [over, corner]]) >> slack * np.eye(n + 1))
-        constraints += [used >= c @ Q @ c for c in self.C if np.any(c)]
+        for c in self.C[np.any(self.C, axis=1)]:
+            spent = c @ Q @ c
+            constraints.append(spent <= used)
         goal = used
         if self.directions is not None:
             reach = cp.Variable()
@@ -358,6 +360,7 @@ class _Problem:
             time_limit=time_limit,
             P=self.loop,
             cure=_CURE,
+            decompose=False,
         )
         E = np.zeros((order, m)) if gain is None else gain
         if X is not None:

@@ -296,7 +296,7 @@ def limited_response(
         settled = Omega * loop.jerk * wanted[k]
         rate[k + 1] = rate[k] + settled * h + (state[k, -1] - settled) * (1.0 - decay) / rho
     return LimitedResponse(
-        t=h * np.arange(N),
+        t=h * np.arange(N, dtype=np.float64),
         Omega=rate[:N],
         state=state[:N],
         command=command,
