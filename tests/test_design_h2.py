@@ -10,7 +10,7 @@ from platform_ctrl.analysis.norms import h2_norm
 from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.partition import Realisation, closed_loop, partition
 from platform_ctrl.design.scaling import autoscale
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotStabilisableError
 
 
 def random_plant(seed, n=6, nw=4, nz=4, ny=2, nu=2, dt=0.0, D11=False):
@@ -169,13 +169,40 @@ def test_modes_out_of_reach_are_named_in_z_where_the_plant_is_sampled():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"method": "hinf"}, "method = 'hinf'"),
-        ({"backoff": 0.0}, "backoff = 0.0"),
+        ({"method": "hinf"}, "method: given 'hinf'"),
+        ({"backoff": 0.0}, "backoff: given 0.0"),
         ({"time_limit": -1.0}, "time_limit = -1.0"),
         ({"regularise": 2.0}, "regularise = 2.0"),
+        ({"regularise": True}, "regularise = True"),
+        ({"time_limit": None}, "time_limit = None"),
+        ({"backoff": "small"}, "backoff: given 'small'"),
         ({"regularise": 1e-3, "method": "lmi"}, 'expected method="riccati"'),
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(options, match):
     with pytest.raises(ArgumentError, match=match):
         h2(random_plant(1), 2, 2, **options)
+
+
+def test_lmi_loop_on_the_stability_boundary_is_an_error_and_no_warning():
+    # No w drives the oscillator: the less it is damped the smaller the norm, down to none.
+    P = control.StateSpace(
+        [[0, 5.0], [-5, 0]], [[0, 0, 0], [0, 0, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+        remove_useless_states=False,
+    )  # fmt: skip
+    with pytest.raises(DesignError, match="h2, lmi"):
+        h2(P, 1, 1, method="lmi")
+
+
+@pytest.mark.parametrize("pole", [-1.0, -1.0 - 1e-9])
+def test_sampled_plant_may_have_a_pole_at_minus_one(pole):
+    P = control.ss(pole, [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], 0.1)
+    assert h2(P, 1, 1).spectral_abscissa < 0
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_norm_follows_the_unit_of_z(unit):
+    P = random_plant(1)
+    in_unit = np.concatenate([np.full(4, unit), np.ones(2)])[:, None]
+    there = h2(control.ss(P.A, P.B, in_unit * P.C, in_unit * P.D), 2, 2)
+    assert there.gamma == pytest.approx(unit * h2(P, 2, 2).gamma, rel=1e-9)

@@ -74,7 +74,7 @@ def test_gyro_in_si_units_has_the_gains_of_the_scaled_gyro(dt):
     scaled = control.ss(plain.A * d / d[:, None], plain.B / d[:, None], plain.C * d, plain.D, plain.dt)
     Q1, Q2 = WEIGHTS
     here, there = lqr(plain, Q1, Q2), lqr(scaled, Q1 * d * d[:, None], Q2)
-    np.testing.assert_allclose(there.state_gain, here.state_gain * d, rtol=1e-9)
+    np.testing.assert_allclose(there.state_gain, here.state_gain * d, rtol=1e-8)
     R1, R2 = NOISE
     here, there = lqe(plain, R1, R2), lqe(scaled, R1 / d / d[:, None], R2)
     np.testing.assert_allclose(there.observer_gain, here.observer_gain / d[:, None], rtol=1e-9, atol=1e-6)
@@ -178,3 +178,26 @@ def test_what_no_input_moves_or_no_weight_sees_is_named():
 def test_arguments_that_make_no_sense_are_refused(given, match):
     with pytest.raises(ArgumentError, match=match):
         lqr(DOUBLE, *given)
+
+
+@pytest.mark.parametrize("gain", [1e-9, 1e-6, 1e6])
+def test_gains_of_a_torquer_in_any_unit_are_the_closed_form(gain):
+    # x'' = gain u with the weights 1: poles near -1 and -gain, six decades apart.
+    system = control.ss([[0.0, 1], [0, 0]], [[0.0], [gain]], [[1.0, 0]], 0)
+    feedback = lqr(system, np.eye(2), np.eye(1))
+    np.testing.assert_allclose(feedback.state_gain, [[-1.0, -np.sqrt(1.0 + 2.0 / gain)]], rtol=1e-9)
+
+
+def test_plants_without_states_or_measurements_are_refused():
+    static = control.ss([], [], [], [[1.0]])
+    with pytest.raises(ArgumentError, match="expected a plant with states"):
+        lqr(static, np.zeros((0, 0)), [[1.0]])
+    blind = control.ss([[-1.0]], [[1.0]], np.zeros((0, 1)), np.zeros((0, 1)))
+    with pytest.raises(ArgumentError, match="at least one signal that R2 weights"):
+        lqe(blind, [[1.0]], np.zeros((0, 0)))
+
+
+def test_sampled_pole_at_minus_one_is_moved():
+    system = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1)
+    assert np.abs(lqr(system, [[1.0]], [[1.0]]).poles).max() < 1.0
+    assert np.abs(lqg(system, [[1.0]], [[1.0]], [[1.0]], [[1.0]]).poles).max() < 1.0

@@ -9,6 +9,7 @@ system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong 
 from __future__ import annotations
 
 import math
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -222,7 +223,15 @@ def h2_norm(system: control.StateSpace) -> float:
     else:
         from scipy.linalg import solve_continuous_lyapunov
 
-        X = np.asarray(solve_continuous_lyapunov(A, -B @ B.T), dtype=np.float64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            try:
+                X = np.asarray(solve_continuous_lyapunov(A, -B @ B.T), dtype=np.float64)
+            except (RuntimeWarning, np.linalg.LinAlgError):
+                raise ArgumentError(
+                    f"h2_norm: a pole at s = {s[np.argmax(s.real)]:.6g} is stable by no more than rounding, expected "
+                    "poles farther from the imaginary axis"
+                ) from None
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 

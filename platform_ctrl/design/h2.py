@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.design.assumptions import (
     regularised,
     require_full_rank,
@@ -20,9 +21,9 @@ from platform_ctrl.design.assumptions import (
 )
 from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
 from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
-from platform_ctrl.design.scaling import ScaledPlant, autoscale, require_stabilisable, unscale
-from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation
-from platform_ctrl.errors import ArgumentError, UnscalableError
+from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
+from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
+from platform_ctrl.errors import UnscalableError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -84,16 +85,12 @@ def h2(
     NotCertifiedError
         The controller does not reach what was promised.
     """
-    if method not in ("lmi", "riccati"):
-        raise ArgumentError(f"h2: method = {method!r}; expected 'riccati' or 'lmi'")
-    if not (np.isfinite(backoff) and backoff > 0):
-        raise ArgumentError(f"h2: backoff = {backoff!r}; expected a positive number such as 0.01")
-    if not time_limit > 0:
-        raise ArgumentError(f"h2: time_limit = {time_limit!r}; expected a positive number of seconds")
+    one_of("h2: method", method, ("riccati", "lmi"))
+    backoff = positive("h2: backoff", backoff)
+    require_time_limit("h2", time_limit)
     require_regularisation("h2", method, regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
-    flat = in_w_plane(plant)
-    require_stabilisable(flat, P, "h2")
+    require_stabilisable(plant, P, "h2")
     if method == "lmi":
         from platform_ctrl.design.h2_lmi import h2_lmi
 
@@ -127,7 +124,7 @@ def _continuous(
     plant: Partition, P: StateSpace, regularise: float | None
 ) -> tuple[Realisation, float, dict[str, float]]:
     """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
-    scaled = autoscale(plant)
+    scaled = autoscaled_with_gain(plant)
     extra: dict[str, float] = {}
     if regularise is not None:
         changed = regularised(scaled, regularise)
@@ -175,7 +172,7 @@ def _sampled(
     plant: Partition, direct: bool, P: StateSpace, regularise: float | None
 ) -> tuple[Realisation, float, dict[str, float]]:
     """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
-    scaled = autoscale(plant)
+    scaled = autoscaled_with_gain(plant)
     found = _optimal_sampled(scaled.plant, direct)
     extra: dict[str, float] = {}
     if found is None and regularise is not None:

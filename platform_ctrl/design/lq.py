@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import real_array
-from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition, with_direct_path
+from platform_ctrl.design.partition import Partition, Realisation, partition, with_direct_path
 from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
@@ -276,7 +276,7 @@ def _require(A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str,
         A=A, B1=np.eye(n), B2=B, C1=np.eye(n), C2=C, D11=np.zeros((n, n)), D12=np.zeros((n, m)),
         D21=np.zeros((p, n)), D22=np.zeros((p, m)), dt=dt,
     )  # fmt: skip
-    require_stabilisable(in_w_plane(plant), system, where)
+    require_stabilisable(plant, system, where)
 
 
 def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral: ArrayLike | None) -> Partition:

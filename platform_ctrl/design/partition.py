@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.arguments import short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -66,9 +67,9 @@ def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Pa
             f"plant: sampled (dt = {P.dt}); expected a continuous plant, for example in the bilinear w-plane"
         )
     for name, number, total, what in (("nmeas", nmeas, P.noutputs, "outputs"), ("ncon", ncon, P.ninputs, "inputs")):
-        if not (isinstance(number, int | np.integer) and 1 <= number < total):
+        if isinstance(number, bool) or not (isinstance(number, int | np.integer) and 1 <= number < total):
             raise ArgumentError(
-                f"plant: {name} = {number!r} of {total} {what}; expected a whole number from 1 to {total - 1}"
+                f"plant: {name} = {short(number)} of {total} {what}; expected a whole number from 1 to {total - 1}"
             )
     if P.nstates == 0:
         raise ArgumentError("plant: no states; expected a dynamic plant")

@@ -60,11 +60,16 @@ def judged_weights(
     Raises
     ------
     ArgumentError
-        Wrong shapes, not finite, not symmetric.
+        A plant without states or such signals; wrong shapes, not finite, not symmetric.
     IllPosedError
         The second is not positive definite, or the whole not positive semidefinite.
     """
     first, second, between = names.split(", ")
+    if not (n and m):
+        raise ArgumentError(
+            f"{where}: {second} and {first} would be ({m}, {m}) and ({n}, {n}); expected a plant with states and at "
+            f"least one signal that {second} weights"
+        )
     Q = real_array(f"{where}: {first}", given[0], (n, n))
     R = real_array(f"{where}: {second}", given[1], (m, m))
     N = real_array(f"{where}: {between}", given[2], (n, m), 0.0)
@@ -117,18 +122,22 @@ def solved(
     """
     Q, R, N = weights
     unit = 1.0 / np.sqrt(np.diag(R))
-    s = state_scaling(A, B * unit, square_root(Q).T if np.any(Q) else np.zeros((1, len(A))))
-    As, Bs = A * s / s[:, None], B * unit / s[:, None]
-    Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
-    # Units of time and of the cost in which A and Q are near one.
-    rate = 1.0 if dt else max(float(np.linalg.norm(As, 2)), np.finfo(float).tiny)
-    cost = max(float(np.linalg.norm(Qs, 2)), np.finfo(float).tiny)
-    root = np.sqrt(cost)
-    equation = (As / rate, Bs * root / rate, Qs / cost, Rs, Ns / root)
-    try:
-        found = discrete_solution(*equation) if dt else continuous_solution(*equation)
-    except np.linalg.LinAlgError:
-        found = None
+    root_of_Q = square_root(Q).T
+    found = None
+    # What balances A alone comes second: it suits a loop that is hardly faster than the plant.
+    for s, cost in (_units(A, B * unit, root_of_Q), _units_of_plant(A, B * unit, root_of_Q)):
+        As, Bs = A * s / s[:, None], B * unit / s[:, None]
+        Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
+        root = np.sqrt(cost)
+        # The unit of time in which A is near one.
+        rate = 1.0 if dt else max(float(np.linalg.norm(As, 2)), np.finfo(float).tiny)
+        equation = (As / rate, Bs * root / rate, Qs / cost, Rs, Ns / root)
+        try:
+            found = discrete_solution(*equation) if dt else continuous_solution(*equation)
+        except np.linalg.LinAlgError:
+            found = None
+        if found is not None and relative_residual(*equation, found[0], discrete=dt > 0) <= RESIDUAL:
+            break
     if found is None:
         _name_blind_mode(equation, rate, dt, where, system)
         raise UnscalableError(
@@ -149,6 +158,24 @@ def solved(
     return X * (cost / rate) / s / s[:, None], F, poles, residual
 
 
+def _units(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
+    """Units s of the states, and of the cost in which B and the root C of their weights are equally large."""
+    s, cost = np.ones(len(A)), 1.0
+    for _ in range(3):
+        s = s * state_scaling(A * s / s[:, None], B * np.sqrt(cost) / s[:, None], C * s / np.sqrt(cost))
+        into, seen = float(np.linalg.norm(B / s[:, None])), float(np.linalg.norm(C * s))
+        if not (into and seen):
+            break
+        cost = float(2.0 ** np.round(np.log2(seen / into)))
+    return s, cost
+
+
+def _units_of_plant(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
+    """Units of the states that balance [A B; C 0], and of the cost in which the weight of the states is near one."""
+    s = state_scaling(A, B, C if len(C) else np.zeros((1, len(A))))
+    return s, max(float(np.linalg.norm(C * s, 2)) ** 2, np.finfo(float).tiny) if len(C) else 1.0
+
+
 def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
     """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
     A, B, Q, R, N = equation
@@ -157,7 +184,7 @@ def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, w
     for pole in np.linalg.eigvals(closed):
         distance = abs(abs(pole) - 1.0) if dt else abs(pole.real)
         shifted = np.vstack([closed - pole * np.eye(len(A)), seen])
-        if distance < 1e-6 and np.linalg.svd(shifted, compute_uv=False)[-1] < 1e-9:
+        if distance < 1e-9 and np.linalg.svd(shifted, compute_uv=False)[-1] < 1e-9:
             at = f"z = {pole:.6g}" if dt else f"{pole * rate:.4g} rad/s"
             raise IllPosedError(
                 f"{where}: the weights (or noise intensities) do not reach the mode at {at} on the stability boundary; "

@@ -19,6 +19,8 @@ AXIS = 1e-10
 # Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
 # the matrices of the equation are near one: the solution 0 comes out as rounding.
 SYMMETRY, ZERO = 1e-6, 1e-9
+# Steps of Newton's method at most.
+NEWTON_STEPS = 8
 
 
 class Subspace(NamedTuple):
@@ -89,16 +91,27 @@ def continuous_solution(
     X = stabilising(H).X
     if X is None:
         return None
-    # One step of Newton's method (Kleinman) takes back what the change to U11⁻¹ has cost.
+    # Newton's method (Kleinman) takes back what the change to U11⁻¹ has cost: mostly one step. It converges from
+    # wherever the loop is stable.
     F = -into[:, :n] @ X - into[:, n:]
-    closed = A + B @ F
     residual = A.T @ X + X @ A + Q - F.T @ R @ F
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        step = solve_continuous_lyapunov(closed.T, -0.5 * (residual + residual.T))
-    if np.all(np.isfinite(step)) and np.linalg.norm(step) < 1e-3 * (1.0 + np.linalg.norm(X)):
-        X = X + 0.5 * (step + step.T)
-        F = -into[:, :n] @ X - into[:, n:]
+    for _ in range(NEWTON_STEPS):
+        closed = A + B @ F
+        if not np.all(np.isfinite(closed)) or np.linalg.eigvals(closed).real.max(initial=-1.0) >= 0.0:
+            break
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            step = solve_continuous_lyapunov(closed.T, -0.5 * (residual + residual.T))
+        if not np.all(np.isfinite(step)):
+            break
+        new = X + 0.5 * (step + step.T)
+        F_new = -into[:, :n] @ new - into[:, n:]
+        left = A.T @ new + new @ A + Q - F_new.T @ R @ F_new
+        enough = np.linalg.norm(left) > 0.1 * np.linalg.norm(residual)
+        if np.linalg.norm(left) <= np.linalg.norm(residual):
+            X, F, residual = new, F_new, left
+        if enough:
+            break
     return X, F
 
 

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 # Singular values below this share of the largest (of unit columns or rows) count as zero.
 RANK_TOLERANCE = 1e-8
+# Powers of two that the unit of the norm may be off.
+NEAR_UNITS = 4
+# Rounding of an eigenvalue that is the least (of one with condition 1) and the largest counted with, relative to A.
+ROUNDING, LARGEST_ROUNDING = 1e-14, 1e-9
 
 
 @value
@@ -104,6 +108,18 @@ def autoscale(plant: Partition, gain: float = 1.0) -> ScaledPlant:
     )  # fmt: skip
 
 
+def autoscaled_with_gain(plant: Partition) -> ScaledPlant:
+    """Scale a plant, the norm too where w → x and x → z are in far larger or smaller units than u → x and x → y."""
+    scaled = autoscale(plant)
+    p = scaled.plant
+    disturbance = float(np.linalg.norm(p.B1) * np.linalg.norm(p.C1))
+    loop = float(np.linalg.norm(p.B2) * np.linalg.norm(p.C2))
+    if not (0.0 < disturbance < np.inf and 0.0 < loop < np.inf):
+        return scaled
+    power = np.round(0.5 * (np.log2(disturbance) - np.log2(loop)))
+    return scaled if abs(power) < NEAR_UNITS else autoscale(plant, 2.0**power)
+
+
 def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> FloatArray:
     """Powers of two d, (n,), such that row i of [D⁻¹AD, D⁻¹B] is about as long as column i of [D⁻¹AD; CD], D = diag(d).
 
@@ -150,25 +166,25 @@ def require_stabilisable(
     Parameters
     ----------
     plant
-        Continuous, or in the w-plane.
+        Continuous, sampled, or in the w-plane of a sampled P.
     P
-        The plant as given, sampled or not.
+        The plant as given, for the error.
     where
         Who asks.
     scaled
-        `autoscale(plant)`, where it is at hand.
+        The same scaled, where it is at hand.
 
     Raises
     ------
     NotStabilisableError
         (A, B2) is not stabilisable or (A, C2) not detectable; the message names the mode.
     """
-    sigma, word, pole = weakest_mode(scaled or autoscale(plant))
+    sigma, word, pole = weakest_mode(scaled or autoscaled_with_gain(plant))
     if word and sigma < 1e-10:
         verb = "no control u moves" if word == "stabilisable" else "no measurement y sees"
         at = f"{pole.real:.4g}{pole.imag:+.4g}j rad/s"
         if P.dt:
-            z = (1 + 0.5 * P.dt * pole) / (1 - 0.5 * P.dt * pole)
+            z = pole if plant.dt else (1 + 0.5 * P.dt * pole) / (1 - 0.5 * P.dt * pole)
             at = f"z = {z.real:.6g}{z.imag:+.4g}j"
         raise NotStabilisableError(
             f"{where}: the plant is not {word}: {verb} the mode at {at}; expected every "
@@ -180,15 +196,13 @@ def require_stabilisable(
 def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
     """Distance of the unstable modes to being lost: (smallest singular value relative to A, the property, the pole).
 
-    The pole is in rad/s. The test of Popov, Belevitch and Hautus on the scaled plant; ``(inf, "", 0)`` where every
-    pole is stable.
+    The pole is in rad/s, of a sampled plant in z. The test of Popov, Belevitch and Hautus on the scaled plant;
+    ``(inf, "", 0)`` where every pole is stable.
     """
     plant = scaled.plant
     size = max(1.0, float(np.linalg.norm(plant.A, 2)))
     weakest = (float("inf"), "", 0j)
-    for pole in clustered(np.linalg.eigvals(plant.A), size):
-        if pole.real < -1e-9 * size:
-            continue
+    for pole in not_stable(plant, size):
         shifted = plant.A - pole * np.eye(len(plant.A))
         for word, pencil in (
             ("stabilisable", np.hstack([shifted, plant.B2])),
@@ -198,6 +212,22 @@ def weakest_mode(scaled: ScaledPlant) -> tuple[float, str, complex]:
             if sigma < weakest[0]:
                 weakest = (sigma, word, pole * scaled.rate)
     return weakest
+
+
+def not_stable(plant: Partition, size: float) -> list[complex]:
+    """Poles that are not stable by more than rounding, and the means of the clusters that these belong to."""
+    from scipy.linalg import eig
+
+    poles, left, right = eig(plant.A, left=True, right=True)
+    aligned = np.abs(np.sum(np.conj(left) * right, axis=0))
+    rounding = size * np.minimum(ROUNDING * len(poles) / np.maximum(aligned, ROUNDING), LARGEST_ROUNDING)
+    found = (np.abs(poles) - 1.0 if plant.dt else poles.real) >= -rounding
+    out = [complex(pole) for pole in poles[found]]
+    for pole in poles[found]:
+        near = poles[np.abs(poles - pole) < 1e-3 * size]
+        if near.size > 1:
+            out.append(complex(np.mean(near)))
+    return out
 
 
 def clustered(poles: np.ndarray[Any, Any], size: float) -> list[complex]:

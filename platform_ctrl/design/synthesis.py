@@ -22,6 +22,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.arguments import one_of, positive, short
 from platform_ctrl.certificates import Certificate, h2_certificate, norm_certificate
 from platform_ctrl.design.partition import (
     Partition,
@@ -31,8 +32,8 @@ from platform_ctrl.design.partition import (
     out_of_w_plane,
     partition,
 )
-from platform_ctrl.design.scaling import autoscale, require_stabilisable
-from platform_ctrl.errors import ArgumentError, NotCertifiedError, UnscalableError
+from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import value
 
 if TYPE_CHECKING:
@@ -191,17 +192,24 @@ def hinf(
     NotCertifiedError
         The controller does not reach what was promised.
     """
-    if not (np.isfinite(backoff) and backoff > 0):
-        raise ArgumentError(f"hinf: backoff = {backoff!r}; expected a positive number such as 0.02")
-    if not time_limit > 0:
-        raise ArgumentError(f"hinf: time_limit = {time_limit!r}; expected a positive number of seconds")
+    one_of("hinf: method", method, ("lmi", "riccati"))
+    backoff = positive("hinf: backoff", backoff)
+    require_time_limit("hinf", time_limit)
     require_regularisation("hinf", method, regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
-    if method not in ("lmi", "riccati"):
-        raise ArgumentError(f"hinf: method = {method!r}; expected 'lmi' or 'riccati'")
-    flat = in_w_plane(plant)
-    scaled = autoscale(flat)
-    require_stabilisable(flat, P, "hinf", scaled)
+    if plant.dt:
+        require_stabilisable(plant, P, "hinf")
+    try:
+        flat = in_w_plane(plant)
+    except ArgumentError:
+        raise IllPosedError(
+            "hinf: the plant has a pole at z = -1, which the bilinear map sends to infinity; expected none; "
+            "sample with another period, or close a small gain from y to u first",
+            P,
+        ) from None
+    scaled = autoscaled_with_gain(flat)
+    if not plant.dt:
+        require_stabilisable(flat, P, "hinf", scaled)
     try:
         if method == "lmi":
             from platform_ctrl.design.hinf_lmi import hinf_lmi
@@ -217,6 +225,18 @@ def hinf(
     return certify(P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {method}", residual=residual)
 
 
+def require_time_limit(where: str, given: float) -> None:
+    """Judge a time limit in seconds, which may be infinite.
+
+    Raises
+    ------
+    ArgumentError
+        Not a number > 0.
+    """
+    if isinstance(given, bool) or not (isinstance(given, int | float | np.number) and given > 0):
+        raise ArgumentError(f"{where}: time_limit = {short(given)}; expected a positive number of seconds")
+
+
 def require_regularisation(where: str, method: str, size: float | None) -> None:
     """Judge the size of a regularisation.
 
@@ -227,8 +247,10 @@ def require_regularisation(where: str, method: str, size: float | None) -> None:
     """
     if size is None:
         return
-    if not (isinstance(size, int | float) and 0.0 < size < 1.0):
-        raise ArgumentError(f"{where}: regularise = {size!r}; expected a number between 0 and 1 such as 1e-3, or None")
+    if isinstance(size, bool) or not (isinstance(size, int | float | np.floating) and 0.0 < size < 1.0):
+        raise ArgumentError(
+            f"{where}: regularise = {short(size)}; expected a number between 0 and 1 such as 1e-3, or None"
+        )
     if method != "riccati":
         raise ArgumentError(f'{where}: regularise = {size!r} with method {method!r}; expected method="riccati"')
 
