@@ -19,7 +19,7 @@ from platform_ctrl.frozen import FloatArray
 class Chart:
     """M = left · K(X) · right around K0, X = 0 there; `left` and `right` carry units, K is at most about 1/`least`."""
 
-    def __init__(self, centre: FloatArray, left: FloatArray, right: FloatArray, least: float) -> None:
+    def __init__(self, centre: FloatArray, left: FloatArray, right: FloatArray, least: float = 1e-7) -> None:
         self.left, self.right, self.least = left, right, least
         rows, columns = centre.shape
         self.shape = (rows, columns)
