@@ -34,15 +34,17 @@ class SideProcess:
     source
         Python source that it runs. It reads pickled objects from standard input, first `sys.path` of this process, and
         writes one pickled answer for each to its own standard output; it ends when its input ends.
+    arguments
+        Its command line.
     """
 
-    def __init__(self, source: str) -> None:
+    def __init__(self, source: str, *arguments: str) -> None:
         single = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         options: dict[str, Any] = {}
         if sys.platform == "win32":
             options["creationflags"] = subprocess.CREATE_NO_WINDOW
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-W", "ignore", "-c", source],
+            [sys.executable, "-P", "-W", "ignore", "-c", source, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -1,6 +1,7 @@
-"""The other process: reads conic problems from standard input, solves them with Clarabel, writes what it found.
+"""The other process: reads questions from standard input, answers them, writes the answers.
 
-It is run from its source text and imports nothing of the package, so that it starts fast and works from a zip file too.
+Questions are conic problems for Clarabel, unless an argument ``module:function`` names what answers them. It is run
+from its source text and by itself imports nothing of the package, so that it starts fast and works from a zip file too.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import signal
 import sys
 import threading
 import time
+from importlib import import_module
 from typing import Any
 
 
@@ -45,8 +47,14 @@ def serve() -> None:
     # Nothing that a library prints may come between the answers.
     os.dup2(2, 1)
     sys.path[:] = pickle.load(sys.stdin.buffer)
-    import clarabel
-    import scipy.sparse  # noqa: F401  loaded before the first problem comes
+    answered = solved
+    # What answers is loaded before the first question comes.
+    if len(sys.argv) > 1:
+        module, _, function = sys.argv[1].partition(":")
+        answered = getattr(import_module(module), function)
+    else:
+        import_module("clarabel")
+        import_module("scipy.sparse")
 
     requests: queue.Queue[dict[str, Any]] = queue.Queue()
 
@@ -58,7 +66,7 @@ def serve() -> None:
             os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
-    answer: dict[str, Any] = {"status": "ready", "version": clarabel.__version__}
+    answer: dict[str, Any] = {"status": "ready"}
     while True:
         pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
         answers.flush()
@@ -66,7 +74,7 @@ def serve() -> None:
         # Waiting before the work stands for a solver that hangs.
         time.sleep(request.get("wait", 0.0))
         try:
-            answer = solved(request)
+            answer = answered(request)
         except BaseException as error:  # a panic of the solver is no Exception
             answer = {"status": "NumericalError", "error": f"{type(error).__name__}: {error}"}
 

@@ -1,0 +1,94 @@
+"""What a controller of full order can do: the bound beside which a simple one is priced."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.synthesis import Synthesis, hinf
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import value
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Matrix inequalities of more states than this take minutes.
+_LMI_STATES = 20
+# Back-off of the controller that starts are fitted to: near the least norm it has needlessly fast poles.
+_BACKOFF = 0.1
+
+
+@value
+class Bound:
+    """A full-order design of one plant.
+
+    Attributes
+    ----------
+    gamma
+        The least norm of any controller; nan where it is not known.
+    source
+        How it was found, or why not.
+    controller
+        One that is near it, in the w-plane where the plant is sampled; None where there is none.
+    """
+
+    gamma: float
+    source: str
+    controller: Realisation | None
+
+
+def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
+    """Return the full-order bound of a continuous (or w-plane) plant, in the H2 norm where `power`."""
+    P = _system(plant)
+    failures = []
+    for method in ("riccati", "lmi"):
+        if method == "lmi" and len(plant.A) > _LMI_STATES:
+            failures.append(f"lmi: more than {_LMI_STATES} states")
+            continue
+        try:
+            found = _designed(P, plant, power, method, time_limit)
+        except DesignError as error:
+            failures.append(str(error))
+            continue
+        K = found.controller
+        return Bound(
+            gamma=found.gamma_optimal,
+            source=f"{'H2' if power else 'H-infinity'} of full order, {method}",
+            controller=Realisation(A=K.A, B=K.B, C=K.C, D=K.D),
+        )
+    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controller=_nearby(P, plant, power))
+
+
+def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:
+    ny, nu = plant.C2.shape[0], plant.B2.shape[1]
+    if power:
+        from platform_ctrl.design.h2 import h2
+
+        return h2(P, ny, nu, method=method, time_limit=time_limit)  # type: ignore[arg-type]
+    return hinf(P, ny, nu, method=method, backoff=_BACKOFF, time_limit=time_limit)  # type: ignore[arg-type]
+
+
+def _nearby(P: StateSpace, plant: Partition, power: bool) -> Realisation | None:
+    """Return a controller of the regularised plant: no bound, but something to start from."""
+    if power:
+        return None
+    try:
+        K = hinf(
+            P, plant.C2.shape[0], plant.B2.shape[1], method="riccati", backoff=_BACKOFF, regularise=1e-2
+        ).controller
+    except DesignError:
+        return None
+    return Realisation(A=K.A, B=K.B, C=K.C, D=K.D)
+
+
+def _system(plant: Partition) -> StateSpace:
+    import control
+    import numpy as np
+
+    return control.StateSpace(
+        plant.A,
+        np.hstack([plant.B1, plant.B2]),
+        np.vstack([plant.C1, plant.C2]),
+        np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
+        remove_useless_states=False,
+    )

@@ -1,0 +1,392 @@
+"""Synthesis of a controller of fixed structure: the least worst norm over several plants, from several starts.
+
+The plants are augmented by the controller's integrators, so that all of the controller is one matrix (see `norm`); a
+sampled plant is carried to the w-plane, where stability and H-infinity norm are the same. What the searches find is
+judged by the closed loops of the plants as given, and set beside what a controller of full order can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.design.partition import Partition, Realisation, closed_loop, in_w_plane, out_of_w_plane, partition
+from platform_ctrl.design.scaling import autoscale, require_stabilisable
+from platform_ctrl.design.structured.bound import Bound, full_order
+from platform_ctrl.design.structured.norm import augmented
+from platform_ctrl.design.structured.parametrised import Parametrised
+from platform_ctrl.design.structured.result import SearchRecord, StructuredDesign
+from platform_ctrl.design.structured.run import Goal, Outcome, Problem
+from platform_ctrl.design.structured.side_by_side import side_by_side
+from platform_ctrl.design.structured.starts import around, fitted, scattered, truncated
+from platform_ctrl.design.structured.structures import Structure, Units
+from platform_ctrl.errors import ArgumentError, InfeasibleError, NotCertifiedError, TimeLimitError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.requirements import LoopRequirement
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# Share of the time limit that full-order bounds may take.
+_FOR_BOUNDS = 0.25
+# What the recomputed norm may exceed that of the search by, relative.
+_AGREEMENT = 1e-3
+
+
+@value
+class _Task:
+    """The plants in the w-plane and what is asked of them."""
+
+    plants: tuple[Partition, ...]
+    soft: tuple[Goal, ...]
+    hard: tuple[Goal, ...]
+    decay: float
+
+
+def structured(
+    plants: StateSpace | Sequence[StateSpace],
+    nmeas: int,
+    ncon: int,
+    *,
+    structure: Structure,
+    requirements: Sequence[LoopRequirement] = (),
+    starts: int = 16,
+    seed: int = 0,
+    time_limit: float = 60.0,
+    processes: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> StructuredDesign:
+    """Controller of fixed structure with the least worst norm over several plants, judged by the actual closed loops.
+
+    Non-smooth optimisation from several starts with first and second derivatives (after Apkarian and Noll 2006, Burke,
+    Henrion, Lewis and Overton 2006): a local method, so that more starts may find more.
+
+    Parameters
+    ----------
+    plants
+        One plant, or several that one controller has to serve, with inputs [w, u] and outputs [z, y], as in
+        `control.hinfsyn`; all continuous, or all sampled with one period.
+    nmeas, ncon
+        Number of measurements y and of controls u: the last outputs and the last inputs.
+    structure
+        What the controller looks like (see `structures`); its numbers may be bounded, tied and fixed.
+    requirements
+        Instead of the H-infinity norm from w to z: requirements of the kinds "H-infinity norm", "H2 norm" (of named,
+        weighted channels) and "stability" (slowest decay). The largest soft ratio is minimised while every hard one is
+        met; without soft ones the largest hard ratio.
+    starts
+        From how many points the search begins. The first ones are the structure's own values and fits to full-order
+        controllers, the others scattered.
+    seed
+        Of the scatter.
+    time_limit
+        Longest time for everything, s; the best so far is returned.
+    processes
+        How many search side by side; default one for each processor. The result is the same for any number.
+    progress
+        Called with a line after every start.
+
+    Returns
+    -------
+    StructuredDesign
+
+    Raises
+    ------
+    ArgumentError
+        The plants, numbers or requirements do not make sense together.
+    NotStabilisableError
+        No controller of any kind stabilises one of the plants; the message names the mode.
+    InfeasibleError
+        No start led to a controller of this structure that stabilises every plant and meets every hard requirement.
+    TimeLimitError
+        The time was over before any did.
+    NotCertifiedError
+        The closed loops do not confirm what the search found.
+    """
+    given = _plants(plants)
+    if not isinstance(structure, Structure):
+        raise ArgumentError(
+            f"structured: structure = {structure!r}; expected a structure such as design.Static() or design.PID()"
+        )
+    for name, number in (("starts", starts), ("processes", processes)):
+        whole = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
+        if not whole and not (name == "processes" and number is None):
+            raise ArgumentError(f"structured: {name} = {number!r}; expected a whole number from 1 on")
+    if not (isinstance(time_limit, int | float) and time_limit > 0):
+        raise ArgumentError(f"structured: time_limit = {time_limit!r}; expected a positive number of seconds")
+    parts = _partitions(given, nmeas, ncon)
+    flat = tuple(in_w_plane(part) for part in parts)
+    scaled = [autoscale(one) for one in flat]
+    for P, one, scale in zip(given, flat, scaled, strict=True):
+        require_stabilisable(one, P, "structured", scale)
+    task = _task(given, parts, flat, requirements)
+    say = progress or (lambda line: None)
+
+    # Units by the first plant: the others are its neighbours.
+    units = Units(
+        gain=np.outer(np.linalg.norm(scaled[0].control, axis=1), np.linalg.norm(scaled[0].measurement, axis=0)),
+        rate=scaled[0].rate,
+    )
+    order = structure.order(nmeas, ncon)
+    whole = None if structure.free else Parametrised(structure, nmeas, ncon, units)
+    one = np.eye(order)
+    left = _diagonal(one * np.sqrt(scaled[0].rate), scaled[0].control)
+    right = _diagonal(one * np.sqrt(scaled[0].rate), scaled[0].measurement)
+    wide = tuple(augmented(plant, order) for plant in task.plants)
+
+    def goals(asked: tuple[Goal, ...]) -> tuple[Goal, ...]:
+        own = [
+            wide if goal.plants is task.plants else tuple(augmented(p, order) for p in goal.plants) for goal in asked
+        ]
+        return tuple(Goal(plants=plants, h2=goal.h2) for plants, goal in zip(own, asked, strict=True))
+
+    problem = Problem(
+        plants=wide,
+        soft=goals(task.soft),
+        hard=goals(task.hard),
+        decay=task.decay,
+        units=(left, right),
+        structured=whole,
+    )
+    bounds = [full_order(goal.plants[k], goal.h2, _FOR_BOUNDS * time_limit / len(flat) / len(task.soft))
+              for goal in task.soft for k in range(len(flat))]  # fmt: skip
+    points = _points(problem, flat, bounds, order, units, starts, np.random.default_rng(seed))
+
+    def report(k: int, outcome: Outcome | None) -> None:
+        if outcome is None:
+            say(f"structured: start {k + 1} of {len(points)}: lost")
+        elif not outcome.stability < 0.0:
+            say(f"structured: start {k + 1} of {len(points)}: not stable")
+        else:
+            say(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
+
+    found, complete = side_by_side(problem, points, (1.0 - _FOR_BOUNDS) * time_limit, processes, report)
+    ended = [one for one in found if one is not None]
+    best = min(ended, key=lambda one: one.rank, default=None)
+    if best is None or best.rank[0] > 0.0:
+        raise _failure(best, ended, complete, structure, given, time_limit)
+    return _judged(given, parts, structure, requirements, best, ended, complete, whole, order, bounds)
+
+
+def _plants(plants: StateSpace | Sequence[StateSpace]) -> tuple[StateSpace, ...]:
+    if isinstance(plants, list | tuple):
+        given = tuple(plants)
+    else:
+        given = (plants,)
+    if not given:
+        raise ArgumentError("structured: no plants; expected at least one")
+    return given
+
+
+def _partitions(given: tuple[StateSpace, ...], nmeas: int, ncon: int) -> tuple[Partition, ...]:
+    parts = tuple(partition(P, nmeas, ncon, sampled=True) for P in given)
+    for k, one in enumerate(parts[1:], 2):
+        if one.dt != parts[0].dt:
+            raise ArgumentError(
+                f"structured: plant {k} has dt = {one.dt:g} s, the first {parts[0].dt:g} s; expected one"
+            )
+        if one.D11.shape != parts[0].D11.shape:
+            shapes = f"{one.D11.shape[0]} z and {one.D11.shape[1]} w"
+            raise ArgumentError(f"structured: plant {k} has {shapes}; expected {parts[0].D11.shape} as the first has")
+    return parts
+
+
+def _task(
+    given: tuple[StateSpace, ...],
+    parts: tuple[Partition, ...],
+    flat: tuple[Partition, ...],
+    requirements: Sequence[LoopRequirement],
+) -> _Task:
+    if not requirements:
+        return _Task(plants=flat, soft=(Goal(plants=flat),), hard=(), decay=0.0)
+    from platform_ctrl.design.lmi.tasks import tasks
+
+    asked = [tasks(P, part, requirements, "structured") for P, part in zip(given, parts, strict=True)]
+    decay = 0.0
+    for region in asked[0].regions:
+        if region.kind != "stability":
+            raise ArgumentError(
+                f"structured: given a requirement of kind {region.kind!r}; expected 'H-infinity norm', 'H2 norm' or "
+                "'stability'; for pole regions take design.multiobjective, or method = \"structured\" in a job"
+            )
+        period = parts[0].dt
+        limit = region.limit if period == 0.0 else 2.0 / period * np.tanh(0.5 * region.limit * period)
+        decay = max(decay, float(limit))
+    if asked[0].controller:
+        raise ArgumentError(
+            "structured: given a requirement of kind 'controller poles'; expected 'H-infinity norm', 'H2 norm' or "
+            "'stability'; bound the structure's numbers instead"
+        )
+    if not asked[0].norms:
+        raise ArgumentError("structured: no norm among the requirements; expected at least one to be made small")
+    every = [
+        (norm.asked.hard, Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, norm.asked.limit) for one in asked),
+                               h2=norm.h2))
+        for norm in asked[0].norms
+    ]  # fmt: skip
+    soft = tuple(goal for hard, goal in every if not hard)
+    hard = tuple(goal for hard, goal in every if hard)
+    return _Task(plants=flat, soft=soft or hard, hard=hard if soft else (), decay=decay)
+
+
+def _channel(plant: Partition, w: Sequence[int], z: Sequence[int], limit: float) -> Partition:
+    """Return the plant with some of its w and z, the latter in units of the limit."""
+    w, z = list(w), list(z)
+    return Partition(
+        A=plant.A, B1=plant.B1[:, w], B2=plant.B2, C1=plant.C1[z] / limit, C2=plant.C2,
+        D11=plant.D11[np.ix_(z, w)] / limit, D12=plant.D12[z] / limit, D21=plant.D21[:, w], D22=plant.D22,
+    )  # fmt: skip
+
+
+def _diagonal(first: FloatArray, second: FloatArray) -> FloatArray:
+    out = np.zeros((len(first) + len(second), first.shape[1] + second.shape[1]))
+    out[: len(first), : first.shape[1]] = first
+    out[len(first) :, first.shape[1] :] = second
+    return out
+
+
+def _points(
+    problem: Problem,
+    flat: tuple[Partition, ...],
+    bounds: Sequence[Bound],
+    order: int,
+    units: Units,
+    starts: int,
+    rng: np.random.Generator,
+) -> list[FloatArray]:
+    """Return the starting points: search coordinates, or matrices where there is no pattern."""
+    whole = problem.structured
+    known = [bound.controller for bound in bounds if bound.controller is not None]
+    if whole is not None:
+        points = [whole.start]
+        for K in known[:2]:
+            fit = fitted(flat[0], K, whole, whole.start)
+            points += [] if fit is None else [fit]
+        centres = points[::-1]
+        while len(points) < starts:
+            points += around(centres[len(points) % len(centres)], 1, rng, whole)
+        return points[:starts]
+    left, right = problem.units
+    rows, columns = len(left), len(right)
+    own = np.zeros((rows, columns))
+    own[:order, :order] = -np.diag(units.rate * 2.0 ** (np.arange(order) - 0.5 * (order - 1)))
+    points = [own]
+    for K in known[:2]:
+        short = truncated(K, order) if order else None
+        if short is not None:
+            points.append(np.block([[short.A, short.B], [short.C, short.D]]))
+    scale = [left @ x.reshape(rows, columns) @ right for x in scattered(starts, rows * columns, rng)]
+    return [*points, *(own + x for x in scale)][:starts]
+
+
+def _failure(
+    best: Outcome | None,
+    ended: Sequence[Outcome],
+    complete: bool,
+    structure: Structure,
+    given: tuple[StateSpace, ...],
+    time_limit: float,
+) -> Exception:
+    kind = type(structure).__name__
+    if best is None or (not complete and best.rank[0] > 1.0):
+        return TimeLimitError(
+            f"structured: no stabilising {kind} controller in {time_limit:g} s; give a larger time_limit, or starting "
+            "values (start=...) that stabilise",
+            given,
+        )
+    if best.rank[0] > 1.0:
+        return InfeasibleError(
+            f"structured: none of {len(ended)} starts led to a stabilising {kind} controller, the nearest leaves a pole "
+            f"at {best.stability:+.4g} rad/s; give more starts, starting values (start=...), or a richer structure",
+            given,
+        )
+    return InfeasibleError(
+        f"structured: no {kind} controller was found that meets every hard requirement, the nearest has the largest "
+        f"ratio {best.hard:.4g}; expected at most 1; relax a limit, make it soft, or give a richer structure",
+        given,
+    )
+
+
+def _judged(
+    given: tuple[StateSpace, ...],
+    parts: tuple[Partition, ...],
+    structure: Structure,
+    requirements: Sequence[LoopRequirement],
+    best: Outcome,
+    ended: Sequence[Outcome],
+    complete: bool,
+    whole: Parametrised | None,
+    order: int,
+    bounds: Sequence[Bound],
+) -> StructuredDesign:
+    """Close the loops with the plants as given and measure them."""
+    import control
+
+    from platform_ctrl.analysis.norms import hinf_norm
+    from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
+
+    M, period = best.M, parts[0].dt
+    K = Realisation(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
+    K = out_of_w_plane(K, period)
+    nmeas, ncon = K.B.shape[1], K.C.shape[0]
+    y, u = given[0].output_labels[-nmeas:], given[0].input_labels[-ncon:]
+    controller = control.StateSpace(K.A, K.B, K.C, K.D, period, inputs=y, outputs=u, remove_useless_states=False)
+    loops, gammas, poles, outcomes = [], [], [], []
+    for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):
+        loop = closed_loop(part, K)
+        at = np.linalg.eigvals(loop.A)
+        if at.size and not spectral_abscissa(continuous_poles(at, period)) < 0.0:
+            raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)
+        system = control.StateSpace(
+            loop.A, loop.B, loop.C, loop.D, period, inputs=P.input_labels[:-ncon], outputs=P.output_labels[:-nmeas],
+            remove_useless_states=False,
+        )  # fmt: skip
+        loops.append(system)
+        poles.append(at)
+        if requirements:
+            held = [one.check_closed_loop(system, subject=f"plant {k}") for one in requirements]
+            outcomes += held
+            norms = [one.ratio for one, asked in zip(held, requirements, strict=True) if asked.kind != "stability"]
+            soft = [r for r, asked in zip(norms, [a for a in requirements if a.kind != "stability"], strict=True)
+                    if not asked.hard]  # fmt: skip
+            gammas.append(max(soft or norms))
+        else:
+            gammas.append(float(hinf_norm(system)[0]))
+    gamma = max(gammas)
+    if not gamma <= (1.0 + _AGREEMENT) * best.value:
+        raise NotCertifiedError(
+            f"structured: the closed loops have the norm {gamma:.6g}, the search promised {best.value:.6g}; "
+            "bound the structure's numbers: gains this large are at the limit of floating point",
+            given,
+        )
+    largest = max((one for one in bounds), key=lambda one: one.gamma if np.isfinite(one.gamma) else -np.inf)
+    units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
+    names = [one.name for one in structure.parameters(nmeas, ncon, units)]
+    if whole is not None:
+        parameters = whole.named(best.x)
+    else:
+        blocks = (M[:order, :order], M[:order, order:], M[order:, :order], M[order:, order:])
+        parameters = dict(zip(names, map(float, np.concatenate([block.ravel() for block in blocks])), strict=True))
+    return StructuredDesign(
+        plants=given,
+        nmeas=nmeas,
+        ncon=ncon,
+        structure=structure,
+        controller=controller,
+        parameters=parameters,
+        closed_loops=tuple(loops),
+        gammas=np.array(gammas),
+        gamma=float(gamma),
+        gamma_optimal=largest.gamma,
+        bound=largest.source,
+        poles=tuple(poles),
+        searches=tuple(
+            SearchRecord(value=one.rank[1] if one.rank[0] == 0.0 else float("inf"), evaluations=one.evaluations,
+                         seconds=one.seconds, finished=one.finished)
+            for one in ended
+        ),
+        finished=complete and all(one.finished for one in ended),
+        outcomes=tuple(outcomes),
+    )  # fmt: skip
