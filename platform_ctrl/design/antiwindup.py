@@ -115,7 +115,7 @@ def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: f
     slowest = slowest_decay(loop)
     best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
     if saturating:
-        best = widest(loop, best.Omega, best.alpha, time_limit=time_limit)
+        best = max(best, widest(loop, best.Omega, best.alpha, time_limit=time_limit), key=lambda one: one.Omega)
     shown = best.verify()
     if not shown.proved:
         raise NotCertifiedError(

@@ -25,13 +25,13 @@ from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
 from platform_ctrl.certificates import Verification
 from platform_ctrl.design.antiwindup_loop import LimitedLoop
-from platform_ctrl.errors import InfeasibleError, NotCertifiedError
+from platform_ctrl.errors import DesignError, InfeasibleError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 
 # Slack of the matrix inequality in the solver's own units: what a proof has to work with.
 _SLACK = 1e-7
-# What the second solution may lose against the best, so that its inequalities are strict.
-_GIVEN_UP = 1e-3
+# What the second solution may lose against the best, so that its inequalities are strict: tried one after the other.
+_GIVEN_UP = (1e-3, 3e-3, 1e-2)
 # Share of the torques' limits, and of the states' sizes, by which ellipsoids are rounded off.
 _FLOOR = 3e-5
 # Samples over which the first guess of a direction's multiple looks.
@@ -243,16 +243,29 @@ def widest(
     problem = _Problem(loop, Omega, alpha, directions)
     best = problem.solve(gain, None, time_limit)
     if directions is None:
+        most = problem.larger_Omega(best)
         for _ in range(_ROUNDS):
-            before, reached = problem, problem.larger_Omega(best)
-            if not reached > before.Omega * (1.0 + 1e-5):
+            again = _Problem(loop, most, alpha, None)
+            try:
+                found = again.solve(gain, None, time_limit)
+            except UnscalableError:
                 break
-            problem = _Problem(loop, reached, alpha, None)
-            best = problem.solve(gain, None, time_limit)
-        problem = _Problem(loop, problem.larger_Omega(best) * (1.0 - _GIVEN_UP), alpha, None)
+            reached = again.larger_Omega(found)
+            if not reached > most * (1.0 + 1e-5):
+                break
+            most, best = reached, found
+        Omega = most
     E = best.gain if gain is None else gain
     # Once more with the gain fixed and a little given up: as far from the boundary as possible.
-    return problem.ellipsoid(problem.solve(E, best, time_limit), E)
+    failure: DesignError
+    for given_up in _GIVEN_UP:
+        try:
+            if directions is None:
+                problem = _Problem(loop, Omega * (1.0 - given_up), alpha, None)
+            return problem.ellipsoid(problem.solve(E, best.objective * (1.0 + given_up), time_limit), E)
+        except (InfeasibleError, NotCertifiedError, UnscalableError) as error:
+            failure = error
+    raise failure
 
 
 @value
@@ -301,8 +314,8 @@ class _Problem:
         if directions is not None:
             self.directions = back @ directions * self.unit
 
-    def solve(self, gain: FloatArray | None, best: _Solution | None, time_limit: float) -> _Solution:
-        """Minimise the objective; with `best` maximise the slack near it."""
+    def solve(self, gain: FloatArray | None, objective: float | None, time_limit: float) -> _Solution:
+        """Minimise the objective; where one is given maximise the slack at it."""
         from platform_ctrl.design.lmi.conic import solve
 
         cp = import_module("cvxpy")
@@ -346,12 +359,11 @@ class _Problem:
                 corner = cp.reshape(reach, (1, 1), order="C")
                 constraints.append(cp.bmat([[corner, d[None]], [d[:, None], Q]]) >> 0)
             goal = reach
-        if best is None:
+        if objective is None:
             constraints.append(slack >= _SLACK)
             aim = cp.Minimize(goal)
         else:
-            limit = 1.0 - 1e-9 if self.directions is None else best.objective * (1.0 + _GIVEN_UP)
-            constraints.append(goal <= limit)
+            constraints.append(goal <= (1.0 - 1e-9 if self.directions is None else objective))
             aim = cp.Maximize(slack)
         solve(
             cp.Problem(aim, constraints),
