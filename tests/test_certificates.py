@@ -303,6 +303,17 @@ def test_one_matrix_serves_every_system_between_the_vertices() -> None:
         ({"coordinates": np.eye(3)}, "expected (2, 2)"),
         ({"loops": (closed(system_of(np.full((2, 2), np.inf))),)}, "not finite"),
         ({"loops": (closed(system_of(-np.eye(2))), closed(system_of(-np.eye(3))))}, "different orders"),
+        ({"bound": "1"}, "bound = '1'"),
+        ({"bound": 10**400}, "expected a positive number"),
+        ({"claim": ["norm"]}, "claim = ['norm']"),
+        ({"X": [[1.0, 0.0], [0.0, 1.0]]}, "X is no matrix of doubles"),
+        ({"X": np.eye(2) * 1j}, "X is no matrix of doubles"),
+        ({"loops": None}, "no closed loop"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), A=np.eye(2)[:1]),)}, "do not fit together"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), B=np.zeros((3, 1))),)}, "do not fit together"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), dt=None),)}, "dt = None"),
+        ({"loops": (dataclasses.replace(closed(system_of(-np.eye(2))), A_K=np.eye(1)),)}, "given in part"),
+        ({"claim": "region", "L": np.zeros((0, 0)), "M": np.zeros((0, 0))}, "L and M"),
     ],
 )
 def test_a_senseless_certificate_is_not_proved_and_does_not_raise(change: dict[str, Any], words: str) -> None:
@@ -310,6 +321,36 @@ def test_a_senseless_certificate_is_not_proved_and_does_not_raise(change: dict[s
     found = dataclasses.replace(good, **change).verify()
     assert not found.proved
     assert words in found.reason
+
+
+def test_the_bits_of_a_proof_are_asked_for_in_plain_numbers_and_reported_as_tried() -> None:
+    good = stability_certificate(-np.eye(2))
+    for precision in (0, -1, 2.5, None):
+        with pytest.raises(ArgumentError, match="expected a number of bits"):
+            good.verify(precision)  # type: ignore[arg-type]
+    singular = dataclasses.replace(good, coordinates=np.zeros((2, 2))).verify(16)
+    assert not singular.proved
+    assert singular.precision == 128
+
+
+def test_a_statement_never_says_more_than_is_proved() -> None:
+    loop = closed(StateArrays(-np.eye(1), np.eye(1), np.zeros((1, 1)), np.zeros((1, 1)), 0.0))
+    norm = Certificate(claim="norm", bound=1.0 + 1e-12, loops=(loop,), X=np.eye(1))
+    assert float(norm.statement.rpartition(" ")[2]) >= norm.bound
+    decay = Certificate(claim="stability", bound=0.9999999999, loops=(loop,), X=np.eye(1))
+    assert float(decay.statement.split("decays at ")[1].split()[0]) <= decay.bound
+
+
+def test_matrices_beyond_floating_point_are_refused_without_a_warning() -> None:
+    B, C, D = np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
+    for A in ([[-1e-300, 1e6], [0.0, -1e9]], [[-1e-300, 0.0], [0.0, -1e300]], [[-1e308, 0.0], [0.0, -1e308]]):
+        with pytest.raises(NotCertifiedError):
+            stability_certificate(A, 1e-3)
+        with pytest.raises(NotCertifiedError):
+            norm_certificate(A, B, C, D)
+        with pytest.raises(NotCertifiedError):
+            h2_certificate(A, B, C)
+    assert stability_certificate(np.array([[-1e-12, 1e6], [0.0, -1e9]])).verify().proved
 
 
 def test_a_loop_that_is_not_well_posed_is_not_proved() -> None:
@@ -429,3 +470,37 @@ def test_a_region_of_vertices_is_that_of_what_lies_between_and_a_disc_holds_the_
         assert "L and M" in found.reason
     with pytest.raises(ArgumentError, match="no matrices of real numbers"):
         region_certificate(A, "x", disc)
+
+
+def test_a_sampled_region_between_vertices_is_claimed_only_where_it_follows() -> None:
+    """|w| < 5 holds for z = -3 and z = 0 with w = 2 (z - 1)/(z + 1), and fails at z = -1 between them."""
+    disc = {"L": -5.0 * np.eye(2), "M": np.array([[0.0, 1.0], [0.0, 0.0]])}
+    loops = tuple(
+        closed(StateArrays(np.array([[z]]), np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((0, 0)), 1.0))
+        for z in (-3.0, 0.0)
+    )
+    both = Certificate(claim="region", bound=0.0, loops=loops, X=np.eye(1), **disc)
+    assert all(dataclasses.replace(both, loops=(loop,)).verify().proved for loop in loops)
+    found = both.verify()
+    assert not found.proved
+    assert "between vertices" in found.reason
+    near = tuple(
+        closed(StateArrays(np.array([[z]]), np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((0, 0)), 1.0))
+        for z in (-0.2, 0.7)
+    )
+    L, M = sector(0.5)
+    assert Certificate(claim="region", bound=0.0, loops=near, X=np.eye(1), L=L, M=M).verify().proved
+
+
+def test_a_certificate_holds_in_another_process() -> None:
+    import pickle
+    import subprocess
+    import sys
+
+    good = norm_certificate(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
+    program = "import pickle, sys; print(pickle.load(sys.stdin.buffer).verify().proved)"
+    shown = [
+        subprocess.run([sys.executable, "-c", program], input=pickle.dumps(one), capture_output=True, check=True).stdout
+        for one in (good, dataclasses.replace(good, bound=0.99))
+    ]
+    assert [line.strip() for line in shown] == [b"True", b"False"]

@@ -80,7 +80,7 @@ def _by_congruence(M: Balls) -> tuple[bool, float] | None:
     middle = np.array([[float(x.mid()) for x in row] for row in M.tolist()])
     if not np.all(np.isfinite(middle)):
         return None
-    root = np.sqrt(np.abs(np.diag(middle)))
+    root = np.sqrt([float(M[i, i].upper()) for i in range(M.nrows())])
     try:
         factor = np.linalg.cholesky(middle)
         W = np.linalg.inv(factor)

@@ -18,20 +18,23 @@ symmetric matrices are positive definite, which balls decide for good.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Literal
 
 import flint
 import numpy as np
 
 from platform_ctrl.certificates.balls import Ball, Balls, balls, blocks, identity, positive_definite
-from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop
-from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop, is_matrix
+from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
 
 Claim = Literal["stability", "norm", "h2", "region"]
 
 # Bits at which a proof is tried; each doubling takes about twice the time.
 _DOUBLINGS = 3
+
+_LARGEST = int(np.finfo(np.float64).max)
 
 _INEQUALITY = {
     "stability": ("−(A'X + XA) − 2 bound X", "exp(−2 bound dt) X − A'XA"),
@@ -80,7 +83,8 @@ class Certificate:
         meaning for a region.
     loops
         The closed loops, all with the same X. With several the claim holds for every system whose [A B; C D] lies in
-        the convex hull of theirs, and stability and norm however it moves there in time.
+        the convex hull of theirs, and stability and norm however it moves there in time. A sampled region then has to
+        have L + (2/dt) (M + M') > 0, without which what lies between is not covered.
     X : (n, n)
         Symmetric. The function that decreases is x'Xx, x the states of plant and controller.
     coordinates : (n, n), optional
@@ -102,11 +106,13 @@ class Certificate:
         """The claim in words."""
         order, many = len(self.X), len(self.loops)
         if self.claim == "stability":
-            text = f"stable, every solution decays at {self.bound:.6g} 1/s or faster" if self.bound else "stable"
+            rate = _rounded(self.bound, 6, ROUND_FLOOR)
+            text = f"stable, every solution decays at {rate} 1/s or faster" if self.bound else "stable"
         elif self.claim == "region":
             text = "such that every pole lies in the region"
         else:
-            text = f"stable with {'H-infinity' if self.claim == 'norm' else 'H2'} norm below {self.bound:.9g}"
+            bound = _rounded(self.bound, 9, ROUND_CEILING)
+            text = f"stable with {'H-infinity' if self.claim == 'norm' else 'H2'} norm below {bound}"
         label = next((loop.label for loop in self.loops if many == 1 and loop.label), "")
         where = f"every system between {many} vertices" if many > 1 else "the closed loop"
         return f"{where}{f' ({label})' if label else ''} of order {order} is {text}"
@@ -119,18 +125,21 @@ class Certificate:
         precision
             Bits to begin with; doubled up to three times where the balls are too wide to tell.
         """
-        wrong = self._senseless()
-        bits, margin = int(precision), 0.0
-        for _ in range(_DOUBLINGS + 1):
-            if wrong:
-                break
+        if not isinstance(precision, int) or precision < 2:
+            raise ArgumentError(f"Certificate.verify: precision = {precision!r}; expected a number of bits, 2 or more")
+        wrong, bits = self._senseless(), precision
+        if wrong:
+            statement = "the certificate makes sense"
+            return Verification(proved=False, statement=statement, reason=wrong, margin=0.0, precision=bits)
+        for doubled in range(_DOUBLINGS + 1):
+            bits = precision << doubled
             with flint.ctx.workprec(bits):
                 shown, wrong, margin = self._tried()
             if shown:
                 reason = f"X and {self._inequality} are positive definite ({bits} bits)"
                 return Verification(proved=True, statement=self.statement, reason=reason, margin=margin, precision=bits)
-            if wrong.startswith("undecided"):
-                wrong, bits = ("" if bits < precision << _DOUBLINGS else wrong), bits * 2
+            if not wrong.startswith("undecided"):
+                break
         return Verification(proved=False, statement=self.statement, reason=wrong, margin=0.0, precision=bits)
 
     @property
@@ -139,25 +148,38 @@ class Certificate:
 
     def _senseless(self) -> str:
         """Say what is wrong before any arithmetic, or nothing."""
-        if self.claim not in _INEQUALITY:
+        if not isinstance(self.claim, str) or self.claim not in _INEQUALITY:
             return f"claim = {self.claim!r}; expected one of {', '.join(_INEQUALITY)}"
-        if not self.loops:
-            return "no closed loop is given"
-        if not np.isfinite(self.bound) or self.bound < 0 or (self.bound == 0 and self.claim in ("norm", "h2")):
-            return f"bound = {self.bound}; expected a positive number"
+        loops = self.loops
+        if not isinstance(loops, tuple) or not loops or not all(isinstance(loop, ClosedLoop) for loop in loops):
+            return "no closed loop is given; expected a tuple of them"
+        wrong = next((loop.mistake for loop in loops if loop.mistake), "")
+        if wrong:
+            return wrong
+        n, dt = loops[0].order, loops[0].dt
+        if any(loop.order != n or loop.dt != dt for loop in loops):
+            return "the closed loops have different orders or sample periods"
+        if len({(loop.B.shape, loop.C.shape) for loop in loops}) > 1 and self.claim in ("norm", "h2"):
+            return "the closed loops have different numbers of inputs or outputs"
+        return self._senseless_figures(n)
+
+    def _senseless_figures(self, n: int) -> str:
+        if not isinstance(self.bound, float | int) or not 0 <= self.bound <= _LARGEST:
+            return f"bound = {self.bound!r}; expected a positive number"
+        if self.bound == 0 and self.claim in ("norm", "h2"):
+            return f"bound = {self.bound!r}; expected a positive number"
         if self.claim == "region" and not _is_region(self.L, self.M):
             return "L and M are no finite square matrices of one size, L symmetric"
-        n = self.loops[0].order
-        T = np.eye(n) if self.coordinates is None else self.coordinates
-        if any(loop.order != n or loop.dt != self.loops[0].dt for loop in self.loops):
-            return "the closed loops have different orders or sample periods"
-        if self.X.shape != (n, n) or T.shape != (n, n):
-            return f"X has shape {self.X.shape}; expected {(n, n)}"
-        if not (np.all(np.isfinite(self.X)) and np.all(np.isfinite(T)) and all(loop.finite for loop in self.loops)):
-            return "a matrix is not finite"
-        if not np.array_equal(self.X, self.X.T):
-            return "X is not symmetric"
-        return ""
+        for name, matrix in (("X", self.X), ("the matrix of coordinates", self.coordinates)):
+            if matrix is None and name != "X":
+                continue
+            if not is_matrix(matrix):
+                return f"{name} is no matrix of doubles"
+            if matrix.shape != (n, n):
+                return f"{name} has shape {matrix.shape}; expected {(n, n)}"
+            if not np.all(np.isfinite(matrix)):
+                return "a matrix is not finite"
+        return "" if np.array_equal(self.X, self.X.T) else "X is not symmetric"
 
     def _tried(self) -> tuple[bool, str, float]:
         """Return whether all is shown, else what fails ("undecided ..." if more bits may help), and the margin."""
@@ -179,6 +201,9 @@ class Certificate:
     def _matrices(self, X: Balls) -> Iterator[tuple[Balls, str]]:
         """Yield every matrix that has to be positive definite, with its name."""
         yield X, "X"
+        if self.claim == "region" and len(self.loops) > 1 and self.loops[0].dt > 0:
+            # s of a vertex is no linear function of A: without this the inequality need not hold between them.
+            yield _curvature(self.L, self.M, self.loops[0].dt), "L + (2/dt) (M + M') for what lies between vertices"
         inverse = None if self.coordinates is None else balls(self.coordinates).inv()
         for number, loop in enumerate(self.loops, 1):
             system = loop.enclosed()
@@ -221,10 +246,25 @@ def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: flo
     return blocks([[rest, cross], [cross.transpose(), corner]])
 
 
+def _rounded(bound: float, digits: int, direction: str) -> str:
+    """Return `bound` to a number of digits, to the side on which it is still proved."""
+    return f"{float(Context(prec=digits, rounding=direction).create_decimal(Decimal(bound))):.{digits}g}"
+
+
 def _is_region(L: FloatArray | None, M: FloatArray | None) -> bool:
-    if L is None or M is None or L.ndim != 2 or L.shape != (len(L), len(L)) or M.shape != L.shape:
+    if L is None or M is None or not is_matrix(L) or not is_matrix(M) or not L.size:
+        return False
+    if L.shape != (len(L), len(L)) or M.shape != L.shape:
         return False
     return bool(np.all(np.isfinite(L)) and np.all(np.isfinite(M)) and np.array_equal(L, L.T))
+
+
+def _curvature(L: FloatArray | None, M: FloatArray | None, dt: float) -> Balls:
+    """Return L + (2/dt) (M + M'), which multiplies A'XA in the inequality of a sampled region."""
+    assert L is not None
+    assert M is not None
+    turned = balls(M)
+    return balls(L) + (2 / flint.arb(dt)) * (turned + turned.transpose())
 
 
 def _region(system: BallSystem, X: Balls, L: FloatArray, M: FloatArray, dt: float) -> Balls:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,6 +67,26 @@ class ClosedLoop:
         parts = [self.A, self.B, self.C, self.D, *(self.controller or ())]
         return all(bool(np.all(np.isfinite(part))) for part in parts) and bool(np.isfinite(self.dt) and self.dt >= 0)
 
+    @property
+    def mistake(self) -> str:
+        """What makes it no closed loop, in words; empty where it is one."""
+        given = (self.A_K, self.B_K, self.C_K, self.D_K)
+        if any(part is None for part in given) and any(part is not None for part in given):
+            return "a controller is given in part; expected A_K, B_K, C_K and D_K, or none of them"
+        K = self.controller or ()
+        if not all(is_matrix(part) for part in (self.A, self.B, self.C, self.D, *K)):
+            return "a closed loop holds what is no matrix of doubles"
+        if not isinstance(self.dt, float | int) or isinstance(self.dt, bool):
+            return f"dt = {self.dt!r}; expected a sample period in s, 0: continuous"
+        n, (r, m) = len(self.A), self.D.shape
+        fits = self.A.shape == (n, n) and self.B.shape == (n, m) and self.C.shape == (r, n)
+        if K:
+            k, (q, p) = len(K[0]), K[3].shape
+            fits = fits and K[0].shape == (k, k) and K[1].shape == (k, p) and K[2].shape == (q, k) and q <= m and p <= r
+        if not fits:
+            return "the matrices of a closed loop have sizes that do not fit together"
+        return "" if self.finite else "a matrix is not finite"
+
     def rounded(self) -> StateArrays:
         """Return the closed loop from w to z in floating point: what a certificate is looked for with.
 
@@ -119,6 +139,11 @@ class ClosedLoop:
             blocks([[C1 + D12 * Fx, D12 * Fk]]),
             D11 + D12 * Fw,
         )
+
+
+def is_matrix(item: object) -> TypeGuard[FloatArray]:
+    """Return whether `item` is a matrix of doubles, whose exact values balls can hold."""
+    return isinstance(item, np.ndarray) and item.dtype == np.float64 and item.ndim == 2
 
 
 def matrices_of(

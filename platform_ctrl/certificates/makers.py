@@ -6,7 +6,10 @@ it is looked for with hundreds of bits and rounded in the coordinates of the mod
 
 from __future__ import annotations
 
+import functools
+import warnings
 from collections.abc import Callable, Iterator
+from typing import ParamSpec
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +20,7 @@ from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral
 from platform_ctrl.certificates.certificate import Certificate, Claim
 from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, matrices_of
 from platform_ctrl.certificates.precise import modes, stabilising
-from platform_ctrl.errors import ArgumentError, NotCertifiedError
+from platform_ctrl.errors import ArgumentError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.frozen import FloatArray
 
 # Shares of the true decay rate that are claimed, and how far above the true norm: the first that can be proved.
@@ -32,6 +35,31 @@ Finder = Callable[[StateArrays], FloatArray]
 PreciseFinder = Callable[[ClosedLoop, StateArrays, FloatArray], FloatArray | None]
 
 
+Given = ParamSpec("Given")
+
+
+def found_in_doubles(make: Callable[Given, Certificate]) -> Callable[Given, Certificate]:
+    """Keep what floating point says on the way from the user: what it finds is proved or refused afterwards."""
+
+    @functools.wraps(make)
+    def made(*args: Given.args, **options: Given.kwargs) -> Certificate:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            try:
+                return make(*args, **options)
+            except PlatformCtrlError:
+                raise
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+                raise NotCertifiedError(
+                    f"{make.__name__}: the matrices hold numbers too large, or too far apart, for floating point; "
+                    "no proof was found; try other units",
+                    args,
+                ) from None
+
+    return made
+
+
+@found_in_doubles
 def stability_certificate(
     A: ArrayLike,
     dt: float = 0.0,
@@ -88,6 +116,7 @@ def stability_certificate(
     )
 
 
+@found_in_doubles
 def norm_certificate(
     A: ArrayLike,
     B: ArrayLike,
@@ -140,6 +169,7 @@ def norm_certificate(
     )
 
 
+@found_in_doubles
 def h2_certificate(
     A: ArrayLike,
     B: ArrayLike,

@@ -8,10 +8,12 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.certificates.certificate import Certificate
 from platform_ctrl.certificates.closed_loop import closed, matrices_of
+from platform_ctrl.certificates.makers import found_in_doubles
 from platform_ctrl.certificates.precise import real_modes
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 
 
+@found_in_doubles
 def region_certificate(
     A: ArrayLike,
     L: ArrayLike,
