@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.check.records import SCHEMA
+from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, remeasured
 from platform_ctrl.design.plants import plants_of
@@ -261,7 +262,7 @@ def _outcome(job: Job, spec: LoopSpec, closed: control.StateSpace, others: Seque
         if plants is None:
             designs.append(LoopDesign(loop=spec.name, name=name, method="given", controller=K))
         else:
-            designs.append(remeasured(spec, name, K, plants))
+            designs.append(with_caging_claims(job, remeasured(spec, name, K, plants), closed=not designs))
     return LoopOutcome(spec=spec, designs=tuple(designs), use=designs[0].name)
 
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 
 from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.channels import Channels, channels
 from platform_ctrl.design.classical import TUNABLE, classical_controller, starting_values, upper_bounds
 from platform_ctrl.design.loop import LoopDesign, certified
@@ -83,7 +84,8 @@ def loops(
             if plants is None:
                 designs.append(platform_servo(job, model, spec, design))
             else:
-                designs.append(_caging(model, spec, design, plants, say))
+                made = _caging(model, spec, design, plants, say)
+                designs.append(with_caging_claims(job, made, closed=design.name == spec.use))
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)
 

@@ -11,6 +11,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.frozen import value
 from platform_ctrl.report import captions, comparison, tables
 from platform_ctrl.report.record import job_data, toml, versions
+from platform_ctrl.report.survival import survival
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -205,9 +206,10 @@ def _run_section(result: JobResult, k: int) -> dict[str, Any]:
     from platform_ctrl.report import figures
 
     run = result.runs[k]
+    caption = " ".join(filter(None, [captions.run(run), survival(run, result.loops)]))
     return {
         "run": run,
-        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, captions.run(run))
+        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, caption)
         if run.trajectory.t.size
         else None,
     }
