@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import Resolvent, frequency_response_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -88,10 +88,11 @@ def hinf_norm_arrays(
     if on_axis.size:
         return math.inf, float(np.abs(s[on_axis[0]].imag))
     system = StateArrays(A, B, C, D, dt)
+    response = _Response(system)
     candidates = [np.zeros(1), resonances(s)]
     if dt > 0.0:
         candidates.append(np.array([edge]))
-    best, frequency = _largest(system, np.concatenate(candidates))
+    best, frequency = _largest(response, np.concatenate(candidates))
     direct = float(np.linalg.norm(D, 2))
     if dt == 0.0 and direct > best:
         best, frequency = direct, math.inf
@@ -99,13 +100,13 @@ def hinf_norm_arrays(
         # Nothing comes through at any of the frequencies that its poles single out.
         return 0.0, 0.0
     for _ in range(60):
-        found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
+        found, at = _largest(response, level_frequencies(system, best * (1.0 + tolerance)))
         if found > best * (1.0 + tolerance):
             best, frequency = found, at
             continue
         # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
         before = best
-        best, frequency = _climbed(system, s, best, frequency)
+        best, frequency = _climbed(response, s, best, frequency)
         if best <= before * (1.0 + tolerance):
             break
     return best, frequency
@@ -164,32 +165,53 @@ def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-    H = frequency_response_arrays(*system, frequency)
+    return _sizes(frequency_response_arrays(*system, frequency))
+
+
+def _sizes(H: ComplexArray) -> FloatArray:
+    """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
     fine = np.all(np.isfinite(H), axis=(-2, -1))
-    out = np.full(frequency.shape, np.inf)
+    out = np.full(len(H), np.inf)
     if np.any(fine):
         out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
     return out
 
 
-def _largest(system: StateArrays, frequency: FloatArray) -> tuple[float, float]:
-    if system.dt > 0.0:
-        frequency = frequency[frequency <= math.pi / system.dt * (1.0 + 1e-12)]
+class _Response:
+    """The response of one balanced system with states, inputs and outputs, its Schur form made once."""
+
+    def __init__(self, system: StateArrays) -> None:
+        A, B, C, self._D, self.dt = system
+        self._resolvent = Resolvent(A - np.eye(len(A)) if self.dt else A, B, C)
+
+    def gains(self, frequency: FloatArray) -> FloatArray:
+        """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
+        z = np.asarray(np.expm1(1j * frequency * self.dt) if self.dt else 1j * frequency, dtype=np.complex128)
+        p, m = self._D.shape
+        H = np.empty((p, m, len(z)), dtype=np.complex128)
+        H[...] = self._D[..., None]
+        self._resolvent.add(H.reshape(p, m * len(z)), z)
+        return _sizes(np.moveaxis(H, -1, 0))
+
+
+def _largest(response: _Response, frequency: FloatArray) -> tuple[float, float]:
+    if response.dt > 0.0:
+        frequency = frequency[frequency <= math.pi / response.dt * (1.0 + 1e-12)]
     if frequency.size == 0:
         return 0.0, 0.0
-    sizes = gains(system, frequency)
+    sizes = response.gains(frequency)
     i = int(np.argmax(sizes))
     return float(sizes[i]), float(frequency[i])
 
 
-def _climbed(system: StateArrays, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
+def _climbed(response: _Response, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
     """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
     for _ in range(8):
-        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
+        found, at = _largest(response, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
         rise = found - best
         if rise > 0.0:
             best, frequency = found, at

@@ -88,36 +88,48 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
         stacks = (np.broadcast_to(item, (*batch, *item.shape[-2:])) for item in (A, B, C))
         flat_A, flat_B, flat_C = (item.reshape(-1, *item.shape[-2:]) for item in stacks)
         for one, A_one, B_one, C_one in zip(H.reshape(-1, p, m * N), flat_A, flat_B, flat_C, strict=True):
-            _add_response(one, A_one, B_one, C_one, z)
+            Resolvent(A_one, B_one, C_one).add(one, z)
     return np.moveaxis(H, -1, -3)
 
 
-def _add_response(H: ComplexArray, A: FloatArray, B: FloatArray, C: FloatArray, z: ComplexArray) -> None:
-    """Add C (z I - A)^-1 B to H (p, m N)."""
-    from scipy.linalg import schur
+class Resolvent:
+    """C (z I - A)^-1 B of one system, its Schur form worked out once for any number of points.
 
-    n, m, N = A.shape[0], B.shape[1], z.shape[0]
-    T, U = schur(A, output="complex", check_finite=False)
-    U_star, CU = np.conj(U.T), C @ U
-    size = float(np.linalg.norm(A))
-    # Pieces that stay in the cache, and below the size at which the matrix library starts threads: on a busy
-    # machine waiting for those takes longer than the product.
-    piece = max(32, int(2.5e5 / (n * n * m)))
-    whole = H.reshape(-1, m, N)
-    with np.errstate(all="ignore"):
-        for start in range(0, N, piece):
-            points = z[start : start + piece]
-            x = np.empty((n, m, len(points)), dtype=np.complex128)
-            x[...] = (U_star @ B)[:, :, None]
-            _substitute(T, x, points)
-            # The rotation has moved A by about 1e-16 |A|: it is felt where the resolvent is large.
-            nearest = np.abs(points - np.diag(T)[:, None]).min(axis=0)
-            growth = np.abs(x).max(axis=0) / np.abs(B).max(axis=0, initial=1e-300)[:, None]
-            felt = np.flatnonzero(~(size * np.maximum(growth.max(axis=0), 1.0 / nearest) < REFINED_ABOVE))
-            found = (CU @ _merged(x)).reshape(-1, m, len(points))
-            if felt.size:
-                found[:, :, felt] = _refined(x[:, :, felt], A, B, C, T, U, points[felt])
-            whole[:, :, start : start + piece] += found
+    Parameters
+    ----------
+    A, B, C
+        Arrays of one system with at least one state and one input, balanced.
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray) -> None:
+        from scipy.linalg import schur
+
+        self._A, self._B, self._C = A, B, C
+        self._T, self._U = schur(A, output="complex", check_finite=False)
+        self._driven, self._seen = np.conj(self._U.T) @ B, C @ self._U
+        self._size = float(np.linalg.norm(A))
+
+    def add(self, H: ComplexArray, z: ComplexArray) -> None:
+        """Add C (z I - A)^-1 B to H (p, m N)."""
+        (n, m), N, T = self._B.shape, z.shape[0], self._T
+        # Pieces that stay in the cache, and below the size at which the matrix library starts threads: on a busy
+        # machine waiting for those takes longer than the product.
+        piece = max(32, int(2.5e5 / (n * n * m)))
+        whole = H.reshape(-1, m, N)
+        with np.errstate(all="ignore"):
+            for start in range(0, N, piece):
+                points = z[start : start + piece]
+                x = np.empty((n, m, len(points)), dtype=np.complex128)
+                x[...] = self._driven[:, :, None]
+                _substitute(T, x, points)
+                # The rotation has moved A by about 1e-16 |A|: it is felt where the resolvent is large.
+                nearest = np.abs(points - np.diag(T)[:, None]).min(axis=0)
+                growth = np.abs(x).max(axis=0) / np.abs(self._B).max(axis=0, initial=1e-300)[:, None]
+                felt = np.flatnonzero(~(self._size * np.maximum(growth.max(axis=0), 1.0 / nearest) < REFINED_ABOVE))
+                found = (self._seen @ _merged(x)).reshape(-1, m, len(points))
+                if felt.size:
+                    found[:, :, felt] = _refined(x[:, :, felt], self._A, self._B, self._C, T, self._U, points[felt])
+                whole[:, :, start : start + piece] += found
 
 
 def _refined(
