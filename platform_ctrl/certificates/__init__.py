@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from platform_ctrl.certificates.certificate import Certificate, Verification, proved
-from platform_ctrl.certificates.closed_loop import ClosedLoop, closed
+from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, static_gain
 from platform_ctrl.certificates.makers import h2_certificate, norm_certificate, stability_certificate
-from platform_ctrl.certificates.plant_set import plant_set_certificates
+from platform_ctrl.certificates.plant_set import margin_certificates, plant_set_certificates
 from platform_ctrl.certificates.region import region_certificate
 
 __all__ = [
@@ -14,9 +14,11 @@ __all__ = [
     "Verification",
     "closed",
     "h2_certificate",
+    "margin_certificates",
     "norm_certificate",
     "plant_set_certificates",
     "proved",
     "region_certificate",
     "stability_certificate",
+    "static_gain",
 ]

@@ -175,6 +175,12 @@ def matrices_of(
     return StateArrays(state, inputs, outputs, direct, period)
 
 
+def static_gain(gain: FloatArray, dt: float) -> StateArrays:
+    """Return u = gain y as a controller without states."""
+    q, p = gain.shape
+    return StateArrays(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((q, 0)), gain, dt)
+
+
 def closed(
     system: StateArrays, controller: StateArrays | None = None, label: str = "", where: str = "certificate"
 ) -> ClosedLoop:

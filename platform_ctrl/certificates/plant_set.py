@@ -57,26 +57,47 @@ def plant_set_certificates(
     return tuple(proved), tuple(unproved)
 
 
+def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
+    """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
+
+    Raises
+    ------
+    NotCertifiedError
+        One of them was not found.
+    """
+    A, B, C, D, dt = plant
+    torque, pickoff = _sensitivity_plants(plant)
+    return (
+        stability_certificate(A, dt, B=B, C=C, D=D, controller=controller),
+        norm_certificate(*torque, controller=controller, label="(S − T)/2 at the torques"),
+        norm_certificate(*pickoff, controller=controller, label="(S − T)/2 at the pick-offs"),
+    )
+
+
 def sensitivity_plants(plants: PlantSet, k: int = 0) -> tuple[StateArrays, StateArrays]:
     """Return plant `k` with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
 
     First at the torques: z = u + w/2, where w adds to the torque; then at the pick-offs: z = y − w/2, where w adds to
     what they measure. (S − T)/2 = S − I/2, and nothing is rounded on the way.
     """
-    A, B, C, D = (x[k] for x in (plants.A, plants.B, plants.C, plants.D))
+    return _sensitivity_plants(StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period))
+
+
+def _sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
+    A, B, C, D, dt = plant
     (p, m), n = D.shape, len(A)
     torque = StateArrays(
         A,
         np.hstack([B, B]),
         np.vstack([np.zeros((m, n)), C]),
         np.block([[0.5 * np.eye(m), np.eye(m)], [D, D]]),
-        plants.period,
+        dt,
     )
     pickoff = StateArrays(
         A,
         np.hstack([np.zeros((n, p)), B]),
         np.vstack([C, C]),
         np.block([[0.5 * np.eye(p), D], [np.eye(p), D]]),
-        plants.period,
+        dt,
     )
     return torque, pickoff

@@ -67,6 +67,10 @@ class ComplexSystem:
     inertia: float = 0.0
     momentum: float = 0.0
 
+    def real_arrays(self) -> StateArrays:
+        """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time."""
+        return StateArrays(_real(self.A), _real(self.B), _real(self.C), _real(self.D), self.dt)
+
     def real_system(self) -> control.StateSpace:
         """Return the real system with two inputs and two outputs, in SI units.
 
@@ -77,7 +81,7 @@ class ComplexSystem:
         """
         if self.delay:
             raise ArgumentError("real_system: the system has a dead time; expected a sampled one, or none")
-        A, B, C, D = (_real(item) for item in (self.A, self.B, self.C, self.D))
+        A, B, C, D, _ = self.real_arrays()
         B, D = B / self.input_scale, D / self.input_scale
         arrays = StateArrays(A, B, self.output_scale[:, None] * C, self.output_scale[:, None] * D, self.dt)
         return state_space(arrays, self.inputs, self.outputs)

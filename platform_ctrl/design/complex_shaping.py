@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.arguments import positive
+from platform_ctrl.certificates import Certificate, stability_certificate
 from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_response, transfer
-from platform_ctrl.errors import ArgumentError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
@@ -92,6 +93,26 @@ class ComplexLoop:
     controller: ComplexSystem
     real_controller: control.StateSpace
     nyquist: TwoSidedNyquist
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that the loop is stable, of plant and controller as complex matrices; made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found, or a continuous plant has dead time: no matrices close such a loop.
+        """
+        if self.plant.delay:
+            raise NotCertifiedError(
+                f"complex_loop: the continuous plant has a dead time of {self.plant.delay:g} s; expected none for a "
+                "proof; try complex_plant with a period, which holds it in its states",
+                self,
+            )
+        A, B, C, D, dt = self.plant.real_arrays()
+        return stability_certificate(
+            A, dt, B=B, C=C, D=D, controller=self.controller.real_arrays(), label="complex loop"
+        )
 
 
 def complex_loop(

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.arguments import positive
+from platform_ctrl.certificates import Certificate, margin_certificates
 from platform_ctrl.design.channels import Channels, channels
 from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError
@@ -45,6 +46,8 @@ class CrossoverDesign:
 
     Attributes
     ----------
+    plant
+        The pair, sampled, from its torques to its angles.
     controller
         u = K y, sampled; inputs are the pair's angles, outputs its torques.
     options
@@ -53,9 +56,23 @@ class CrossoverDesign:
         1/‖(S − T)/2‖ of the sampled loop, the smaller of input and output.
     """
 
+    plant: control.StateSpace
     controller: control.StateSpace
     options: dict[str, float]
     disk_margin: float
+
+    @property
+    def certificates(self) -> tuple[Certificate, Certificate, Certificate]:
+        """Proofs of stability, and of (S − T)/2 at torques and pick-offs: the larger norm is 1/disk margin.
+
+        Made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            One was not found.
+        """
+        return margin_certificates(state_arrays(self.plant, "plant"), state_arrays(self.controller, "controller"))
 
 
 def from_crossover_and_margin(
@@ -141,7 +158,10 @@ def from_crossover_and_margin(
         middle = float(np.sqrt(weak * strong))
         weak, strong = (weak, middle) if margin(middle) >= wanted else (middle, strong)
     return CrossoverDesign(
-        controller=controller(float(strong)), options=with_lead(float(strong)), disk_margin=margin(float(strong))
+        plant=plant,
+        controller=controller(float(strong)),
+        options=with_lead(float(strong)),
+        disk_margin=margin(float(strong)),
     )
 
 

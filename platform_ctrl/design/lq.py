@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import real_array
+from platform_ctrl.certificates import Certificate, stability_certificate, static_gain
 from platform_ctrl.design.partition import Partition, Realisation, partition, with_direct_path
 from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
@@ -58,6 +59,20 @@ class StateFeedback:
     integrals: int
     residual: float
 
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that plant and integrals are stable with this gain, made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found.
+        """
+        arrays = state_arrays(self.system, "lqr")
+        A, B = _integrated(arrays, self.integrals)
+        gain = static_gain(self.state_gain, arrays.dt)
+        return stability_certificate(A, arrays.dt, B=B, C=np.eye(len(A)), controller=gain, label="state feedback")
+
 
 @value
 class Estimator:
@@ -84,6 +99,19 @@ class Estimator:
     poles: ComplexArray
     present_gain: FloatArray
     residual: float
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that the estimation error decays, made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found.
+        """
+        A, _, C, _, dt = state_arrays(self.system, "lqe")
+        gain = static_gain(-self.observer_gain, dt)
+        return stability_certificate(A, dt, B=np.eye(len(A)), C=C, controller=gain, label="estimation error")
 
 
 @value
@@ -115,6 +143,11 @@ class LqgDesign:
     def cost(self) -> float:
         """The rate (sampled: mean per sample) of the cost in the steady state, recomputed."""
         return self.synthesis.gamma**2
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof of stability and of the root of the cost, of `synthesis`."""
+        return self.synthesis.certificate
 
 
 def lqr(
@@ -237,17 +270,25 @@ def _with_integrals(
     arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
 ) -> tuple[FloatArray, FloatArray, Weights, int]:
     """A, B and weights with the integrals of y as further states, and their number."""
-    A, B, C, D, dt = arrays
     if integral is None:
-        return A, B, weights, 0
-    (n, m), p = B.shape, len(C)
+        return arrays.A, arrays.B, weights, 0
+    (n, m), p = arrays.B.shape, len(arrays.C)
     extra = real_array(f"{where}: integral", integral, (p, p))
     if np.linalg.eigvalsh(0.5 * (extra + extra.T)).min(initial=0.0) < 0.0 or not np.allclose(extra, extra.T):
         raise ArgumentError(f"{where}: integral is not positive semidefinite; expected a weight of the integrals of y")
-    keep = np.eye(p) if dt else np.zeros((p, p))
-    A = np.block([[A, np.zeros((n, p))], [C, keep]])
+    A, B = _integrated(arrays, p)
     Q = np.block([[weights.first, np.zeros((n, p))], [np.zeros((p, n)), extra]])
-    return A, np.vstack([B, D]), Weights(Q, weights.second, np.vstack([weights.cross, np.zeros((p, m))])), p
+    return A, B, Weights(Q, weights.second, np.vstack([weights.cross, np.zeros((p, m))])), p
+
+
+def _integrated(arrays: StateArrays, integrals: int) -> tuple[FloatArray, FloatArray]:
+    """A and B with the integrals (sampled: sums) of y as further states, if there are any."""
+    A, B, C, D, dt = arrays
+    if integrals == 0:
+        return A, B
+    n, p = len(A), integrals
+    keep = np.eye(p) if dt else np.zeros((p, p))
+    return np.block([[A, np.zeros((n, p))], [C, keep]]), np.vstack([B, D])
 
 
 def _feedback(

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays, state_scaling
 from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.arguments import known_names, short
+from platform_ctrl.certificates import Certificate, stability_certificate, static_gain
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -40,6 +41,10 @@ class PolePlacement:
 
     Attributes
     ----------
+    system
+        The plant as given.
+    inputs
+        Names of the inputs that the feedback uses, in the order of the gain's rows.
     state_gain : (m, n)
         K, with the sign of `control.place`.
     poles : complex (n,)
@@ -52,10 +57,26 @@ class PolePlacement:
         poles.
     """
 
+    system: control.StateSpace
+    inputs: tuple[str, ...]
     state_gain: FloatArray
     poles: ComplexArray
     error: float
     condition: float
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that A − B K is stable, made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found, or it was not asked to be stable.
+        """
+        A, B, _, _, dt = state_arrays(self.system, "pole_placement")
+        names = list(self.system.input_labels)
+        columns, gain = [names.index(name) for name in self.inputs], static_gain(-self.state_gain, dt)
+        return stability_certificate(A, dt, B=B[:, columns], C=np.eye(len(A)), controller=gain, label="state feedback")
 
 
 def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequence[str] | None = None) -> PolePlacement:
@@ -104,7 +125,10 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
             system,
         )
     vectors = np.linalg.eig(A_n - B_n @ K_n)[1]
-    return PolePlacement(state_gain=K, poles=reached, error=error, condition=float(np.linalg.cond(vectors)))
+    condition = float(np.linalg.cond(vectors))
+    return PolePlacement(
+        system=system, inputs=tuple(chosen), state_gain=K, poles=reached, error=error, condition=condition
+    )
 
 
 def _gramian_root(A: FloatArray, B: FloatArray, dt: float, system: control.StateSpace) -> FloatArray:

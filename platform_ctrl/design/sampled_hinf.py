@@ -20,11 +20,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.intersample import intersample_norm
 from platform_ctrl.analysis.lifting import PeriodExceedsLevel, SampledPlant, lifted_plant, sampled_plant
 from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.arguments import positive
+from platform_ctrl.certificates import Certificate, stability_certificate
 from platform_ctrl.design.synthesis import HinfMethod, Synthesis, hinf
 from platform_ctrl.errors import ArgumentError, IllPosedError, InfeasibleError, NotCertifiedError
 from platform_ctrl.frozen import value
@@ -83,6 +85,23 @@ class SampledSynthesis:
     method: str
     poles: ComplexArray
     equivalent: Synthesis
+
+    @property
+    def certificates(self) -> tuple[Certificate, Certificate]:
+        """Proofs that the sampled loop is stable, and of the norm of `equivalent`: below one, the level is kept.
+
+        They start at the sampled and at the lifted plant, which are worked out in floating point. Made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            One was not found.
+        """
+        plant = sampled_plant(self.plant, self.nmeas, self.ncon, self.period, self.delay, "sampled_hinf")
+        A, B, C, D, dt = _from_controls(plant)
+        K = state_arrays(self.controller, "controller")
+        stable = stability_certificate(A, dt, B=B, C=C, D=D, controller=K, label="sampled loop")
+        return stable, self.equivalent.certificate
 
 
 def sampled_hinf(
@@ -168,7 +187,7 @@ def sampled_hinf(
         gamma_optimal=least,
         backoff=backoff,
         method=f"sampled hinf, {method}",
-        poles=pole_arrays(np.asarray(made.closed_loop.A)),
+        poles=pole_arrays(closed_loop_arrays(*_from_controls(plant)[:4], *state_arrays(K, "controller")[:4])[0]),
         equivalent=made,
     )
 
@@ -196,6 +215,13 @@ def _least_level(P: StateSpace, plant: SampledPlant, least_norm: Callable[[float
         inside = low < guess < high and np.isfinite(guess)
         level = guess if inside else (np.sqrt(low * high) if np.isfinite(high) and low > 0.0 else 2.0 * level)
     raise InfeasibleError(f"sampled_hinf: no least level between {low:.6g} and {high:.6g}; expected one; {_CURE}", P)
+
+
+def _from_controls(plant: SampledPlant) -> StateArrays:
+    """Return the sampled plant from u to y: the lifted one at an infinite level; at the loop's own its A is another."""
+    A, B, C, D, dt = lifted_plant(plant, np.inf)
+    m, p = plant.B2.shape[1], len(plant.C2)
+    return StateArrays(A, B[:, -m:], C[-p:], D[-p:, -m:], dt)
 
 
 def _named(P: StateSpace, plant: SampledPlant, level: float) -> StateSpace:
