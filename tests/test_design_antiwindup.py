@@ -111,6 +111,19 @@ def test_no_manoeuvre_leaves_the_ellipsoid() -> None:
         assert np.abs(run.angle).max() <= STOP
 
 
+@pytest.mark.parametrize(("rise", "share"), [(0.5, 0.99), (0.1, 0.85)])
+def test_the_ellipsoid_gives_away_little_against_the_exact_peak(rise: float, share: float) -> None:
+    one = loop(rise)
+    found = survived_Omega(one)
+    state, u, y = one.B_w[:, 0], np.zeros(1), np.zeros(1)
+    for _ in range(20000):
+        u, y, state = u + np.abs(one.K @ state), y + np.abs(one.C @ state), one.A @ state
+    assert not np.any(np.abs(state) > 1e-9 * np.abs(one.B_w).max())
+    # Where |b| <= 1 is all that is known, the sum of the absolute impulse response is the largest value.
+    peak = min((one.limits / (u + np.abs(one.u_steady))).min(), (one.stops / (y + np.abs(one.angle_steady))).min())
+    assert share * peak < found.Omega < peak
+
+
 def test_torques_beyond_their_limits_allow_no_less() -> None:
     one = loop()
     plain, more = survived_Omega(one), survived_Omega(one, saturating=True)
@@ -123,6 +136,14 @@ def test_a_claim_too_large_is_not_proved() -> None:
     wrong = dataclasses.replace(found.ellipsoid, Omega=1.02 * found.Omega)
     assert not wrong.verify().proved
     assert "positive definite" in wrong.verify().reason
+
+
+@pytest.mark.parametrize(("factor", "named"), [(0.9, "the invariance"), (1.1, "the limit of torque")])
+def test_an_ellipsoid_of_another_size_is_rejected(factor: float, named: str) -> None:
+    found = survived_Omega(loop()).ellipsoid
+    shown = dataclasses.replace(found, Q=factor * found.Q).verify()
+    assert not shown.proved
+    assert shown.reason.startswith(named)
 
 
 def test_anti_windup_enlarges_the_proved_region(designed: AntiWindup) -> None:
