@@ -192,3 +192,10 @@ def test_what_is_no_loop_is_refused() -> None:
         analysis.disk_margin(control.ss([[-1.0]], [[1.0]], [[1.0]], -1.0))
     with pytest.raises(PlatformCtrlError, match="skew"):
         analysis.disk_margin(control.ss([[-1.0]], [[1.0]], [[1.0]], 0), skew=math.nan)
+
+
+@pytest.mark.parametrize("k", [1316.669, 23.937, 2791.389])
+def test_a_bandwidth_at_a_point_of_the_grid_is_found_whatever_rounding_says(k):
+    """S = s/(s + k) reaches 1/sqrt(2) at k, which the Hamiltonian puts on the grid; the next point lies beyond."""
+    plant = control.ss([[0.0]], [[k]], [[1.0]], [[0.0]])
+    assert analysis.bandwidth(plant, control.ss([], [], [], [[-1.0]])) == pytest.approx(k, rel=1e-12)

@@ -431,3 +431,15 @@ def test_a_caging_loop_follows_omega_for_little():
         assert np.abs(K.poles()).min() < 1e-6
     with pytest.raises(ArgumentError, match=r"expected at most \[5\.0, 5\.0, 5\.0\] rad/s"):
         caging.controller((0, 6, 0))
+
+
+def test_lists_are_expected_where_single_things_are_given():
+    H = requirement("H-infinity norm", 1.0, hard=False)
+    P = spring(1.0)
+    with pytest.raises(ArgumentError, match="given one requirement; expected a list"):
+        design.multiobjective(P, 1, 1, H)
+    with pytest.raises(ArgumentError, match="given a StateSpace; expected a list"):
+        design.robust(P, 1, 1, [H])
+    for names in ("k", ["k", "k"], []):
+        with pytest.raises(ArgumentError, match="expected a list of different names"):
+            design.scheduled(lambda rho: P, names, [0.5] * len(names), [1.0] * len(names), 1, 1)

@@ -13,6 +13,7 @@ from platform_ctrl.analysis.loop_measures import exact_measures
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.design.plants import plants_of, rows_of
+from platform_ctrl.design.structured.descent import finer
 from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, truncated, without_integrators
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, at_least
@@ -28,10 +29,10 @@ from platform_ctrl.design.structured.maps import (
     T_OUTPUT,
     torque_per_Omega,
 )
-from platform_ctrl.design.structured.search import finer
+from platform_ctrl.errors import DesignError
 from platform_ctrl.job import LoopLimits
 from platform_ctrl.linearisation import linearise
-from platform_ctrl.reading import platform_source, read_job
+from platform_ctrl.reading import platform_source, read_job, read_platform
 from platform_ctrl.requirements import SPREAD, requirement
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_gyro_platform.toml"
@@ -368,3 +369,88 @@ def test_a_start_that_is_not_stable_is_brought_there_first(change):
     assert said[1] == "caging 9-10: one, not stable with all plants yet"
     assert outcome.closed.passed
     assert hertz(outcome.closed) > 20.0
+
+
+def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
+    loop = {"name": "gyro", "kind": "caging", "gimbals": ["outer", "inner"], "use": "one", "limits": limits}
+    loop |= {"soft": soft or {}, "design": [{"name": "one", "method": "structured", **design_options}]}
+    job = {
+        "schema": 1,
+        "name": "gyro",
+        "plant": "gimballed_gyro",
+        "operation": {"Omega": [0.1, 0.1, 0.1]},
+        "sampling": {"rate_hz": rate_hz, "delay": 1 / rate_hz},
+        "loop": [loop],
+    }
+    return read_job(job | ({"faults": faults} if faults else {}))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"structure": "pid", "order": 3}, "option 'order' has no meaning"),
+        ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
+        ({"structure": "state-space", "order": 1.5}, "order = 1.5; expected a whole number"),
+        ({"starts": 2.5}, "starts = 2.5; expected a whole number"),
+        ({"evaluations": 1e300}, r"evaluations = 1e\+300; expected a whole number from 1 to"),
+        ({"reserve": 1.0}, "reserve = 1; expected less than 1"),
+        ({"integral_hz": 2500}, "integral_hz = 2500; expected less than 2500 Hz, half the sample rate"),
+        ({"rolloff_hz": 1e6}, "rolloff_hz = 1e.06; expected less than 2500 Hz"),
+    ],
+)
+def test_options_without_sense_are_refused(options, said):
+    with pytest.raises(DesignError, match=said):
+        design.loops(gyro_job({"disk_margin": 0.5}, **options))
+
+
+def test_plants_of_which_nothing_is_asked_do_not_hold_the_loop_back():
+    """A stopped rotor counts where a limit speaks of faults; elsewhere it need not even be stable."""
+    limits, faults = {"bandwidth_hz": 60, "disk_margin": 0.5}, {"slow_rotor": 0.0}
+    without, among = (design.loops(gyro_job(limits, faults=f))[0].closed for f in (None, faults))
+    assert without.passed
+    assert among.passed
+    np.testing.assert_array_equal(without.controller.A, among.controller.A)
+
+
+def test_a_resonance_between_two_points_of_the_grid_is_seen(cases):
+    """Nearly no gain: the nutation rings on, in a peak far narrower than the grid."""
+    plants, _, K = cases["caging 9-10"]
+    plants = plants.only([0])
+    weak = (K[0], K[1], 2e-7 * K[2], 2e-7 * K[3])
+    margin = requirement("disk margin", 0.5)
+    measured = exact_measures(plants, StateArrays(*weak, dt=plants.period), [margin]).disk_margin[0]
+    assert measured < 0.01
+    assert pieces(ClosedLoops(finer(plants), weak), margin, 0.5).ratio.max() == pytest.approx(0.5 / measured, rel=0.01)
+
+
+def test_the_claimed_ratios_are_those_of_the_report():
+    limits = {"bandwidth_hz": 300, "disk_margin": 0.6, "damping": 0.3}
+    found = design.loops(gyro_job(limits, {"torque_noise": 1e-4}, rate_hz=2000, evaluations=100))[0].closed
+    assert not found.passed
+    assert found.claims["limit_ratio"] == max(result.ratio for result in found.results)
+    assert found.claims["goal_ratio"] == max(goal.ratio for goal in found.goals)
+
+
+def test_a_bandwidth_out_of_reach_is_traded_by_its_ratio():
+    """Not by how far S exceeds its level up to the wanted frequency, which hardly changes with the bandwidth."""
+    found = design.loops(gyro_job({"bandwidth_hz": 250, "disk_margin": 0.5, "damping": 0.1}))[0].closed
+    assert not found.passed
+    assert found.claims["limit_ratio"] < 1.7
+
+
+def test_goals_of_which_nothing_is_to_be_seen_are_no_obstacle(job):
+    plant = tomllib.loads(platform_source("gimballed_gyro"))
+    for torquer in plant["torquer"]:
+        del torquer["limit"]
+    small = gyro_job({"disk_margin": 0.5}, {"torque_limit": 0.5})
+    small = dataclasses.replace(small, platform=read_platform(plant))
+    assert design.loops(small)[0].closed.passed
+
+
+def test_the_filter_of_a_pid_does_not_ring(alone):
+    found, _ = alone("pid", soft=LoopLimits(bandwidth_hz=200.0))
+    z = np.linalg.eigvals(found.controller.A)
+    w = 2 / found.plants.period * (z - 1) / (z + 1)
+    fast = w[np.abs(w) > 1000.0]
+    assert len(fast) == 4
+    assert np.all(-fast.real / np.abs(fast) >= 0.4 - 1e-9)

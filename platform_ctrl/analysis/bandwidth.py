@@ -59,13 +59,16 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
         return 0.0
     if sizes[first] <= LEVEL * (1.0 + 1e-12):
         return float(w[first])
-    root = brentq(
-        lambda x: math.log(gains(S, np.array([math.exp(x)]))[0] / LEVEL),
-        math.log(w[first - 1]),
-        math.log(w[first]),
-        rtol=1e-12,
-    )
-    return math.exp(root)
+
+    def beyond(x: float) -> float:
+        return math.log(gains(S, np.array([math.exp(x)]))[0] / LEVEL)
+
+    low, high = math.log(w[first - 1]), math.log(w[first])
+    # Where an end is a crossing itself, rounding decides on which side of it exp(log(w)) lies.
+    for end, wrong in ((low, 1.0), (high, -1.0)):
+        if wrong * beyond(end) >= 0.0:
+            return math.exp(end)
+    return math.exp(brentq(beyond, low, high, rtol=1e-12))
 
 
 def _grid(S: StateArrays, s: ComplexArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -124,7 +125,8 @@ def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: P
     from platform_ctrl.design.structured.caging import default_options, tuned_controller
     from platform_ctrl.design.structured.families import Named
 
-    options = default_options(design.options, channel, plants.nutation, plants.period)
+    form = design.structure or "pid"
+    options = default_options(design.options, form, channel, plants.nutation, plants.period)
     first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
     cross_axis = Named(
         lambda trial: classical_controller(trial, channel, plants.period), first, TUNABLE, upper_bounds(plants.period)
@@ -137,7 +139,7 @@ def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: P
 
     found = tuned_controller(
         options,
-        design.structure or "pid",
+        form,
         cross_axis,
         channel,
         plants,
@@ -145,4 +147,8 @@ def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: P
         [lambda: hinf_controller({}, channel, plants, method="riccati")[0]],
         progress,
     )
-    return certified(spec, design, found.controller, plants, found.options, found.claims)
+    out = certified(spec, design, found.controller, plants, found.options, found.claims)
+    # What the search took for its ratios is not believed.
+    ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
+    largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
+    return dataclasses.replace(out, claims=out.claims | largest)

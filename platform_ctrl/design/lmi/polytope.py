@@ -61,8 +61,10 @@ def box(names: Sequence[str], low: ArrayLike, high: ArrayLike, where: str) -> Bo
     Raises
     ------
     ArgumentError
-        Too many parameters, or bounds of the wrong shape or order.
+        No parameters or too many, names that are not different, or bounds of the wrong shape or order.
     """
+    if isinstance(names, str) or not names or len(set(names)) < len(names):
+        raise ArgumentError(f"{where}: names {names!r}; expected a list of different names, one for each parameter")
     names = tuple(names)
     a, b = (real_array(f"{where}: {word}", x, (len(names),)) for word, x in (("low", low), ("high", high)))
     if not np.all(a <= b):

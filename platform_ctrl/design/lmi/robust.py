@@ -123,9 +123,10 @@ def robust(
         The solver gave up or was ended; or the closed loops do not do what was promised.
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
+    if not isinstance(plants, (list, tuple)) or not plants:
+        given = "no plants" if isinstance(plants, (list, tuple)) else f"given a {type(plants).__name__}"
+        raise ArgumentError(f"{WHERE}: {given}; expected a list of at least one plant")
     systems = list(plants)
-    if not systems:
-        raise ArgumentError(f"{WHERE}: no plants; expected at least one")
     parts = [partition(system, nmeas, ncon) for system in systems]
     require_alike(systems, WHERE)
     require_common(parts, ("D22",), systems[0], WHERE)

@@ -16,8 +16,8 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.options import completed
-from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.design.structured.descent import Found, Search
+from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Structure
@@ -76,7 +76,7 @@ def default_options(
     own = {name: x for name, x in defaults.items() if structure in _STRUCTURES.get(name, (structure,))}
     out = completed(f'structured, structure = "{structure}"', given, own)
     for name in sorted(_COUNTS & set(out)):
-        if not (out[name].is_integer() and out[name] <= _MOST):
+        if not (float(out[name]).is_integer() and out[name] <= _MOST):
             raise DesignError(f"structured: {name} = {out[name]:g}; expected a whole number from 1 to {_MOST:g}")
     bounds = {"reserve": (1.0, ""), "integral_hz": (0.5 / period, " Hz, half the sample rate")}
     for name, (bound, text) in (bounds | {"rolloff_hz": bounds["integral_hz"]}).items():

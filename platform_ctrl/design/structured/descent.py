@@ -41,6 +41,8 @@ _TRIES = 3
 # S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
 # what is found has to be there when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
+# Weight of what S exceeds the level by, without goals, and by how much it may where a bandwidth is believed.
+_STEEP, _FAR = 5.0, 0.02
 # A bandwidth means something if S keeps falling below it: at a tenth of it, at most this.
 _TENTH = 0.15
 
@@ -153,7 +155,7 @@ class Search:
         view = sorted({0, *worst[:_FIRST]})
         state = _State(H=np.eye(len(x)), radius=0.05)
         while self._left > 0 and not self._enough(best):
-            x = self._descended(family, best.x, self._plants.only(view), state)
+            x = self._honest(family, self._descended(family, best.x, self._plants.only(view), state))
             hard, soft, worst = self._all(family, x)
             found = Found(x=x, hard=hard, soft=soft, evaluations=0)
             added = [k for k in worst if k not in view][:_MORE]
@@ -186,11 +188,20 @@ class Search:
 
     def _bandwidth(self, family: Family, x: FloatArray) -> float:
         """Return the bandwidth in Hz, roughly, as a start for the wanted one."""
-        loops = ClosedLoops(self._plants.only([0]), family.block(x))
+        loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
         sizes = np.maximum(largest(loops.S_output[0]), largest(loops.S_input[0]))
         above = np.flatnonzero(sizes >= LEVEL)
         k = int(above[0]) if above.size else len(sizes) - 1
         return float(self._plants.frequency[max(k - 1, 0)]) / (2.0 * np.pi)
+
+    def _honest(self, family: Family, x: FloatArray) -> FloatArray:
+        """Return the parameters with the bandwidth that is there, where the one that they claim is far from it."""
+        if not self._moving:
+            return x
+        loops = ClosedLoops(self._plants.only([0]), family.block(x[: len(family.start)]))
+        level = loops.level(2.0 * np.pi * float(np.exp(x[-1])), 0.8)[0].ratio.max()
+        there = np.log(self._bandwidth(family, x)) if level > 1.0 + _FAR else x[-1]
+        return np.append(x[:-1], min(x[-1], there))
 
     def _all(self, family: Family, x: FloatArray) -> tuple[float, float, list[int]]:
         """Return the largest hard piece and soft ratio over all plants, and the plants, the worst first."""
@@ -240,18 +251,22 @@ class Search:
         if self._moving and stable:
             frequency = 2.0 * np.pi * float(np.exp(x[-1]))
             found, slope = loops.level(frequency, floor)
-            add(found.ratio + _TIGHT, along(found.gradient, slope), True, -1, found.plant)
+            # Far above the bandwidth S is hardly larger than its level: what is beyond it counts several times.
+            weight = 1.0 if self._soft else _STEEP
+            steep = np.where(found.ratio > 1.0, weight, 1.0)
+            ratio = found.ratio + np.maximum(found.ratio - 1.0, 0.0) * (weight - 1.0)
+            add(ratio + _TIGHT, along(steep[:, None, None] * found.gradient, steep * slope), True, -1, found.plant)
             if self._guarded:
                 found, slope = loops.level(0.1 * frequency, np.inf)
                 share = LEVEL / _TENTH
                 add(share * found.ratio, along(share * found.gradient, share * slope), True, -2, found.plant)
             for number, least, is_hard in ((-3, self._wanted, False), (-5, self._limit, self._soft)):
                 if least is not None:
-                    ratio = least / float(np.exp(x[-1]))
+                    share = least / float(np.exp(x[-1]))
                     gradient = np.zeros((1, len(x)))
-                    gradient[0, -1] = -ratio
-                    ratio += self._reserve if is_hard else 0.0
-                    add(np.array([ratio]), gradient, is_hard, number, np.zeros(1, dtype=np.intp))
+                    gradient[0, -1] = -share
+                    share += self._reserve if is_hard else 0.0
+                    add(np.array([share]), gradient, is_hard, number, np.zeros(1, dtype=np.intp))
         if all(np.all(part) for part in hard):
             # Goals of which nothing is to be seen, such as torques without a limit.
             add(np.zeros(1), np.zeros((1, len(x))), False, -6, np.zeros(1, dtype=np.intp))
@@ -268,7 +283,9 @@ class Search:
 
     def _descended(self, family: Family, x: FloatArray, plants: PlantSet, state: _State) -> FloatArray:
         """Return where some quadratic programs lead on the plants in view; `state` says whether they came to an end."""
-        upper = np.append(family.upper, np.inf) if self._moving else family.upper
+        lower, upper = family.lower, family.upper
+        if self._moving:
+            lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
         here = self._pieces(family, x, plants, _FLOOR)
         merit, small = here.merit(), 0
         for _ in range(_STEPS):
@@ -279,7 +296,7 @@ class Search:
                 here.values[soft],
                 here.gradients[soft],
                 state.H,
-                np.full(len(x), -state.radius),
+                np.maximum(-state.radius, lower - x),
                 np.minimum(state.radius, upper - x),
                 here.values[hard] if np.any(hard) else None,
                 here.gradients[hard] if np.any(hard) else None,

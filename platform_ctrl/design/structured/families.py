@@ -22,6 +22,9 @@ from platform_ctrl.frozen import FloatArray
 
 # Relative step of the differences that stand for a builder's own derivative; the builder is smooth and cheap.
 _STEP = 1e-5
+# Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
+# where gimbals and mountings bend.
+_FILTER_DAMPING = 0.4
 # Hankel singular values below this share of the largest say nothing.
 _NEGLIGIBLE = 1e-7
 # Poles this near to z = 1 are integrators.
@@ -33,11 +36,12 @@ class Family(Protocol):
 
     Attributes
     ----------
-    start, upper : (d,)
-        Starting values and upper bounds of the parameters.
+    start, lower, upper : (d,)
+        Starting values and bounds of the parameters.
     """
 
     start: FloatArray
+    lower: FloatArray
     upper: FloatArray
 
     def block(self, x: FloatArray) -> Block:
@@ -72,6 +76,7 @@ class Named:
         self._build, self._values = build, values
         self.names = [name for name in movable if name in values]
         self.upper = np.log(np.array([largest.get(name, np.inf) for name in self.names]))
+        self.lower = np.full(len(self.names), -np.inf)
         self.start = np.minimum(np.log(np.array([values[name] for name in self.names])), self.upper)
 
     def values(self, x: FloatArray) -> dict[str, float]:
@@ -116,6 +121,8 @@ class Pid:
         # Beyond 1/π of the sample rate Tustin's poles turn negative, and ring.
         self.upper[3 * self._n**2 : 3 * self._n**2 + self._n] = np.log(0.9 * np.pi / period)
         self.upper[3 * self._n**2 + self._n :] = np.log(2.0)
+        self.lower = np.full(len(self.start), -np.inf)
+        self.lower[3 * self._n**2 + self._n :] = np.log(_FILTER_DAMPING)
         self.start = np.minimum(self.start, self.upper)
 
     def block(self, x: FloatArray) -> Block:
@@ -203,7 +210,7 @@ class StateSpace:
         self._origin = np.zeros(self._units.shape)
         self._origin[: self._n, : self._n] = np.eye(self._n)
         self.start = ((np.block([[A, B], [C, D]]) - self._origin) / self._units).ravel()
-        self.upper = np.full(len(self.start), np.inf)
+        self.lower, self.upper = np.full(len(self.start), -np.inf), np.full(len(self.start), np.inf)
         # M is linear in the inner matrices.
         units = self._units.ravel()
         each = np.zeros((len(units), *self._units.shape))

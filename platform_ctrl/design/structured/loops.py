@@ -198,7 +198,7 @@ class ClosedLoops:
         chosen = (sizes >= padded[:, :-2]) & (sizes > padded[:, 2:]) & (sizes >= floor)
         if ends:
             chosen[np.unravel_index(int(np.argmax(sizes)), sizes.shape)] = True
-        hidden = self._hidden(of, floor, members, (float(w[cut][0]), float(w[cut][-1])))
+        hidden = self._hidden(of, floor, members, band)
         row, k = np.nonzero(chosen)
         if not len(k):
             return hidden
@@ -214,9 +214,14 @@ class ClosedLoops:
         return joined([found, hidden]) if len(hidden.ratio) else found
 
     def _hidden(self, of: Map, floor: float, members: Numbers, band: tuple[float, float]) -> Pieces:
-        """Return a map's largest singular value at the resonances that are narrower than the grid, from `floor` on."""
+        """Return a map's largest singular value at resonances narrower than the grid or below it, from `floor` on."""
         s = self.poles().s[members]
-        narrow = np.isfinite(s) & (s.imag > band[0]) & (s.imag < band[1]) & (np.abs(s.real) < _HIDDEN * s.imag)
+        narrow = (
+            np.isfinite(s)
+            & (s.imag > band[0])
+            & (s.imag < min(band[1], float(self.plants.frequency[-1])))
+            & (np.abs(s.real) < _HIDDEN * s.imag)
+        )
         row, k = np.nonzero(narrow)
         if not len(k):
             return self.none()
