@@ -100,6 +100,13 @@ MISTAKES = {
     "falling": (CSV.replace("4.0, 0.3", "1.5, 0.3"), "line 6: frequency_hz = 1.5 after 2; expected rising"),
     "zero": (CSV.replace("1.0, 0.5", "0.0, 0.5"), "line 3: frequency_hz = 0 after 0; expected rising frequencies > 0"),
     "few": (CSV.partition("2.0, 0.4")[0], "1 frequencies; expected at least 3"),
+    "header alone": (CSV.partition("1.0, 0.5")[0], "0 frequencies; expected at least 3"),
+    "negative size": (CSV.replace("1.0, -90", "-1.0, -90"), "line 4: a/Q magnitude = -1; expected 0 or more"),
+    "large decibels": (
+        CSV.replace("a/Q magnitude", "a/Q magnitude_db").replace("1.0, -90", "1e6, -90"),
+        "line 4: a/Q is too large a number",
+    ),
+    "large frequency": (CSV.replace("4.0, 0.3", "1e308, 0.3"), "line 6: frequency_hz = 1e+308; expected at most"),
     "quote": (CSV.replace("2.0, 0.4", '"2.0, 0.4'), "line 4: is not CSV"),
     "beyond Nyquist": (
         CSV.replace("4.0, 0.3", "40.0, 0.3"),
@@ -118,6 +125,12 @@ def test_a_mistake_in_a_file_is_one_line_that_says_where(name, tmp_path):
         read_measurement(file, period=0.05)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_and_indented_comments_are_no_data():
+    plain = read_measurement(io.StringIO(CSV))
+    marked = read_measurement(io.StringIO("\ufeff" + CSV.replace("1.0, 0.5", "  # by hand\n1.0, 0.5")))
+    np.testing.assert_array_equal(plain.frdata, marked.frdata)
 
 
 # The controller
@@ -366,7 +379,15 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
         "integral action on every angle": {"pattern": np.array([[1, 0], [1, 0]])},
         "gains that the pattern leaves out": {"pattern": "diagonal", "start": design.start},
         "expected a number, or a function": {"torque_per_noise": lambda w: w[:3]},
+        "angle_per_torque is .*; expected a number, or a function": {"angle_per_torque": lambda w: 1j * w},
+        "complementary_peak is .*; expected a number, or a function": {"complementary_peak": lambda w: 1 / len([])},
+        r"unstable = 1\.5; expected a whole number": {"unstable": 1.5},
+        "integrators = 'x'; expected a whole number": {"integrators": "x"},
+        "steps = -1; expected a whole number": {"steps": -1},
     }
+    for size in (0.0, 1e-150, 1e150):
+        with pytest.raises(ArgumentError, match="has a response of"):
+            measured_pid(control.FRD(size * measured.frdata, w, PERIOD))
     for message, options in cases.items():
         with pytest.raises(ArgumentError, match=message):
             measured_pid(measured, **options)

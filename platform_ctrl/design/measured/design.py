@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_space
-from platform_ctrl.arguments import positive
+from platform_ctrl.arguments import positive, short
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.design.measured.limits import Bound, ratios
 from platform_ctrl.design.measured.pid import Pattern, controller_response, masks, realisation
@@ -195,12 +195,19 @@ def measured_pid(
     }
     if sensitivity_peak is None:
         raise ArgumentError("measured_pid: sensitivity_peak = None; expected a limit: it is what keeps the loop stable")
+    for name, number in (("unstable", unstable), ("integrators", integrators), ("steps", steps)):
+        if not (number is None and name == "integrators") and not _whole(number):
+            raise ArgumentError(f"measured_pid: {name} = {short(number)}; expected a whole number, 0 or more")
     search = Search(
         plants, free, tau, asked, unstable, integrators, time.monotonic() + positive("time_limit", time_limit)
     )
     begun = search.start(start.gains if isinstance(start, MeasuredDesign) else start)
     gains, history = search.improved(begun, steps)
     return _result(search, gains, begun, history)
+
+
+def _whole(number: object) -> bool:
+    return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 0
 
 
 def _filter_time(given: float | None, period: float) -> float:

@@ -74,9 +74,12 @@ def limits_along(path: Contour, asked: dict[str, Bound | None]) -> tuple[Limit, 
 
 def _bound(name: str, asked: Bound, frequency: FloatArray) -> FloatArray:
     try:
-        given = np.asarray(asked(frequency) if callable(asked) else asked, dtype=np.float64)
-        m = np.broadcast_to(given, frequency.shape)
-    except (TypeError, ValueError):
+        with np.errstate(all="ignore"):
+            found = np.asarray(asked(frequency) if callable(asked) else asked)
+        if np.iscomplexobj(found):
+            raise TypeError
+        m = np.broadcast_to(found.astype(np.float64), frequency.shape)
+    except (TypeError, ValueError, ArithmeticError, LookupError):
         raise ArgumentError(
             f"measured_pid: {name} is {short(asked)}; expected a number, or a function of frequencies in rad/s that "
             f"returns as many"

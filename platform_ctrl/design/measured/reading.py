@@ -34,6 +34,8 @@ _FREQUENCIES = {"frequency_hz": 2.0 * np.pi, "frequency_rad_s": 1.0}
 _PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg")
 _FORMS = ({"re", "im"}, {"magnitude", "phase_deg"}, {"magnitude_db", "phase_deg"})
 _FEWEST = 3
+# No frequency and no response in whatever units is as large.
+_LARGEST = 1e100
 
 Line = tuple[int, list[str]]
 
@@ -68,11 +70,11 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
         label, text = one_line(str(path)), read_text(path, "a CSV file")
     (number, header), *lines = _lines(label, text)
     unit, outputs, inputs, columns = _columns(f"{label}, line {number}", header)
-    numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines]).reshape(len(lines), -1)
+    numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines])
     if len(lines) < _FEWEST:
         raise InputError(f"{label}: {len(lines)} frequencies; expected at least {_FEWEST}")
-    frequency = unit * numbers[:, 0]
     _judge_frequency(label, header[0], [k for k, _ in lines], numbers[:, 0])
+    frequency = unit * numbers[:, 0]
     dt = 0.0
     if period is not None:
         dt = positive("read_measurement: period", period)
@@ -83,14 +85,17 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
             )
     response = np.empty((len(outputs), len(inputs), len(lines)), dtype=np.complex128)
     for (output, given_input), parts in columns.items():
-        response[outputs.index(output), inputs.index(given_input)] = _value(numbers, parts)
+        values = _value(numbers, parts)
+        _judge_values(label, [k for k, _ in lines], f"{output}/{given_input}", numbers, parts, values)
+        response[outputs.index(output), inputs.index(given_input)] = values
     control = import_module("control")
     return control.FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
 
 
 def _lines(label: str, text: str) -> list[Line]:
     """The lines that are neither empty nor comments, with their numbers in the file; the header is the first."""
-    kept = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    numbered = enumerate(text.removeprefix("\ufeff").splitlines(), 1)
+    kept = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     if not kept:
         raise InputError(f"{label}: is empty; expected a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
     head = kept[0][1]
@@ -165,11 +170,30 @@ def _judge_frequency(label: str, name: str, lines: list[int], frequency: FloatAr
         if not f > before:
             raise InputError(f"{label}, line {line}: {name} = {f:g} after {before:g}; expected rising frequencies > 0")
         before = float(f)
+    if before > _LARGEST:
+        raise InputError(f"{label}, line {lines[-1]}: {name} = {before:g}; expected at most {_LARGEST:g}")
+
+
+def _judge_values(
+    label: str, lines: list[int], pair: str, numbers: FloatArray, parts: dict[str, int], values: ComplexArray
+) -> None:
+    if "magnitude" in parts and (below := numbers[:, parts["magnitude"]] < 0.0).any():
+        k = int(below.argmax())
+        raise InputError(
+            f"{label}, line {lines[k]}: {pair} magnitude = {numbers[k, parts['magnitude']]:g}; expected 0 or more: "
+            "the sign belongs into phase_deg"
+        )
+    if (wrong := ~(np.abs(values.real) + np.abs(values.imag) < _LARGEST)).any():
+        k = int(wrong.argmax())
+        raise InputError(f"{label}, line {lines[k]}: {pair} is too large a number; expected less than {_LARGEST:g}")
 
 
 def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
     held = {part: numbers[:, k] for part, k in parts.items()}
     if "re" in held:
         return np.asarray(held["re"] + 1j * held["im"], dtype=np.complex128)
-    size = held["magnitude"] if "magnitude" in held else 10.0 ** (held["magnitude_db"] / 20.0)
+    with np.errstate(over="ignore"):
+        size = held["magnitude"] if "magnitude" in held else 10.0 ** (held["magnitude_db"] / 20.0)
+    # What is too large is named later, with its line.
+    size = np.minimum(size, 10.0 * _LARGEST)
     return np.asarray(size * np.exp(1j * np.radians(held["phase_deg"])), dtype=np.complex128)

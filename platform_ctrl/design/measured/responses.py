@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import control
 
 _FEWEST = 10
+# Determinants of responses in any sensible units stay finite.
+_LARGEST = 1e50
 
 
 @value
@@ -81,6 +83,13 @@ def measured_plants(
         if len(w) < _FEWEST:
             raise ArgumentError(
                 f"{where} has {len(w)} frequencies below half the sample rate; expected {_FEWEST} or more"
+            )
+        size = np.abs(H).max(axis=(1, 2))
+        if not (size.min() > 1.0 / _LARGEST and size.max() < _LARGEST):
+            k = int((size > 1.0 / _LARGEST).argmin() if size.min() <= 1.0 / _LARGEST else size.argmax())
+            raise ArgumentError(
+                f"{where} has a response of {size[k]:.3g} at {w[k] / (2.0 * np.pi):.4g} Hz; expected rad/(N m), no "
+                f"zeros, nothing above {_LARGEST:g}"
             )
         factor = np.exp(-1j * w * dead_time)
         if hold:
