@@ -27,8 +27,6 @@ Curvature = Callable[[FloatArray, FloatArray], FloatArray]
 
 # Lewis and Overton's line search: sufficient decrease and weak Wolfe curvature.
 _DECREASE, _SLOPE = 1e-4, 0.5
-# Share of the distance to a wall that one step may take.
-_APPROACH = 0.95
 
 
 @value
@@ -83,13 +81,14 @@ class _Search:
         stability: Pieces | None,
         curvature: Curvature | None,
         walls: Pieces | None,
+        wall_curvature: Curvature | None,
         evaluations: int,
         deadline: float,
         target: float,
         progress: Callable[[float], None] | None,
     ) -> None:
         self.soft, self.hard_pieces, self.stability_pieces = pieces, hard, stability
-        self.curvature, self.walls = curvature, walls
+        self.curvature, self.walls, self.wall_curvature = curvature, walls, wall_curvature
         self.lower, self.upper = lower, upper
         self.left, self.spent, self.deadline = evaluations, 0, deadline
         self.target = target
@@ -124,6 +123,7 @@ def minimise(
     stability: Pieces | None = None,
     curvature: Curvature | None = None,
     walls: Pieces | None = None,
+    wall_curvature: Curvature | None = None,
     target: float = -np.inf,
     tolerance: float = 1e-7,
     evaluations: int = 4000,
@@ -151,7 +151,9 @@ def minimise(
     curvature
         Hessian of the weighted pieces at x.
     walls
-        Pieces that are negative where `pieces` exist: the polish goes at most a share of the way to them in one step.
+        Pieces that have to stay negative to first order in every step of the polish, with
+    wall_curvature
+        the Hessian of their weighted sum.
     target
         End as soon as the largest piece is not above it (and no hard piece above one).
     tolerance
@@ -179,6 +181,7 @@ def minimise(
         stability,
         curvature,
         walls,
+        wall_curvature,
         evaluations,
         time.monotonic() + time_limit,
         target,
@@ -344,7 +347,7 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
         H = np.zeros((n, n))
         if search.curvature is None:
             H = np.eye(n) * 1e-2 * max(abs(float(np.max(values))), 1e-12)
-        weights = None
+        weights, wall_weights = None, np.zeros(0)
         cuts: list[tuple[FloatArray, FloatArray]] = []
         small = 0
         limits = _limits(search, x)
@@ -366,15 +369,18 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                         )  # fmt: skip
                         if first is None:
                             break
-                        weights = first.weights[: len(values)]
-                    H = _convex(search.curvature(x, weights))
+                        weights, wall_weights = first.weights[: len(values)], first.wall_weights
+                    H = search.curvature(x, weights)
+                    if search.wall_curvature is not None and np.any(wall_weights > 0.0):
+                        H = H + search.wall_curvature(x, wall_weights)
+                    H = _convex(H)
                 step = least_maximum(
                     all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty, limits
                 )
                 if step is None or search.curvature is None:
                     break
                 changed = float(np.abs(step.weights[: len(values)] - weights).sum())
-                weights = step.weights[: len(values)]
+                weights, wall_weights = step.weights[: len(values)], step.wall_weights
                 if changed < 0.2:
                     break
             if step is None:
@@ -426,12 +432,11 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
 
 
 def _limits(search: _Search, x: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return rows and limits of the step: no wall comes nearer than a share of its distance."""
+    """Return rows and limits of the step."""
     if search.walls is None:
         return None
     values, gradients = search.walls(x)
-    inside = values < 0.0
-    return gradients[inside], -_APPROACH * values[inside]
+    return gradients, -values
 
 
 def _merit(values: FloatArray, hard_values: FloatArray | None, penalty: float) -> float:

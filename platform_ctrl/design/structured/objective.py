@@ -12,8 +12,8 @@ from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.structured.norm import ClosedLoop
 from platform_ctrl.frozen import FloatArray
 
-# Poles of stable loops stay this share of the closed loop's own speed to the left of the axis while searching.
-MARGIN = 1e-7
+# Share of its distance to the stability boundary that a pole may lose in one step, to first order.
+_APPROACH = 0.95
 
 
 class Parametrisation(Protocol):
@@ -29,7 +29,10 @@ class Parametrisation(Protocol):
         """Return the Hessian of sum(weight * M), (n, n)."""
 
     def limits(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return values (k,) and gradients (k, n) of what has to stay negative."""
+        """Return values (k,) and gradients (k, n) of what has to stay negative, at most one."""
+
+    def limit_bend(self, x: FloatArray) -> FloatArray:
+        """Return the Hessian of that."""
 
 
 class _Point:
@@ -111,9 +114,14 @@ class WorstNorm:
         for loop in loops:
             found, slopes = loop.pole_pieces(np.inf)
             margin = max(self.margin, 1e-13 * float(np.abs(loop.poles).max(initial=0.0)))
-            values = np.concatenate([values, found[:6] + margin])
+            values = np.concatenate([values, _APPROACH * (found[:6] + margin)])
             gradients = np.vstack([gradients, np.einsum("kij,ijx->kx", slopes[:6], J)])
         return values, gradients
+
+    def wall_curvature(self, x: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return the Hessian of the chart's own limits."""
+        limited = len(self.controller.limits(x)[0]) > 0 and weights[0] > 0.0
+        return weights[0] * self.controller.limit_bend(x) if limited else np.zeros((len(x), len(x)))
 
     def pieces(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the heights of all peaks near the highest and their gradients."""

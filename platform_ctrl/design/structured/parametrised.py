@@ -25,6 +25,8 @@ class Parametrised:
         All parameters, the fixed ones among them.
     start, lower, upper : (n,)
         Starting point and bounds in search coordinates.
+    positive : (n,)
+        Which coordinates are logarithms; M is affine in each of the others.
     """
 
     def __init__(self, structure: Structure, nmeas: int, ncon: int, units: Units) -> None:
@@ -40,7 +42,7 @@ class Parametrised:
         self._spread = spread
         free = [everything[k] for k in leaders]
         self._size = np.array([one.size for one in free])
-        self._positive = np.array([one.positive for one in free], dtype=bool)
+        self.positive = np.array([one.positive for one in free], dtype=bool)
         self.start = self._coordinates(np.array([one.start for one in free]))
         self.lower = self._coordinates(np.array([one.lower for one in free]))
         self.upper = self._coordinates(np.array([one.upper for one in free]))
@@ -49,12 +51,12 @@ class Parametrised:
     def _coordinates(self, numbers: FloatArray) -> FloatArray:
         out = numbers / self._size
         with np.errstate(invalid="ignore", divide="ignore"):
-            out[self._positive] = np.log(np.maximum(numbers[self._positive], 0.0))
+            out[self.positive] = np.log(np.maximum(numbers[self.positive], 0.0))
         return out
 
     def parameters(self, x: FloatArray) -> FloatArray:
         """Return all parameters at x."""
-        free = np.where(self._positive, np.exp(np.where(self._positive, x, 0.0)), self._size * x)
+        free = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size * x)
         return np.asarray(self._base + self._spread @ free)
 
     def named(self, x: FloatArray) -> dict[str, float]:
@@ -65,7 +67,7 @@ class Parametrised:
         key = x.tobytes()
         if self._kept is None or self._kept[0] != key:
             whole = self.structure.block(self.parameters(x), self.nmeas, self.ncon).joined
-            slope = np.where(self._positive, np.exp(np.where(self._positive, x, 0.0)), self._size)
+            slope = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size)
             self._kept = key, whole.at, (whole.slope @ self._spread) * slope
         return self._kept[1], self._kept[2]
 
@@ -80,19 +82,23 @@ class Parametrised:
     def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the Hessian of sum(weight * M): differences along the positive numbers, M is affine in each other."""
         H = np.zeros((len(x), len(x)))
-        along = np.flatnonzero(self._positive)
+        along = np.flatnonzero(self.positive)
         for k in along:
             step = np.zeros(len(x))
             step[k] = _STEP
             ends = [np.einsum("ij,ijx->x", weight, self._at(x + sign * step)[1]) for sign in (1.0, -1.0)]
             H[:, k] = (ends[0] - ends[1]) / (2.0 * _STEP)
-        rest = np.flatnonzero(~self._positive)
+        rest = np.flatnonzero(~self.positive)
         H[np.ix_(along, rest)] = H[np.ix_(rest, along)].T
         return np.asarray(0.5 * (H + H.T))
 
     def limits(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return nothing: bounds are kept by the search itself."""
         return np.zeros(0), np.zeros((0, len(x)))
+
+    def limit_bend(self, x: FloatArray) -> FloatArray:
+        """Return the curvature of no limit."""
+        return np.zeros((len(x), len(x)))
 
 
 def _given(one: Parameter, structure: Structure) -> Parameter:

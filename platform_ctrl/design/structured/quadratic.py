@@ -58,7 +58,7 @@ def least_maximum(
     penalty
         Price of the largest excess.
     walls : (r, n), (r,), optional
-        Rows and positive limits: rows @ d <= limits.
+        Rows and limits: rows @ d <= limits.
 
     Returns
     -------
@@ -87,9 +87,13 @@ def least_maximum(
         rows.append(last)
         limits.append(np.zeros(1))
     if walls is not None and len(walls[1]):
-        limit = walls[1]
-        rows.append(np.hstack([walls[0] * width / limit[:, None], np.zeros((len(limit), columns - n))]))
-        limits.append(np.ones(len(limit)))
+        reach = np.sum(np.abs(walls[0]) * width, axis=1)
+        # Walls beyond the box are left out: their limits, in units of their reach, would be huge.
+        near = (reach > walls[1]) & (reach > 0.0)
+        reach = np.where(near, reach, 1.0)
+        rows.append(np.hstack([walls[0] * width / reach[:, None], np.zeros((len(reach), columns - n))])[near])
+        # What is beyond a wall has to come back, but not further than half the box.
+        limits.append(np.maximum(walls[1] / reach, -0.5)[near])
     box = np.zeros((2 * n, columns))
     box[:n, :n], box[n:, :n] = np.eye(n), -np.eye(n)
     rows.append(box)
@@ -120,7 +124,8 @@ def least_maximum(
     wall_weights = np.zeros(0)
     if walls is not None and len(walls[1]):
         behind = k + (m + 1 if m else 0)
-        wall_weights = dual[behind : behind + len(walls[1])] / walls[1] * unit
+        wall_weights = np.zeros(len(walls[1]))
+        wall_weights[near] = dual[behind : behind + int(near.sum())] / reach[near] * unit
     excess, hard_weights = 0.0, np.zeros(m)
     if m and hard_values is not None and hard_gradients is not None:
         excess = max(0.0, float(np.max(hard_values + hard_gradients @ move)) - 1.0)

@@ -18,6 +18,10 @@ from platform_ctrl.frozen import FloatArray, value
 
 # Most charts that a search without a pattern goes through, and the decrease that is worth another one.
 _CHARTS, _WORTH = 6, 1e-7
+# The gain may grow in stages: along the limit of one the search finds its way before it meets the next.
+_COSINES = (1e-2, 1e-4, 1e-6)
+# Most evaluations in one chart.
+_EVALUATIONS = 1200
 
 
 @value
@@ -103,19 +107,23 @@ def searched(
     """Return what the search from `start` (search coordinates, or M where there is no pattern) finds."""
     began = time.monotonic()
     if problem.structured is not None:
-        least, _ = _minimised(problem, problem.structured, start, time_limit, True, progress)
+        least, _ = _minimised(problem, problem.structured, start, time_limit, progress)
         return _outcome(problem.structured.matrix(least.x), least, least.evaluations, began)
     M, best, spent = start, None, 0
-    for k in range(_CHARTS):
-        chart = Chart(M, *problem.units)
-        left = time_limit - (time.monotonic() - began)
-        least, moved = _minimised(problem, chart, np.zeros(M.size), left, k == 0, progress)
-        spent += least.evaluations
-        better = best is None or not best[0].stable or least.value < best[0].value * (1.0 - _WORTH)
-        if better:
+    for cosine in _COSINES:
+        last = np.inf
+        for _ in range(_CHARTS):
+            chart = Chart(M, *problem.units, cosine)
+            left = time_limit - (time.monotonic() - began)
+            least, moved = _minimised(problem, chart, np.zeros(M.size), left, progress)
+            spent += least.evaluations
             M = chart.matrix(least.x)
-            best = least, M
-        if not better or not least.finished or not least.stable or not moved:
+            if best is None or not best[0].stable or least.value < best[0].value:
+                best = least, M
+            if not (least.finished and least.stable and moved) or not least.value < last * (1.0 - _WORTH):
+                break
+            last = least.value
+        if not (least.finished and least.stable and chart.near_limit(least.x)):
             break
     assert best is not None
     return _outcome(best[1], best[0], spent, began, plain=True)
@@ -139,7 +147,6 @@ def _minimised(
     controller: Parametrisation,
     start: FloatArray,
     time_limit: float,
-    first: bool,
     progress: Callable[[float], None] | None,
 ) -> tuple[Minimum, bool]:
     """Return the minimum, and whether it lies away from the start."""
@@ -156,9 +163,10 @@ def _minimised(
         stability=loops.stability,
         curvature=curved,
         walls=loops.walls,
+        wall_curvature=loops.wall_curvature,
         time_limit=time_limit,
         descent=0 if curved is not None else 200,
-        evaluations=1200 if first else 600,
+        evaluations=_EVALUATIONS,
         progress=progress,
     )
     return least, bool(np.any(least.x != start))
