@@ -118,6 +118,10 @@ MISTAKES: dict[str, tuple[Change, list[str]]] = {
     "rate zero": (put(0, "sampling", "rate_hz"), ["[sampling]", "rate_hz = 0", "a number > 0"]),
     "rate without a period": (put(1e-310, "sampling", "rate_hz"), ["rate_hz = 1e-310", "a number > 0"]),
     "delay negative": (put(-1e-4, "sampling", "delay"), ["[sampling]", "delay = -0.0001", "a number >= 0"]),
+    "delay of a thousand periods": (
+        put({"rate_hz": 1e6, "delay": 1e-3}, "sampling"),
+        ["[sampling]", "delay = 0.001: is 1000 sample periods", "at most 100, or a lower rate_hz"],
+    ),
     "delay missing": (drop("sampling", "delay"), ["[sampling]", 'missing key "delay"']),
     "no loop": (put([], "loop"), ["loop = []", "at least one [[loop]]"]),
     "loop missing": (drop("loop"), ["missing table [[loop]]"]),

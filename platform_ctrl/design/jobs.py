@@ -15,6 +15,7 @@ from platform_ctrl.design.loop import LoopDesign, certified
 from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.design.tuning import tune
+from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
@@ -85,7 +86,12 @@ def loops(
             if plants is None:
                 designs.append(platform_servo(job, model, spec, design))
             else:
-                made = _caging(model, spec, design, plants, say)
+                try:
+                    made = _caging(model, spec, design, plants, say)
+                except DesignError as error:
+                    if str(error).startswith(f"{spec.name}, "):
+                        raise
+                    raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
                 designs.append(with_caging_claims(job, made, closed=design.name == spec.use))
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)

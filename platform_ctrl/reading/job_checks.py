@@ -34,6 +34,9 @@ STABILISATION_LIMITS = frozenset({"torque_noise"})
 # Limits that mean nothing without another one: (given, needed).
 NEEDED_BESIDE = (("tracking", "tracking_hz"), ("tracking_hz", "tracking"), ("torque_limit_hz", "torque_limit"))
 
+# Sample periods from sample to torque at most: each is a state of every torquer in every plant.
+LONGEST_DELAY = 100
+
 # What a manoeuvre of each mode needs; the keys of the other mode would be silently ignored.
 MODE_KEYS = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
 
@@ -43,6 +46,7 @@ def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, fr
     return [
         *_unique_names(data, (), "loop"),
         *_unique_names(data, (), "manoeuvre"),
+        *_sampling(data),
         *_sets(data),
         *_designs(data, options),
         *_loops(data, platform),
@@ -84,6 +88,19 @@ def _sets(data: Data) -> Iterator[Mistake]:
             for key, other in NEEDED_BESIDE:
                 if key in limits and other not in limits:
                     yield Mistake((*path, other), f'missing key "{other}": {key} means nothing without it')
+
+
+def _sampling(data: Data) -> Iterator[Mistake]:
+    table = data.get("sampling")
+    if not isinstance(table, dict):
+        return
+    rate, delay = number_of(table, "rate_hz"), number_of(table, "delay")
+    if rate is None or delay is None or rate <= 0.0 or delay < 0.0:
+        return
+    periods = rate * delay
+    if not periods <= LONGEST_DELAY:
+        wrong = f"delay = {given(delay)}: is {periods:.4g} sample periods"
+        yield Mistake(("sampling", "delay"), f"{wrong}; expected at most {LONGEST_DELAY}, or a lower rate_hz")
 
 
 def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
