@@ -163,9 +163,17 @@ def below_the_limits(loop: LimitedLoop, alpha: float) -> InvariantEllipsoid:
     The least invariant ellipsoid of the linear loop, a hair wider so that the inequalities are strict.
     """
     Q = _least(loop, alpha)
-    u = np.sqrt(np.einsum("ij,jk,ik->i", loop.K, Q, loop.K)) + np.abs(loop.u_steady)
-    y = np.sqrt(np.einsum("ij,jk,ik->i", loop.C, Q, loop.C)) + np.abs(loop.angle_steady)
-    Omega = float(min((loop.limits / u).min(), (loop.stops / y).min())) * (1.0 - 1e-9)
+    squares = [np.einsum("ij,jk,ik->i", rows, Q, rows) for rows in (loop.K, loop.C)]
+    if not all(np.all(square >= 0.0) for square in squares):
+        raise NotCertifiedError(
+            f"survived Omega: no invariant ellipsoid was found at a decay of {alpha:.3g} 1/s; expected a loop that is "
+            "farther from instability",
+            loop,
+        )
+    u, y = np.sqrt(squares[0]) + np.abs(loop.u_steady), np.sqrt(squares[1]) + np.abs(loop.angle_steady)
+    # What this Omega does not move never comes to its limit.
+    with np.errstate(divide="ignore"):
+        Omega = float(min((loop.limits / u).min(), (loop.stops / y).min())) * (1.0 - 1e-9)
     m, n = loop.K.shape
     return InvariantEllipsoid(
         loop=loop,
