@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 from platform_ctrl.design.partition import Partition, Realisation
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
 
 # Matrix inequalities of more states than this take minutes.
 _LMI_STATES = 20
-# Back-off of the controller that starts are fitted to: near the least norm it has needlessly fast poles.
-_BACKOFF = 0.1
+# Back-offs of the controllers that starts are fitted to: near the least norm they have needlessly fast poles, and far
+# from it they are simple.
+_BACKOFFS = (0.1, 0.5, 2.0)
 
 
 @value
@@ -28,13 +30,13 @@ class Bound:
         The least norm of any controller; nan where it is not known.
     source
         How it was found, or why not.
-    controller
-        One that is near it, in the w-plane where the plant is sampled; None where there is none.
+    controllers
+        Some near it and some far from it, in the w-plane where the plant is sampled.
     """
 
     gamma: float
     source: str
-    controller: Realisation | None
+    controllers: tuple[Realisation, ...]
 
 
 def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
@@ -50,13 +52,15 @@ def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
         except DesignError as error:
             failures.append(str(error))
             continue
-        K = found.controller
+        more = () if power or method == "lmi" else _simpler(P, plant, None)
         return Bound(
             gamma=found.gamma_optimal,
             source=f"{'H2' if power else 'H-infinity'} of full order, {method}",
-            controller=Realisation(A=K.A, B=K.B, C=K.C, D=K.D),
+            controllers=(_realised(found), *more),
         )
-    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controller=_nearby(P, plant, power))
+    # No bound then, but something to start from.
+    more = () if power else _simpler(P, plant, 1e-2)
+    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controllers=more)
 
 
 def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:
@@ -65,20 +69,24 @@ def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_li
         from platform_ctrl.design.h2 import h2
 
         return h2(P, ny, nu, method=method, time_limit=time_limit)  # type: ignore[arg-type]
-    return hinf(P, ny, nu, method=method, backoff=_BACKOFF, time_limit=time_limit)  # type: ignore[arg-type]
+    return hinf(P, ny, nu, method=method, backoff=_BACKOFFS[0], time_limit=time_limit)  # type: ignore[arg-type]
 
 
-def _nearby(P: StateSpace, plant: Partition, power: bool) -> Realisation | None:
-    """Return a controller of the regularised plant: no bound, but something to start from."""
-    if power:
-        return None
-    try:
-        K = hinf(
-            P, plant.C2.shape[0], plant.B2.shape[1], method="riccati", backoff=_BACKOFF, regularise=1e-2
-        ).controller
-    except DesignError:
-        return None
+def _realised(found: Synthesis) -> Realisation:
+    K = found.controller
     return Realisation(A=K.A, B=K.B, C=K.C, D=K.D)
+
+
+def _simpler(P: StateSpace, plant: Partition, regularise: float | None) -> tuple[Realisation, ...]:
+    """Return controllers farther from the least norm; of the regularised plant where its assumptions do not hold."""
+    out = []
+    for backoff in _BACKOFFS[1:]:
+        with contextlib.suppress(DesignError):
+            found = hinf(
+                P, plant.C2.shape[0], plant.B2.shape[1], method="riccati", backoff=backoff, regularise=regularise
+            )
+            out.append(_realised(found))
+    return tuple(out)
 
 
 def _system(plant: Partition) -> StateSpace:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from platform_ctrl.analysis.response import frequency_response_arrays
@@ -45,47 +47,83 @@ def _root(gramian: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def fitted(plant: Partition, full: Realisation, structured: Parametrised, start: FloatArray) -> FloatArray | None:
-    """Return the numbers whose closed loop differs least from that of the full-order controller, to first order.
+class Fit:
+    """Fits of a structure to a full-order controller, to first order in the closed loop.
 
     With L and R the loop around `full` from u to z and from w to y, T(K) ≈ T(full) + L (K − full) R: least squares of
     that difference over frequency.
-    """
-    from scipy.optimize import least_squares
 
-    order = len(full.A)
-    try:
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The loop of the full-order controller has no response.
+    """
+
+    def __init__(self, plant: Partition, full: Realisation, structured: Parametrised) -> None:
+        self.structured = structured
+        order = len(full.A)
         loop = ClosedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
         speeds = np.abs(np.concatenate([loop.poles, np.linalg.eigvals(plant.A)]))
         speeds = speeds[speeds > 1e-6 * speeds.max()]
-        frequency = np.geomspace(speeds.min() / _BEYOND, _BEYOND * np.median(speeds), _POINTS)
-        seen = [loop.responses(float(w)) for w in frequency]
-    except np.linalg.LinAlgError:
-        return None
-    left = np.array([L[:, order:] for _, L, _, _ in seen])
-    right = np.array([R[order:] for _, _, R, _ in seen])
-    wanted = frequency_response_arrays(full.A, full.B, full.C, full.D, 0.0, frequency)
-    k = structured.structure.order(structured.nmeas, structured.ncon)
+        self.frequency = np.geomspace(speeds.min() / _BEYOND, _BEYOND * np.median(speeds), _POINTS)
+        seen = [loop.responses(float(w)) for w in self.frequency]
+        self.left = np.array([L[:, order:] for _, L, _, _ in seen])
+        self.right = np.array([R[order:] for _, _, R, _ in seen])
+        self.wanted = frequency_response_arrays(full.A, full.B, full.C, full.D, 0.0, self.frequency)
+        self._order = structured.structure.order(structured.nmeas, structured.ncon)
 
-    def difference(x: FloatArray) -> FloatArray:
-        M = structured.matrix(x)
+    def difference(self, x: FloatArray) -> FloatArray:
+        """Return real and imaginary parts of the closed loops' difference."""
+        M, k = self.structured.matrix(x), self._order
         try:
-            K = frequency_response_arrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0, frequency)
+            K = frequency_response_arrays(M[:k, :k], M[:k, k:], M[k:, :k], M[k:, k:], 0.0, self.frequency)
+            error = (self.left @ (K - self.wanted) @ self.right).ravel()
         except (np.linalg.LinAlgError, ArithmeticError):
-            return np.full(2 * left.shape[0] * left.shape[1] * right.shape[2], 1e6)
-        error = (left @ (K - wanted) @ right).ravel()
-        error = np.where(np.isfinite(error), error, 1e6)
-        return np.concatenate([error.real, error.imag])
+            error = np.full(self.left.shape[0] * self.left.shape[1] * self.right.shape[2], np.inf, dtype=complex)
+        out = np.concatenate([error.real, error.imag])
+        return np.where(np.isfinite(out), out, 1e6)
 
-    low, high = np.maximum(structured.lower, start - 20.0), np.minimum(structured.upper, start + 20.0)
-    low = np.where(structured.lower == -np.inf, -np.inf, low)
-    high = np.where(structured.upper == np.inf, np.inf, high)
-    inside = np.clip(start, np.where(np.isfinite(low), low + 1e-9, low), np.where(np.isfinite(high), high - 1e-9, high))
-    try:
-        found = least_squares(difference, inside, bounds=(low, high), x_scale="jac", max_nfev=60)
-    except (ValueError, np.linalg.LinAlgError):
-        return None
-    return np.clip(np.asarray(found.x, dtype=np.float64), structured.lower, structured.upper)
+    def gains(self, x: FloatArray) -> FloatArray:
+        """Return x with the numbers that enter affinely fitted, the positive ones kept."""
+        affine = ~self.structured.positive
+        base = x.copy()
+        base[affine] = 0.0
+        at = self.difference(base)
+        columns = []
+        for k in np.flatnonzero(affine):
+            one = base.copy()
+            one[k] = 1.0
+            columns.append(self.difference(one) - at)
+        if not columns:
+            return x
+        out = base
+        out[affine] = np.linalg.lstsq(np.array(columns).T, -at, rcond=1e-12)[0]
+        return np.clip(out, self.structured.lower, self.structured.upper)
+
+    def everything(self, start: FloatArray) -> FloatArray:
+        """Return all numbers fitted, from `start` on."""
+        from scipy.optimize import least_squares
+
+        low, high = self.structured.lower, self.structured.upper
+        room = 1e-9 * np.maximum(1.0, np.abs(start))
+        found = least_squares(
+            self.difference, np.clip(start, low + room, high - room), bounds=(low, high), x_scale="jac", max_nfev=60
+        )
+        return np.clip(np.asarray(found.x, dtype=np.float64), low, high)
+
+
+def fits(
+    plants: Sequence[Partition], known: Sequence[Realisation], structured: Parametrised
+) -> list[tuple[Fit, FloatArray]]:
+    """Return a fit to each known full-order controller, and what it found; those that have none are left out."""
+    out = []
+    for plant, K in zip(plants, known, strict=True):
+        try:
+            fit = Fit(plant, K, structured)
+            out.append((fit, fit.everything(fit.gains(structured.start))))
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+    return out
 
 
 def scattered(count: int, size: int, rng: np.random.Generator) -> list[FloatArray]:
@@ -93,8 +131,11 @@ def scattered(count: int, size: int, rng: np.random.Generator) -> list[FloatArra
     return [rng.standard_normal(size) * 10.0 ** rng.uniform(-_DECADES, _DECADES) for _ in range(count)]
 
 
-def around(centre: FloatArray, count: int, rng: np.random.Generator, structured: Parametrised) -> list[FloatArray]:
-    """Return points about a centre, within the bounds."""
-    width = _SCATTER * np.maximum(1.0, 0.3 * np.abs(centre))
-    drawn = [centre + width * rng.standard_normal(centre.size) for _ in range(count)]
-    return [np.clip(x, structured.lower, structured.upper) for x in drawn]
+def around(centre: FloatArray, fit: Fit | None, rng: np.random.Generator, structured: Parametrised) -> FloatArray:
+    """Return a point about a centre: positive numbers scattered, the others fitted again or scattered too."""
+    drawn = rng.standard_normal(centre.size)
+    x = np.clip(centre + _SCATTER * drawn * structured.positive, structured.lower, structured.upper)
+    if fit is not None and structured.positive.any():
+        return fit.gains(x)
+    width = _SCATTER * np.maximum(0.1, np.abs(centre))
+    return np.clip(np.where(structured.positive, x, centre + width * drawn), structured.lower, structured.upper)

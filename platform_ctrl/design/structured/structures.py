@@ -239,6 +239,8 @@ class PID(Structure):
         Which gains there are: "full", "diagonal", "cross", "none" or booleans (nu, ny).
     filter_order
         0 (only without D), 1 or 2.
+    filtered
+        Whether F stands before everything, or before the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
     seen_through : (gains, rates), optional
         The measurement is already gain + rate/s times the signal that the PID is meant for, channel by channel, as in
         a mixed-sensitivity plant whose weight on the error stands before the controller: its pole is the PID's
@@ -249,6 +251,7 @@ class PID(Structure):
     I: ArrayLike | str = "full"  # noqa: E741
     D: ArrayLike | str = "full"
     filter_order: Literal[0, 1, 2] = 2
+    filtered: Literal["everything", "derivative"] = "everything"
     seen_through: tuple[ArrayLike, ArrayLike] | None = None
 
     def _masks(self, nmeas: int, ncon: int) -> tuple[Mask, Mask, Mask]:
@@ -373,7 +376,26 @@ class PID(Structure):
             D.at[places[2]], D.slope[places[2]] = second[1].at[0], second[1].slope[0]
         elif integral:
             A.at[last, 0], C.at[1, last] = 1.0, 1.0
+        if self.filtered == "derivative":
+            self._unfilter(A, B, C, D, through, integral)
         return A, B, C, D
+
+    @staticmethod
+    def _unfilter(
+        A: Sloped, B: Sloped, C: Sloped, D: Sloped, through: tuple[float, ...] | None, integral: bool
+    ) -> None:
+        """Let the rows of P and I read the measurement itself."""
+        last = len(A.at) - 1
+        for m in (C, D):
+            m.at[:2], m.slope[:2] = 0.0, 0.0
+        if through:
+            gain, rate = through
+            C.at[0, last], D.at[0, 0], C.at[1, last] = -rate / gain, 1.0 / gain, 1.0
+            return
+        D.at[0, 0] = 1.0
+        if integral:
+            A.at[last], A.slope[last] = 0.0, 0.0
+            B.at[last, 0], C.at[1, last] = 1.0, 1.0
 
 
 @value

@@ -20,7 +20,7 @@ from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.result import SearchRecord, StructuredDesign
 from platform_ctrl.design.structured.run import Goal, Outcome, Problem
 from platform_ctrl.design.structured.side_by_side import side_by_side
-from platform_ctrl.design.structured.starts import around, fitted, scattered, truncated
+from platform_ctrl.design.structured.starts import Fit, around, fits, scattered, truncated
 from platform_ctrl.design.structured.structures import Structure, Units
 from platform_ctrl.errors import ArgumentError, InfeasibleError, NotCertifiedError, TimeLimitError
 from platform_ctrl.frozen import FloatArray, value
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 # Share of the time limit that full-order bounds may take.
 _FOR_BOUNDS = 0.25
+# Bounds whose controllers starts are fitted to.
+_FITTED = 2
 # What the recomputed norm may exceed that of the search by, relative.
 _AGREEMENT = 1e-3
 
@@ -171,10 +173,7 @@ def structured(
 
 
 def _plants(plants: StateSpace | Sequence[StateSpace]) -> tuple[StateSpace, ...]:
-    if isinstance(plants, list | tuple):
-        given = tuple(plants)
-    else:
-        given = (plants,)
+    given = tuple(plants) if isinstance(plants, list | tuple) else (plants,)
     if not given:
         raise ArgumentError("structured: no plants; expected at least one")
     return given
@@ -258,22 +257,21 @@ def _points(
 ) -> list[FloatArray]:
     """Return the starting points: search coordinates, or matrices where there is no pattern."""
     whole = problem.structured
-    known = [bound.controller for bound in bounds if bound.controller is not None]
+    known = [(flat[k % len(flat)], K) for k, bound in enumerate(bounds[:_FITTED]) for K in bound.controllers]
     if whole is not None:
-        points = [whole.start]
-        for K in known[:2]:
-            fit = fitted(flat[0], K, whole, whole.start)
-            points += [] if fit is None else [fit]
-        centres = points[::-1]
-        while len(points) < starts:
-            points += around(centres[len(points) % len(centres)], 1, rng, whole)
+        points: list[FloatArray] = [whole.start]
+        fit: list[tuple[Fit | None, FloatArray]] = [*fits([p for p, _ in known], [K for _, K in known], whole)]
+        points += [x for _, x in fit]
+        fit = fit or [(None, whole.start)]
+        for k in range(max(starts - len(points), 0)):
+            points.append(around(fit[k % len(fit)][1], fit[k % len(fit)][0], rng, whole))
         return points[:starts]
     left, right = problem.units
     rows, columns = len(left), len(right)
     own = np.zeros((rows, columns))
     own[:order, :order] = -np.diag(units.rate * 2.0 ** (np.arange(order) - 0.5 * (order - 1)))
     points = [own]
-    for K in known[:2]:
+    for _, K in known:
         short = truncated(K, order) if order else None
         if short is not None:
             points.append(np.block([[short.A, short.B], [short.C, short.D]]))
