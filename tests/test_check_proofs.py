@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import tomllib
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import control
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from platform_ctrl.certificates import Certificate, closed
 from platform_ctrl.certificates.plant_set import sensitivity_plants
 from platform_ctrl.check import JobResult, checked
 from platform_ctrl.check.proofs import coupled_proofs
+from platform_ctrl.check.recorded import unconfirmed
 from platform_ctrl.check.records import result_record
 from platform_ctrl.design import LoopOutcome, loops
 from platform_ctrl.errors import NotCertifiedError
@@ -105,6 +108,51 @@ def test_a_forged_certificate_of_a_closed_design_fails_the_job(small: tuple[Any,
     silent = checked(job, [with_certificates(outcome, unproved=("no proof that it is fast",))])
     assert not silent.passed
     assert "no proof that it is fast" in [one.evidence for one in silent.requirements if not one.passed]
+
+
+def test_certificates_of_another_controller_prove_nothing_of_a_design(
+    small: tuple[Any, tuple[LoopOutcome, ...]],
+) -> None:
+    job, (outcome,) = small
+    K = outcome.closed.controller
+    other = control.StateSpace(
+        K.A, K.B, 1.001 * K.C, K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
+    )
+    result = checked(job, [with_certificates(outcome, controller=other)])
+    [missed] = [one for one in result.requirements if not one.passed]
+    assert (missed.name, missed.value) == ("claims proved", 0.0)
+    assert "of another loop" in missed.evidence
+
+
+def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:
+    job, outcomes = small
+    result = checked(job, outcomes)
+    record = json.loads(json.dumps(result_record(result)))
+    assert unconfirmed(record, result) == ()
+
+    def told(change: Callable[[Any], None]) -> str:
+        edited = copy.deepcopy(record)
+        change(edited["controllers"][0])
+        [line] = unconfirmed(edited, result)
+        assert line.startswith("caging 9-10, plain: ")
+        return line
+
+    def proof(number: int, **change: Any) -> Callable[[Any], None]:
+        return lambda entry: entry["certificates"]["list"][number].update(change)
+
+    def bent(entry: Any) -> None:
+        entry["certificates"]["list"][1]["X"][0][0] *= 0.5
+
+    assert "disk_margin is written as 0.9; it is" in told(lambda entry: entry["claims"].update(disk_margin=0.9))
+    assert "damping is written as" in told(lambda entry: entry["claims"].update(damping="much"))
+    assert "is not positive definite" in told(bent)
+    assert "X is not symmetric" in told(lambda entry: entry["certificates"]["list"][0]["X"][0].reverse())
+    assert "it is no matrix of numbers" in told(proof(2, X="none"))
+    assert "is not positive definite" in told(proof(0, bound=1e3))
+    assert "its bound is written as None" in told(proof(0, bound=None))
+    assert "no such claim is proved" in told(proof(0, label="every plant"))
+    assert "another plant" in told(lambda entry: entry["certificates"]["plant"]["A"][0].reverse())
+    assert unconfirmed({"schema": 1, "controllers": [{}]}, result) == ()
 
 
 def test_the_record_is_enough_to_prove_the_nominal_claims(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:

@@ -53,7 +53,7 @@ def read_controllers(
     InputError
         One line: the file, the controller and the key, what was given, what is expected.
     """
-    label, data = ("controllers given as a dict", source) if isinstance(source, Mapping) else _opened(source)
+    label, data = ("controllers given as a dict", source) if isinstance(source, Mapping) else opened(source)
     if not isinstance(data, Mapping):
         raise InputError(f'{label}: given {given(data)}; expected a table with "schema" and "controllers"')
     schema = data.get("schema")
@@ -80,7 +80,14 @@ def read_controllers(
     return out
 
 
-def _opened(source: str | os.PathLike[str]) -> tuple[str, Any]:
+def opened(source: str | os.PathLike[str]) -> tuple[str, Any]:
+    """Return a file's name for messages, and what it holds.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not JSON.
+    """
     path = Path(source)
     label, text = one_line(str(path)), read_text(path, "a JSON file with controllers")
     try:

@@ -158,8 +158,8 @@ def check(
     """Check controllers that exist already.
 
     The same verdicts as those of design, without designing. Every figure is measured anew from the matrices; nothing
-    that the file claims is believed. Use it after the plant, the spread or a limit has changed, or for controllers that
-    were made elsewhere.
+    that the file claims is believed, and what is not confirmed of it is told on stderr. Use it after the plant, the
+    spread or a limit has changed, or for controllers that were made elsewhere.
 
     \b
     platform-ctrl check job.toml                              those of out/result.json
@@ -174,13 +174,17 @@ def check(
         file = _controller_file(controllers, out)
         from platform_ctrl.check import checked
         from platform_ctrl.check.given import outcomes_from, read_controllers
+        from platform_ctrl.check.recorded import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         _prepared(folder)
         result = checked(read, outcomes_from(read, closed, others), say)
+        notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         show = _delivered(result, folder, as_json, say, command)
+    for note in notes:
+        typer.echo(f"{file}: not confirmed: {note}", err=True)
     return show()
 
 
