@@ -41,8 +41,9 @@ _DIRECTIONS = [np.array([0.0, 1.0], dtype=np.complex128)] + [
     for height, shift in ((np.sqrt(0.2), 0), (-np.sqrt(0.2), 1))
     for k in range(5)
 ]
-# Decay rates are counted in this share of the nutation frequency; poles as many units from their limit are in view.
-_DECAY_UNIT = 0.02
+# Decay rates are counted in this share of the nutation frequency, or in their limit over the second number if that is
+# less; poles as many units from their limit are in view.
+_DECAY_UNIT, _NO_DECAY = 0.02, 20.0
 _SLOW = 2.0
 # Share of a limit below which a measure that should be at least that counts along the tangent.
 _LEAST = 0.01
@@ -273,12 +274,15 @@ class ClosedLoops:
         return Pieces(ratio=ratio[row, k], gradient=self._pole_gradient(factor, members[row], k), plant=members[row])
 
     def decay(self, limit: float, members: Numbers) -> Pieces:
-        """Return 1 + (limit − decay)/(2 % of the nutation frequency) of the slow poles: at most 1 where limit is kept.
+        """Return 1 + (limit − decay)/unit of the slow poles: at most 1 where limit is kept; see `_DECAY_UNIT`.
 
         The ratio limit/decay would be hardly visible until it is too late.
         """
         s = self.poles().s[members]
         unit = _DECAY_UNIT * self.plants.nutation
+        if limit > 0.0:
+            # No decay at all has to be worse than most other things.
+            unit = min(unit, limit / _NO_DECAY)
         ratio = np.where(np.isfinite(s), 1.0 + (limit + s.real) / unit, -np.inf)
         row, k = _reaching(ratio, s.imag >= 0.0, 1.0 - _SLOW)
         gradient = self._pole_gradient(np.full(len(k), 1.0 / unit), members[row], k)
