@@ -130,7 +130,9 @@ def members(groups: Sequence[str], of: Sequence[str]) -> BoolArray:
 def tuning_grid(nutation: float, period: float) -> FloatArray:
     """Return frequencies, rad/s, dense where margins are lost: between a sixth and about twice the nutation."""
     nyquist = np.pi / period
-    edges = np.clip([nutation / 150.0, nutation / 6.0, 2.2 * nutation, 0.999 * nyquist], None, 0.999 * nyquist)
+    # Where nutation is faster than what is sampled, the grid covers what is left below the Nyquist frequency.
+    slowest = min(nutation / 150.0, nyquist / 100.0)
+    edges = np.clip([slowest, nutation / 6.0, 2.2 * nutation, 0.999 * nyquist], None, 0.999 * nyquist)
     counts = (15, 60, 15)
     parts = [
         np.geomspace(low, high, k, endpoint=False)
