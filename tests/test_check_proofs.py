@@ -153,6 +153,13 @@ def test_what_a_file_claims_beyond_the_truth_is_told(small: tuple[Any, tuple[Loo
     assert "no such claim is proved" in told(proof(0, label="every plant"))
     assert "another plant" in told(lambda entry: entry["certificates"]["plant"]["A"][0].reverse())
     assert unconfirmed({"schema": 1, "controllers": [{}]}, result) == ()
+    false = copy.deepcopy(record)
+    false["controllers"][0]["certificates"]["list"] *= 3
+    for one in false["controllers"][0]["certificates"]["list"]:
+        one["bound"] = None
+    *shown, last = unconfirmed(false, result)
+    assert len(shown) == 4
+    assert last == "caging 9-10, plain: and 5 more of its claims"
 
 
 def test_the_record_is_enough_to_prove_the_nominal_claims(small: tuple[Any, tuple[LoopOutcome, ...]]) -> None:

@@ -21,6 +21,8 @@ from platform_ctrl.frozen import FloatArray
 
 # Figures and plants of the same job, on another machine, agree to this.
 _AGREE = 1e-6
+# Lines for one design: with a changed matrix hardly any claim holds.
+_LINES = 4
 
 
 def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobResult) -> tuple[str, ...]:
@@ -49,7 +51,10 @@ def unconfirmed(source: str | os.PathLike[str] | Mapping[str, Any], result: JobR
         for entry in data.get(key) or []:
             design = next((one for one in designs if _is_of(entry, one)), None)
             if design is not None:
-                out += _of_design(entry, design, result.proofs[design.loop, design.name])
+                found = list(_of_design(entry, design, result.proofs[design.loop, design.name]))
+                more = len(found) - _LINES
+                out += found[:_LINES]
+                out += [f"{design.loop}, {design.name}: and {more} more of its claims"] if more > 0 else []
     coupled = data.get("coupled")
     if isinstance(coupled, Mapping):
         out += _of_certificates("all loops closed", coupled.get("certificates"), result.proofs["", ""])
