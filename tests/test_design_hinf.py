@@ -429,6 +429,16 @@ def test_just_above_the_least_gamma_there_are_solutions_and_just_below_none(seed
     assert least <= floor * (1 + 1e-6) or beyond is None or beyond < 0
 
 
+@pytest.mark.parametrize("seed", [1781, 2476])
+def test_a_coupling_that_is_rounding_does_not_end_the_search(seed):
+    # D12 is square: X is zero but for rounding, and gamma ends where Y does.
+    P = random_plant(seed, 3, nw=2, nz=2, ny=1, nu=2)
+    scaled = autoscale(partition(P, 1, 2))
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    beyond = _trial(_sides(_normal_form(scaled.plant)), (least * (1 - 1e-7)) ** -2).slack
+    assert beyond is None or beyond < 0
+
+
 def test_missing_weights_are_named_by_their_signals():
     P = random_plant(7, n=4)
     D = P.D.copy()

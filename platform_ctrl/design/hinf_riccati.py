@@ -29,6 +29,8 @@ ACCURACY = 1e-8
 LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
 # Largest slack that is told from an infinite one, and largest bound on t that a first trial is derived from.
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
+# A slack this many times t comes from solutions of which one is nearly zero.
+FAR_COUPLING = 1e6
 # Free parameters that are tried, and the largest condition of the loop around D22.
 SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
 # Trials of gamma at most; about six are needed.
@@ -254,7 +256,9 @@ def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P:
                 beyond = min(beyond, 1.0 / level**2) if informed else beyond
         if beyond - reached <= 2.5 * ACCURACY * beyond:
             break
-        guess = min(map(_zero, known))
+        # A coupling far below the level is rounding, and grows only where X or Y does: then their room says when.
+        far = trial.slack is not None and trial.slack > FAR_COUPLING * t
+        guess = min(map(_zero, known[1:] if far else known))
         if reached == t and t < guess <= t * (1.0 + ACCURACY):
             break
         if step % 4 == 3:
