@@ -1,4 +1,4 @@
-"""Loop design: the classical caging loop, H-infinity synthesis, the platform servo, and the loops of a job."""
+"""Loop design: full order, fixed structure, matrix inequalities, measured responses, torque limits, and jobs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,13 @@ from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lq
 from platform_ctrl.design.measured import MeasuredDesign, measured_pid, read_measurement
 from platform_ctrl.design.pole_placement import PolePlacement, pole_placement
 from platform_ctrl.design.sampled_hinf import SampledSynthesis, sampled_hinf
+from platform_ctrl.design.structured.result import StructuredDesign
+from platform_ctrl.design.structured.structures import PID, Lead, Notch, Series, StateSpaceOrder, Static, Structure
+from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.synthesis import Claim, Synthesis, hinf
 
 __all__ = [
+    "PID",
     "AntiWindup",
     "Claim",
     "ComplexLoop",
@@ -30,6 +34,7 @@ __all__ = [
     "CrossoverDesign",
     "Estimator",
     "IntersampleGains",
+    "Lead",
     "LimitedLoop",
     "LoopDesign",
     "LoopOutcome",
@@ -37,12 +42,18 @@ __all__ = [
     "LqgDesign",
     "MeasuredDesign",
     "Multiobjective",
+    "Notch",
     "PolePlacement",
     "Robust",
     "SampledSynthesis",
     "Scheduled",
     "ScheduledCaging",
+    "Series",
     "StateFeedback",
+    "StateSpaceOrder",
+    "Static",
+    "Structure",
+    "StructuredDesign",
     "SurvivedOmega",
     "Synthesis",
     "TwoSidedNyquist",
@@ -69,6 +80,7 @@ __all__ = [
     "sampled_hinf",
     "scheduled",
     "scheduled_caging",
+    "structured",
     "survived_Omega",
     "two_sided_nyquist",
 ]

@@ -50,7 +50,7 @@ class _Shared:
             for _ in range(ATTEMPTS):
                 try:
                     kept, self.worker = self.worker or SideProcess(inspect.getsource(worker)), None
-                    answer = kept.ask(request, time_limit)
+                    answer: dict[str, Any] = kept.ask(request, time_limit)
                 except (Ended, OSError):
                     continue
                 self.worker = kept

@@ -16,6 +16,7 @@ import numpy as np
 from platform_ctrl.design.structured.norm import second_order
 from platform_ctrl.frozen import FloatArray
 
+
 class Chart:
     """M = left · K(X) · right around K0, X = 0 there; `left` and `right` carry units, K is at most about 1/`least`."""
 
@@ -31,8 +32,8 @@ class Chart:
         """Return K, W = (Q11 + Q12 X)⁻¹ and V = Q22 − K Q12: dK = V dX W."""
         columns = self.shape[1]
         X = x.reshape(self.shape)
-        W = np.linalg.inv(self.top[:, :columns] + self.top[:, columns:] @ X)
-        K = (self.bottom[:, :columns] + self.bottom[:, columns:] @ X) @ W
+        W = np.asarray(np.linalg.inv(self.top[:, :columns] + self.top[:, columns:] @ X), dtype=np.float64)
+        K: FloatArray = (self.bottom[:, :columns] + self.bottom[:, columns:] @ X) @ W
         return K, W, self.bottom[:, columns:] - K @ self.top[:, columns:]
 
     def matrix(self, x: FloatArray) -> FloatArray:
@@ -45,7 +46,7 @@ class Chart:
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Return dM/dx."""
         _, W, V = self._parts(x)
-        return np.einsum("ia,bj->ijab", self.left @ V, W @ self.right).reshape(*self.shape, x.size)
+        return np.asarray(np.einsum("ia,bj->ijab", self.left @ V, W @ self.right).reshape(*self.shape, x.size))
 
     def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the Hessian of sum(weight * M): d²M = −V dX W Q12 dX' W − the same with dX and dX' exchanged."""

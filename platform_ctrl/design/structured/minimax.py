@@ -351,6 +351,7 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
         cuts: list[tuple[FloatArray, FloatArray]] = []
         small = 0
         limits = _limits(search, x)
+        flat = 1e-8 * np.eye(n)
         while True:
             merit = _merit(values, hard_values, penalty)
             if search.target > -np.inf and np.max(values) <= search.target and merit <= search.target:
@@ -364,9 +365,8 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 if search.curvature is not None:
                     if weights is None:
                         first = least_maximum(
-                            all_values, all_gradients, 1e-8 * np.eye(n), low, high, hard_values, hard_gradients, penalty,
-                            limits,
-                        )  # fmt: skip
+                            all_values, all_gradients, flat, low, high, hard_values, hard_gradients, penalty, limits
+                        )
                         if first is None:
                             break
                         weights, wall_weights = first.weights[: len(values)], first.wall_weights
@@ -377,7 +377,7 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 step = least_maximum(
                     all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty, limits
                 )
-                if step is None or search.curvature is None:
+                if step is None or search.curvature is None or weights is None:
                     break
                 changed = float(np.abs(step.weights[: len(values)] - weights).sum())
                 weights, wall_weights = step.weights[: len(values)], step.wall_weights

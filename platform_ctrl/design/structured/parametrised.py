@@ -49,7 +49,7 @@ class Parametrised:
         self._kept: tuple[bytes, FloatArray, FloatArray] | None = None
 
     def _coordinates(self, numbers: FloatArray) -> FloatArray:
-        out = numbers / self._size
+        out: FloatArray = numbers / self._size
         with np.errstate(invalid="ignore", divide="ignore"):
             out[self.positive] = np.log(np.maximum(numbers[self.positive], 0.0))
         return out

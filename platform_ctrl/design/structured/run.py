@@ -153,12 +153,12 @@ def _minimised(
     loops = WorstNorm(problem.plants, controller, margin=problem.decay)
     soft, curved = _pieces(problem.soft, controller, loops)
     hard = _pieces(problem.hard, controller, loops)[0] if problem.hard else None
-    bounded = isinstance(controller, Parametrised)
+    lower, upper = (controller.lower, controller.upper) if isinstance(controller, Parametrised) else (None, None)
     least = minimise(
         soft,
         start,
-        controller.lower if bounded else None,
-        controller.upper if bounded else None,
+        lower,
+        upper,
         hard=hard,
         stability=loops.stability,
         curvature=curved,

@@ -1,4 +1,4 @@
-"""Searches side by side: each starting point in one of several processes, or one after another where that is quicker."""
+"""Searches side by side: every start in one of several processes, or one after another where that is quicker."""
 
 from __future__ import annotations
 

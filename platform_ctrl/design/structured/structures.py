@@ -265,11 +265,11 @@ class PID(Structure):
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return gains and filters."""
-        P, I, D = self._masks(nmeas, ncon)
+        P, integral, D = self._masks(nmeas, ncon)
         gain, rate = units.gain, units.rate
         if self.seen_through is not None:
             gain = gain * np.asarray(self.seen_through[0], dtype=np.float64)
-        out = [*_gains("kp", P, gain), *_gains("ki", I, gain * rate), *_gains("kd", D, gain / rate)]
+        out = [*_gains("kp", P, gain), *_gains("ki", integral, gain * rate), *_gains("kd", D, gain / rate)]
         if self.filter_order:
             out += [
                 Parameter(
@@ -291,12 +291,13 @@ class PID(Structure):
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
         """Return one chain of states for every measurement, and the gains that read them."""
-        P, I, D = self._masks(nmeas, ncon)
+        P, integral, D = self._masks(nmeas, ncon)
         n = len(p)
-        counts = np.cumsum([P.sum(), I.sum(), D.sum()])
-        gains = [_filled(mask, p, int(first), n) for mask, first in zip((P, I, D), (0, *counts[:2]), strict=True)]
+        counts = np.cumsum([P.sum(), integral.sum(), D.sum()])
+        firsts = (0, *counts[:2])
+        gains = [_filled(mask, p, int(first), n) for mask, first in zip((P, integral, D), firsts, strict=True)]
         frequency, damping = int(counts[2]), int(counts[2]) + nmeas
-        chains = [self._chain(p, j, frequency + j, damping + j, n, bool(I[:, j].any())) for j in range(nmeas)]
+        chains = [self._chain(p, j, frequency + j, damping + j, n, bool(integral[:, j].any())) for j in range(nmeas)]
         A = constant(np.zeros((sum(len(c[0].at) for c in chains),) * 2), n)
         size = len(A.at)
         B, rows = constant(np.zeros((size, nmeas)), n), constant(np.zeros((3 * nmeas, size)), n)

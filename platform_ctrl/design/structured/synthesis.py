@@ -113,16 +113,16 @@ def structured(
             f"structured: structure = {structure!r}; expected a structure such as design.Static() or design.PID()"
         )
     for name, number in (("starts", starts), ("processes", processes)):
-        whole = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
-        if not whole and not (name == "processes" and number is None):
+        counts = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
+        if not counts and not (name == "processes" and number is None):
             raise ArgumentError(f"structured: {name} = {number!r}; expected a whole number from 1 on")
     if not (isinstance(time_limit, int | float) and time_limit > 0):
         raise ArgumentError(f"structured: time_limit = {time_limit!r}; expected a positive number of seconds")
     parts = _partitions(given, nmeas, ncon)
     flat = tuple(in_w_plane(part) for part in parts)
     scaled = [autoscale(one) for one in flat]
-    for P, one, scale in zip(given, flat, scaled, strict=True):
-        require_stabilisable(one, P, "structured", scale)
+    for P, part, scale in zip(given, flat, scaled, strict=True):
+        require_stabilisable(part, P, "structured", scale)
     task = _task(given, parts, flat, requirements)
     say = progress or (lambda line: None)
 
@@ -296,8 +296,9 @@ def _failure(
         )
     if best.rank[0] > 1.0:
         return InfeasibleError(
-            f"structured: none of {len(ended)} starts led to a stabilising {kind} controller, the nearest leaves a pole "
-            f"at {best.stability:+.4g} rad/s; give more starts, starting values (start=...), or a richer structure",
+            f"structured: none of {len(ended)} starts led to a stabilising {kind} controller, the nearest leaves a "
+            f"pole at {best.stability:+.4g} rad/s; give more starts, starting values (start=...), or a richer "
+            "structure",
             given,
         )
     return InfeasibleError(
@@ -323,7 +324,7 @@ def _judged(
     import control
 
     from platform_ctrl.analysis.norms import hinf_norm
-    from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
+    from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 
     M, period = best.M, parts[0].dt
     K = Realisation(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
@@ -334,7 +335,7 @@ def _judged(
     loops, gammas, poles, outcomes = [], [], [], []
     for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):
         loop = closed_loop(part, K)
-        at = np.linalg.eigvals(loop.A)
+        at = pole_arrays(loop.A)
         if at.size and not spectral_abscissa(continuous_poles(at, period)) < 0.0:
             raise NotCertifiedError(f"structured: the closed loop of plant {k} is not stable; give other starts", given)
         system = control.StateSpace(
