@@ -174,7 +174,7 @@ def test_a_richer_structure_costs_less(best: design.Synthesis) -> None:
     pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4, processes=1)
     two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4, processes=1)
     four = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=4), starts=3, processes=1)
-    assert 1.0 - 1e-3 <= four.price <= two.price <= pd.price * (1.0 + 1e-3)
+    assert 1.0 - 1e-3 <= four.price <= two.price * (1.0 + 1e-4) <= pd.price
     assert four.price < 1.01
     assert four.gamma_optimal == pytest.approx(best.gamma_optimal, rel=1e-3)
 
@@ -246,12 +246,12 @@ def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
             requirement("H-infinity norm", 1.0, channel=disturbance, hard=False),
             requirement("stability", 0.05),
         ]
-        return design.structured(gyro(), 2, 2, structure=structure, requirements=asked, starts=3, processes=1)
+        return design.structured(gyro(), 2, 2, structure=structure, requirements=asked, starts=2, processes=1)
 
-    loose, tight = at(0.4), at(0.2)
+    loose, tight = at(3.0), at(1.0)
     assert loose.passed
     assert tight.passed
-    assert tight.outcomes[0].value <= 0.2
+    assert tight.outcomes[0].value <= 1.0
     assert tight.gamma > loose.gamma
     assert np.max(np.concatenate(tight.poles).real) <= -0.05
 
@@ -279,7 +279,8 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     asked = [requirement("H-infinity norm", 1e-6)]
     soft = [requirement("H-infinity norm", 1.0, hard=False)]
     with pytest.raises(InfeasibleError, match="meets every hard requirement"):
-        design.structured(P, 2, 2, structure=design.Static(), requirements=asked + soft, starts=2, processes=1)
+        structure = design.StateSpaceOrder(states=2)
+        design.structured(P, 2, 2, structure=structure, requirements=asked + soft, starts=2, processes=1)
     for wrong, said in (
         ({"structure": "PID"}, "expected a structure such as"),
         ({"structure": design.Static(), "starts": 0}, "expected a whole number"),

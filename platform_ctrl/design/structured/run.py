@@ -16,6 +16,8 @@ from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.power import WorstPower
 from platform_ctrl.frozen import FloatArray, value
 
+# A hard norm that exceeds its limit by no more counts as kept.
+_TOUCHING = 5e-4
 # Most charts that a search without a pattern goes through, and the decrease that is worth another one.
 _CHARTS, _WORTH = 6, 1e-7
 # The gain may grow in stages: along the limit of one the search finds its way before it meets the next.
@@ -96,7 +98,7 @@ class Outcome:
         """The smaller the better: stability first, then hard limits, then the value."""
         if not self.stability < 0.0:
             return 2.0, self.stability
-        if self.hard > 1.0 + 1e-6:
+        if self.hard > 1.0 + _TOUCHING:
             return 1.0, self.hard
         return 0.0, self.value
 

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 # Share of the time limit that full-order bounds may take.
 _FOR_BOUNDS = 0.25
+# Share of a hard limit that the search keeps in reserve: it comes to rest on either side of a limit.
+_RESERVE = 1e-3
 # Bounds whose controllers starts are fitted to.
 _FITTED = 2
 # What the recomputed norm may exceed that of the search by, relative.
@@ -221,13 +223,17 @@ def _task(
     if not asked[0].norms:
         raise ArgumentError("structured: no norm among the requirements; expected at least one to be made small")
     every = [
-        (norm.asked.hard, Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, norm.asked.limit) for one in asked),
+        (norm.asked.hard, Goal(plants=tuple(_channel(one.plant, norm.w, norm.z, _aim(norm.asked)) for one in asked),
                                h2=norm.h2))
         for norm in asked[0].norms
     ]  # fmt: skip
     soft = tuple(goal for hard, goal in every if not hard)
     hard = tuple(goal for hard, goal in every if hard)
     return _Task(plants=flat, soft=soft or hard, hard=hard if soft else (), decay=decay)
+
+
+def _aim(asked: LoopRequirement) -> float:
+    return asked.limit * (1.0 - _RESERVE) if asked.hard else asked.limit
 
 
 def _channel(plant: Partition, w: Sequence[int], z: Sequence[int], limit: float) -> Partition:
