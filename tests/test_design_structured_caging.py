@@ -14,7 +14,7 @@ from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.design.plants import plants_of, rows_of
 from platform_ctrl.design.structured.descent import finer
-from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, truncated, without_integrators
+from platform_ctrl.design.structured.families import Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, at_least
 from platform_ctrl.design.structured.maps import (
@@ -29,6 +29,7 @@ from platform_ctrl.design.structured.maps import (
     T_OUTPUT,
     torque_per_Omega,
 )
+from platform_ctrl.design.structured.truncation import balanced_truncation
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import LoopLimits
 from platform_ctrl.linearisation import linearise
@@ -227,7 +228,7 @@ def test_truncation_keeps_what_matters():
     A = np.diag([0.9, 0.5, -0.3, 0.2])
     B, C, D = rng.standard_normal((4, 2)), rng.standard_normal((2, 4)), np.zeros((2, 2))
     C[:, 3] *= 1e-9
-    less = truncated((A, B, C, D), 3)
+    less = balanced_truncation((A, B, C, D), 3, sampled=True)
     assert len(less[0]) == 3
     for z in np.exp(1j * np.array([0.1, 1.0, 3.0])):
         full, small = (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d for a, b, c, d in ((A, B, C, D), less))

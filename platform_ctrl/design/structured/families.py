@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.blocks import Block, first_order, series, side_by_side
 from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.structured.truncation import balanced_truncation
 from platform_ctrl.frozen import FloatArray
 
 # Relative step of the differences that stand for a builder's own derivative; the builder is smooth and cheap.
@@ -25,8 +25,6 @@ _STEP = 1e-5
 # Least damping of the PID's filter: with less it gains phase by a resonance, which would lift the gain at frequencies
 # where gimbals and mountings bend.
 _FILTER_DAMPING = 0.4
-# Hankel singular values below this share of the largest say nothing.
-_NEGLIGIBLE = 1e-7
 # Poles this near to z = 1 are integrators.
 _INTEGRATOR = 1e-5
 
@@ -294,7 +292,7 @@ def of_order(block: Block, order: int, rate: float) -> Block:
     rate
         Nutation frequency times period: added modes lie there, well damped.
     """
-    A, B, C, D = truncated(block, order)
+    A, B, C, D = balanced_truncation(block, order, sampled=True)
     missing = order - len(A)
     if missing <= 0:
         return A, B, C, D
@@ -313,23 +311,3 @@ def of_order(block: Block, order: int, rate: float) -> Block:
     whole = np.zeros((order, order))
     whole[:first, :first], whole[first:, first:] = A, own
     return whole, np.vstack([B, into]), np.hstack([C, out.T]), D
-
-
-def truncated(block: Block, order: int) -> Block:
-    """Return the balanced truncation of a stable sampled block, by square roots (Tombs and Postlethwaite, 1987)."""
-    A, B, C, D = block
-    if not len(A):
-        return block
-    reach, show = (_root(stationary_covariance(a, b)) for a, b in ((A, B), (A.T, C.T)))
-    U, s, V = np.linalg.svd(show.T @ reach)
-    order = min(order, int(np.sum(s > _NEGLIGIBLE * s[0])))
-    scale = 1.0 / np.sqrt(s[:order])
-    right, left = reach @ V[:order].T * scale, (show @ U[:, :order] * scale).T
-    first, into, out = (np.asarray(item, dtype=np.float64) for item in (left @ A @ right, left @ B, C @ right))
-    return first, into, out, D
-
-
-def _root(gramian: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
-    out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
-    return out

@@ -10,41 +10,30 @@ from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.design.structured.norm import ClosedLoop, augmented
 from platform_ctrl.design.structured.parametrised import Parametrised
+from platform_ctrl.design.structured.truncation import balanced_truncation
 from platform_ctrl.frozen import FloatArray
 
 # Frequencies of a fit, and how far beyond the poles they reach.
 _POINTS, _BEYOND = 60, 10.0
 # Decades over which the size of random starts is spread, either side of the units.
 _DECADES = 1.5
+# Hankel singular values below this share of the largest are rounding.
+_ROUNDING = 1e-12
 # Width of the scatter about a good start, in search coordinates.
 _SCATTER = 0.7
 
 
 def truncated(K: Realisation, order: int) -> Realisation | None:
-    """Return the balanced truncation of a stable controller to `order` states; None where there is none."""
-    from scipy.linalg import solve_continuous_lyapunov
-
+    """Return the balanced truncation of a stable continuous controller to `order` states; None where there is none."""
     if order >= len(K.A):
         return K if order == len(K.A) else None
     if np.max(np.linalg.eigvals(K.A).real, initial=-np.inf) >= 0.0:
         return None
     try:
-        reach = solve_continuous_lyapunov(K.A, -K.B @ K.B.T)
-        sight = solve_continuous_lyapunov(K.A.T, -K.C.T @ K.C)
-        left, right = _root(reach), _root(sight)
-        U, S, Vh = np.linalg.svd(right.T @ left)
+        A, B, C, D = balanced_truncation((K.A, K.B, K.C, K.D), order, sampled=False, negligible=_ROUNDING)
     except np.linalg.LinAlgError:
         return None
-    if S[order - 1] <= 1e-12 * S[0]:
-        return None
-    scale = 1.0 / np.sqrt(S[:order])
-    into, out = (right @ U[:, :order] * scale).T, left @ Vh[:order].T * scale
-    return Realisation(A=into @ K.A @ out, B=into @ K.B, C=K.C @ out, D=K.D)
-
-
-def _root(gramian: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return Realisation(A=A, B=B, C=C, D=D) if len(A) == order else None
 
 
 class Fit:
