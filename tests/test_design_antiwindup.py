@@ -8,10 +8,11 @@ import control
 import numpy as np
 import pytest
 
+from limited_response import half_cosine, limited_response
 from platform_ctrl.analysis import time_response
 from platform_ctrl.design.antiwindup import AntiWindup, anti_windup, survived_Omega, with_excess
 from platform_ctrl.design.antiwindup_job import caging_loop_limits, caging_survival
-from platform_ctrl.design.antiwindup_loop import LimitedLoop, half_cosine, limited_loop, limited_response
+from platform_ctrl.design.antiwindup_loop import LimitedLoop, limited_loop
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_controller
 from platform_ctrl.design.intersample_loop import caging_plant, intersample_gains

@@ -20,7 +20,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
 Pattern = Literal["full", "diagonal", "cross-axis"]
-ACTIONS = ("proportional", "integral", "derivative")
 
 
 def basis(s: ComplexArray, filter_time: float, period: float) -> ComplexArray:
