@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import real_array
 from platform_ctrl.certificates import Certificate, stability_certificate, static_gain
-from platform_ctrl.design.partition import Partition, Realisation, partition, with_direct_path
+from platform_ctrl.design.partition import Partition, Realisation, partition, whole, with_direct_path
 from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
@@ -336,10 +336,9 @@ def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral:
 
 
 def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSpace:
+    one = whole(p)
     return state_space(
-        StateArrays(
-            p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]), np.block([[p.D11, p.D12], [p.D21, p.D22]]), p.dt
-        ),
+        StateArrays(one.A, one.B, one.C, one.D, p.dt),
         [*(f"noise {k + 1}" for k in range(p.B1.shape[1])), *system.input_labels],
         [*(f"cost {k + 1}" for k in range(len(p.C1))), *measured],
     )

@@ -98,13 +98,8 @@ def in_w_plane(plant: Partition) -> Partition:
     if plant.dt == 0.0:
         return plant
     nz, nw = plant.D11.shape
-    A, B, C, D = to_w_plane(
-        plant.A,
-        np.hstack([plant.B1, plant.B2]),
-        np.vstack([plant.C1, plant.C2]),
-        np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
-        plant.dt,
-    )
+    one = whole(plant)
+    A, B, C, D = to_w_plane(one.A, one.B, one.C, one.D, plant.dt)
     return Partition(
         A=A, B1=B[:, :nw], B2=B[:, nw:], C1=C[:nz], C2=C[nz:],
         D11=D[:nz, :nw], D12=D[:nz, nw:], D21=D[nz:, :nw], D22=D[nz:, nw:],
@@ -164,3 +159,35 @@ def closed_loop(plant: Partition, K: Realisation) -> Realisation:
         C=np.hstack([plant.C1 + plant.D12 @ Ux, plant.D12 @ Uk]),
         D=plant.D11 + plant.D12 @ Uw,
     )
+
+
+def whole(plant: Partition) -> Realisation:
+    """Return a plant in one piece: from [w, u] to [z, y]."""
+    return Realisation(
+        A=plant.A,
+        B=np.hstack([plant.B1, plant.B2]),
+        C=np.vstack([plant.C1, plant.C2]),
+        D=np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
+    )
+
+
+def controller_system(P: StateSpace, K: Realisation) -> StateSpace:
+    """Return u = K y, sampled as P is, with the names that u and y have in P."""
+    import control
+
+    ncon, nmeas = K.D.shape
+    return control.StateSpace(
+        K.A, K.B, K.C, K.D, P.dt or 0.0,
+        inputs=P.output_labels[-nmeas:], outputs=P.input_labels[-ncon:], remove_useless_states=False,
+    )  # fmt: skip
+
+
+def closed_loop_system(P: StateSpace, loop: Realisation) -> StateSpace:
+    """Return a `closed_loop` around P, sampled as P is, with the names that w and z have in P."""
+    import control
+
+    nz, nw = loop.D.shape
+    return control.StateSpace(
+        loop.A, loop.B, loop.C, loop.D, P.dt or 0.0,
+        inputs=P.input_labels[:nw], outputs=P.output_labels[:nz], remove_useless_states=False,
+    )  # fmt: skip

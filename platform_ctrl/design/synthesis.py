@@ -28,6 +28,8 @@ from platform_ctrl.design.partition import (
     Partition,
     Realisation,
     closed_loop,
+    closed_loop_system,
+    controller_system,
     in_w_plane,
     out_of_w_plane,
     partition,
@@ -290,8 +292,6 @@ def certify(
     NotCertifiedError
         The loop is not well posed, not stable, or a norm exceeds what was promised.
     """
-    import control
-
     try:
         loop = closed_loop(plant, controller)
     except np.linalg.LinAlgError:
@@ -299,8 +299,6 @@ def certify(
     if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     poles = _stable_poles(loop.A, plant.dt, method, P)
-    u, y = P.input_labels[-plant.B2.shape[1] :], P.output_labels[-plant.C2.shape[0] :]
-    w, z = P.input_labels[: -len(u)], P.output_labels[: -len(y)]
     D = loop.D
     if norm == "h2" and plant.dt == 0.0:
         D = _without_rounding(D, plant, controller)
@@ -309,12 +307,10 @@ def certify(
     gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, gamma_optimal, P)
     return Synthesis(
         plant=P,
-        nmeas=len(y),
-        ncon=len(u),
-        controller=control.StateSpace(
-            controller.A, controller.B, controller.C, controller.D, plant.dt, inputs=y, outputs=u
-        ),
-        closed_loop=control.StateSpace(loop.A, loop.B, loop.C, loop.D, plant.dt, inputs=w, outputs=z),
+        nmeas=plant.C2.shape[0],
+        ncon=plant.B2.shape[1],
+        controller=controller_system(P, controller),
+        closed_loop=closed_loop_system(P, loop),
         gamma=gamma,
         frequency=frequency,
         gamma_optimal=float(gamma_optimal),

@@ -23,7 +23,15 @@ from platform_ctrl.design.lmi.proofs import proofs
 from platform_ctrl.design.lmi.search import CURE, posed
 from platform_ctrl.design.lmi.solutions import Solution, solutions
 from platform_ctrl.design.lmi.tasks import judged, tasks
-from platform_ctrl.design.partition import Partition, closed_loop, out_of_w_plane, partition
+from platform_ctrl.design.partition import (
+    Partition,
+    Realisation,
+    closed_loop,
+    closed_loop_system,
+    controller_system,
+    out_of_w_plane,
+    partition,
+)
 from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscale
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.frozen import value
@@ -159,18 +167,14 @@ def _finished(
     solution: Solution, plant: Partition, requirements: Sequence[LoopRequirement], backoff: float
 ) -> Multiobjective:
     """The controller in the plant's units, with the judgement of its actual closed loop."""
-    import control
-
     problem, best, least, made = solution
     K = out_of_w_plane(unscale(made, problem.scaled), plant.dt)
     P = problem.P
-    u, y = P.input_labels[-plant.B2.shape[1] :], P.output_labels[-len(plant.C2) :]
-    w, z = P.input_labels[: -len(u)], P.output_labels[: -len(y)]
     loop = closed_loop(plant, K)
     size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(K.D) * np.linalg.norm(plant.D21)
     D = np.where(np.abs(loop.D) > 1e-12 * size, loop.D, 0.0)
-    controller = control.StateSpace(K.A, K.B, K.C, K.D, plant.dt, inputs=y, outputs=u)
-    system = control.StateSpace(loop.A, loop.B, loop.C, D, plant.dt, inputs=w, outputs=z)
+    controller = controller_system(P, K)
+    system = closed_loop_system(P, Realisation(A=loop.A, B=loop.B, C=loop.C, D=D))
     poles = np.linalg.eigvals(loop.A).astype(np.complex128)
     if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
         raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; expected it stable; {CURE}", P)
@@ -186,8 +190,8 @@ def _finished(
             )
     return Multiobjective(
         plant=P,
-        nmeas=len(y),
-        ncon=len(u),
+        nmeas=len(plant.C2),
+        ncon=plant.B2.shape[1],
         requirements=tuple(requirements),
         controller=controller,
         closed_loop=system,

@@ -1,4 +1,4 @@
-"""Proofs in interval arithmetic of what a multi-objective design claims, requirement by requirement."""
+"""What is proved in interval arithmetic: loops as certificates have them, and a design's claims one by one."""
 
 from __future__ import annotations
 
@@ -16,12 +16,20 @@ from platform_ctrl.certificates import (
     region_certificate,
     stability_certificate,
 )
+from platform_ctrl.certificates.closed_loop import ClosedLoop
 from platform_ctrl.design.lmi.regions import region
 from platform_ctrl.design.lmi.tasks import CONTROLLER, NORMS
+from platform_ctrl.design.partition import Partition, Realisation, whole
 from platform_ctrl.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
+
+
+def claimed_loop(plant: Partition, K: Realisation, label: str) -> ClosedLoop:
+    """Return a plant and u = K y as a certificate holds them."""
+    one = whole(plant)
+    return ClosedLoop(A=one.A, B=one.B, C=one.C, D=one.D, A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=label)
 
 
 def proofs(

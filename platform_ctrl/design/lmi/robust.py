@@ -15,18 +15,25 @@ import numpy as np
 
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates.certificate import Certificate, proved
-from platform_ctrl.certificates.closed_loop import ClosedLoop
 from platform_ctrl.design.lmi.analysis import least_ratio, slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
 from platform_ctrl.design.lmi.conic import solve
 from platform_ctrl.design.lmi.known_matrix import KnownMatrix
 from platform_ctrl.design.lmi.linearised import cvxpy, state_feedback
 from platform_ctrl.design.lmi.polytope import require_alike, require_common
+from platform_ctrl.design.lmi.proofs import claimed_loop
 from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
 from platform_ctrl.design.lmi.solutions import solutions
 from platform_ctrl.design.lmi.tasks import judged, tasks
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, partition
+from platform_ctrl.design.partition import (
+    Partition,
+    Realisation,
+    closed_loop,
+    closed_loop_system,
+    controller_system,
+    partition,
+)
 from platform_ctrl.design.scaling import require_stabilisable, unscale
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
@@ -281,18 +288,12 @@ def _finished(
     requirements: Sequence[LoopRequirement],
     method: str,
 ) -> Robust:
-    import control
-
     problem, scaled = found.problem, found.problem.scaled
     K = unscale(found.K, scaled)
-    u, y = systems[0].input_labels[-K.D.shape[0] :], systems[0].output_labels[-K.D.shape[1] :]
-    controller = control.StateSpace(K.A, K.B, K.C, K.D, inputs=y, outputs=u)
+    controller = controller_system(systems[0], K)
     outcomes = []
     for system, part in zip(systems, parts, strict=True):
-        loop = closed_loop(part, K)
-        w, z = system.input_labels[: -len(u)], system.output_labels[: -len(y)]
-        closed = control.StateSpace(loop.A, loop.B, loop.C, loop.D, inputs=w, outputs=z)
-        judgement = judged(requirements, closed, controller, WHERE)
+        judgement = judged(requirements, closed_loop_system(system, closed_loop(part, K)), controller, WHERE)
         outcomes.append(judgement)
         for outcome in judgement:
             allowed = 1.0 if outcome.hard else found.ratio * 1.01
@@ -306,13 +307,7 @@ def _finished(
     n = len(problem.T)
     back[:n, :n] = np.linalg.inv(problem.T)
     V = back.T @ found.V @ back / scaled.rate
-    loops = tuple(
-        ClosedLoop(
-            A=p.A, B=np.hstack([p.B1, p.B2]), C=np.vstack([p.C1, p.C2]), D=np.block([[p.D11, p.D12], [p.D21, p.D22]]),
-            A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=f"plant {number + 1}",
-        )
-        for number, p in enumerate(extended)
-    )  # fmt: skip
+    loops = tuple(claimed_loop(p, K, f"plant {number + 1}") for number, p in enumerate(extended))
     norms = problem.asked.norms
     single = len(norms) == 1 and not norms[0].h2
     bound = norms[0].asked.limit * found.ratio if single else 0.0
@@ -324,8 +319,8 @@ def _finished(
     )
     return Robust(
         plants=tuple(systems),
-        nmeas=len(y),
-        ncon=len(u),
+        nmeas=K.D.shape[1],
+        ncon=K.D.shape[0],
         controller=controller,
         outcomes=tuple(outcomes),
         ratio=found.ratio,

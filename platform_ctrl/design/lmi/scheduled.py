@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates.certificate import Certificate, proved
-from platform_ctrl.certificates.closed_loop import ClosedLoop
 from platform_ctrl.design.lmi.polytope import Box, box, combined, needed, require_common, vertex_plants
+from platform_ctrl.design.lmi.proofs import claimed_loop
 from platform_ctrl.design.lmi.quadratic import quadratic_hinf
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop
+from platform_ctrl.design.partition import Partition, Realisation, closed_loop, controller_system
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
@@ -141,8 +141,6 @@ def scheduled(
     NotCertifiedError
         The proof for the controllers as returned failed.
     """
-    import control
-
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     corners = box(names, low, high, WHERE)
     systems, parts = vertex_plants(plant, corners, nmeas, ncon, WHERE)
@@ -155,15 +153,11 @@ def scheduled(
         raise UnscalableError(f"{WHERE}: {str(error).lower()} within the scaled problem", systems) from None
     level = (1 + backoff) * found.least
     certificate = _certificate(parts, found.controllers, level, found.lyapunov, systems)
-    u, y = systems[0].input_labels[-ncon:], systems[0].output_labels[-nmeas:]
     loops = [closed_loop(part, K) for part, K in zip(parts, found.controllers, strict=True)]
     return Scheduled(
         box=corners,
         plants=tuple(systems),
-        controllers=tuple(
-            control.StateSpace(K.A, K.B, K.C, K.D, inputs=y, outputs=u, remove_useless_states=False)
-            for K in found.controllers
-        ),
+        controllers=tuple(controller_system(systems[0], K) for K in found.controllers),
         nmeas=nmeas,
         ncon=ncon,
         gamma=certificate.bound,
@@ -180,12 +174,8 @@ def _certificate(
 ) -> Certificate:
     """The proof for all vertices with one matrix, at the level or hardly above it."""
     loops = tuple(
-        ClosedLoop(
-            A=p.A, B=np.hstack([p.B1, p.B2]), C=np.vstack([p.C1, p.C2]), D=np.block([[p.D11, p.D12], [p.D21, p.D22]]),
-            A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=f"vertex {number + 1}",
-        )
-        for number, (p, K) in enumerate(zip(parts, controllers, strict=True))
-    )  # fmt: skip
+        claimed_loop(p, K, f"vertex {number + 1}") for number, (p, K) in enumerate(zip(parts, controllers, strict=True))
+    )
     failure: NotCertifiedError | None = None
     for slack in SLACK:
         bound = slack * level

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition, Realisation, whole
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import value
@@ -91,12 +91,6 @@ def _simpler(P: StateSpace, plant: Partition, regularise: float | None) -> tuple
 
 def _system(plant: Partition) -> StateSpace:
     import control
-    import numpy as np
 
-    return control.StateSpace(
-        plant.A,
-        np.hstack([plant.B1, plant.B2]),
-        np.vstack([plant.C1, plant.C2]),
-        np.block([[plant.D11, plant.D12], [plant.D21, plant.D22]]),
-        remove_useless_states=False,
-    )
+    one = whole(plant)
+    return control.StateSpace(one.A, one.B, one.C, one.D, remove_useless_states=False)
