@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.arguments import known_name
-from platform_ctrl.design.structured.structures import Parameter, Structure, Units
+from platform_ctrl.design.structured.structures import Given, Parameter, Structure, Units
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -31,13 +31,14 @@ class Parametrised:
 
     def __init__(self, structure: Structure, nmeas: int, ncon: int, units: Units) -> None:
         self.structure, self.nmeas, self.ncon = structure, nmeas, ncon
-        everything = [_given(one, structure) for one in structure.parameters(nmeas, ncon, units)]
+        given, kind = structure.given, type(structure).__name__
+        everything = [_given(one, given, kind) for one in structure.parameters(nmeas, ncon, units)]
         self.names = tuple(one.name for one in everything)
         for what in ("start", "bounds", "fixed"):
-            for name in getattr(structure, what):
-                known_name(f"{type(structure).__name__}: {what}", name, self.names)
-        fixed = {self.names.index(name): float(number) for name, number in structure.fixed.items()}
-        spread, leaders = _ties(structure.tied, everything, fixed, type(structure).__name__)
+            for name in getattr(given, what):
+                known_name(f"{kind}: {what}", name, self.names)
+        fixed = {self.names.index(name): float(number) for name, number in given.fixed.items()}
+        spread, leaders = _ties(given.tied, everything, fixed, kind)
         self._base = np.array([fixed.get(k, 0.0) for k in range(len(everything))])
         self._spread = spread
         free = [everything[k] for k in leaders]
@@ -101,13 +102,13 @@ class Parametrised:
         return np.zeros((len(x), len(x)))
 
 
-def _given(one: Parameter, structure: Structure) -> Parameter:
+def _given(one: Parameter, by_name: Given, kind: str) -> Parameter:
     """Return the parameter with what the user gave for it."""
-    where = f"{type(structure).__name__}: {one.name}"
-    low, high = _pair(structure.bounds.get(one.name, (one.lower, one.upper)), where)
+    where = f"{kind}: {one.name}"
+    low, high = _pair(by_name.bounds.get(one.name, (one.lower, one.upper)), where)
     if one.positive and low < 0.0:
         raise ArgumentError(f"{where}: given bounds {low:g} to {high:g}; expected positive ones")
-    given = structure.fixed.get(one.name, structure.start.get(one.name, one.start))
+    given = by_name.fixed.get(one.name, by_name.start.get(one.name, one.start))
     if not np.isfinite(given) or (one.positive and not given > 0.0):
         raise ArgumentError(f"{where}: given {given!r}; expected a {'positive' if one.positive else 'finite'} number")
     return Parameter(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,15 @@ class Units:
     rate: float
 
 
+class Given(NamedTuple):
+    """What a user gave for parameters by name: see `Structure`."""
+
+    start: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
+    fixed: dict[str, float]
+    tied: tuple[Sequence[str], ...]
+
+
 @value
 class Structure:
     """Base of all structures.
@@ -95,8 +104,13 @@ class Structure:
         return False
 
     @property
+    def given(self) -> Given:
+        """Everything that was given by name, for its parts too."""
+        return Given(dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied))
+
+    @property
     def _plain(self) -> bool:
-        return not (self.start or self.bounds or self.fixed or self.tied)
+        return not any(self.given)
 
 
 def _mask(name: str, given: ArrayLike | str, shape: tuple[int, int]) -> Mask:
@@ -241,6 +255,10 @@ class PID(Structure):
         0 (only without D), 1 or 2.
     filtered
         Whether F stands before everything, or before the derivative alone: u = (K_P + K_I/s + K_D s F(s)) y.
+    filter_zero
+        Whether a second-order F before everything has a zero, too: F = (s/z + 1) ω²/(s² + 2 ζ ω s + ω²), with
+        parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, held by `fixed`, is a filter that does
+        not wait a sample; left free it is a lead.
     seen_through : (gains, rates), optional
         The measurement is already gain + rate/s times the signal that the PID is meant for, channel by channel, as in
         a mixed-sensitivity plant whose weight on the error stands before the controller: its pole is the PID's
@@ -252,6 +270,7 @@ class PID(Structure):
     D: ArrayLike | str = "full"
     filter_order: Literal[0, 1, 2] = 2
     filtered: Literal["everything", "derivative"] = "everything"
+    filter_zero: bool = False
     seen_through: tuple[ArrayLike, ArrayLike] | None = None
 
     def _masks(self, nmeas: int, ncon: int) -> tuple[Mask, Mask, Mask]:
@@ -261,6 +280,8 @@ class PID(Structure):
             raise ArgumentError(f"PID: filter_order = {self.filter_order!r}; expected 0, 1 or 2")
         if self.filter_order == 0 and (np.any(masks[2]) or self.seen_through is not None):
             raise ArgumentError('PID: filter_order = 0 with a derivative; expected 1 or 2, or D="none"')
+        if self.filter_zero and (self.filter_order != 2 or self.filtered != "everything"):
+            raise ArgumentError("PID: filter_zero without a filter of second order before everything; expected one")
         return masks
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
@@ -287,6 +308,13 @@ class PID(Structure):
                 Parameter(name=f"damping{j + 1}", start=0.7, size=1.0, positive=True, lower=0.02, upper=50.0)
                 for j in range(nmeas)
             ]
+        if self.filter_zero:
+            out += [
+                Parameter(
+                    name=f"zero{j + 1}", start=2.0 * rate, size=1.0, positive=True, lower=1e-3 * rate, upper=1e5 * rate
+                )
+                for j in range(nmeas)
+            ]
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
@@ -297,7 +325,10 @@ class PID(Structure):
         firsts = (0, *counts[:2])
         gains = [_filled(mask, p, int(first), n) for mask, first in zip((P, integral, D), firsts, strict=True)]
         frequency, damping = int(counts[2]), int(counts[2]) + nmeas
-        chains = [self._chain(p, j, frequency + j, damping + j, n, bool(integral[:, j].any())) for j in range(nmeas)]
+        chains = [
+            self._chain(p, j, (frequency + j, damping + j, damping + nmeas + j), bool(integral[:, j].any()))
+            for j in range(nmeas)
+        ]
         A = constant(np.zeros((sum(len(c[0].at) for c in chains),) * 2), n)
         size = len(A.at)
         B, rows = constant(np.zeros((size, nmeas)), n), constant(np.zeros((3 * nmeas, size)), n)
@@ -318,9 +349,11 @@ class PID(Structure):
         return SlopedBlock(A, B, together @ rows, together @ direct)
 
     def _chain(
-        self, p: FloatArray, j: int, frequency: int, damping: int, n: int, integral: bool
+        self, p: FloatArray, j: int, places_in_p: tuple[int, int, int], integral: bool
     ) -> tuple[Sloped, Sloped, Sloped, Sloped]:
         """Return the states behind measurement j and the rows [proportional, integral, derivative] that read them."""
+        n = len(p)
+        frequency, damping, zero = places_in_p
         degree = self.filter_order
         through = None
         if self.seen_through is not None:
@@ -379,6 +412,8 @@ class PID(Structure):
             A.at[last, 0], C.at[1, last] = 1.0, 1.0
         if self.filtered == "derivative":
             self._unfilter(A, B, C, D, through, integral)
+        if self.filter_zero:
+            return A, B, *_with_zero(A, B, C, float(p[zero]), zero)
         return A, B, C, D
 
     @staticmethod
@@ -397,6 +432,16 @@ class PID(Structure):
         if integral:
             A.at[last], A.slope[last] = 0.0, 0.0
             B.at[last, 0], C.at[1, last] = 1.0, 1.0
+
+
+def _with_zero(A: Sloped, B: Sloped, C: Sloped, z: float, place: int) -> tuple[Sloped, Sloped]:
+    """Return C and D of the rows (s/z + 1) C (sI − A)⁻¹ B; z is parameter number `place`."""
+    CA, CB = C @ A, C @ B
+    at, slope = C.at + CA.at / z, C.slope + CA.slope / z
+    slope[:, :, place] -= CA.at / z**2
+    direct = CB.slope / z
+    direct[:, :, place] -= CB.at / z**2
+    return Sloped(at, slope), Sloped(CB.at / z, direct)
 
 
 @value
@@ -498,6 +543,16 @@ class Series(Structure):
     """
 
     blocks: Sequence[Structure]
+
+    @property
+    def given(self) -> Given:
+        """Everything that was given by name here or in a block; what stands here counts."""
+        start, bounds, fixed, tied = dict(self.start), dict(self.bounds), dict(self.fixed), tuple(self.tied)
+        for one in self.blocks:
+            inner = one.given
+            start, bounds, fixed = inner.start | start, inner.bounds | bounds, inner.fixed | fixed
+            tied += inner.tied
+        return Given(start, bounds, fixed, tied)
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
         """Return those of all blocks."""

@@ -1,0 +1,145 @@
+"""Fixed structure beside published norms and beside the full order: what simplicity costs, and how long it takes.
+
+    python benchmarks/structured.py [--problems AC3,HE4] [--starts 16] [--time-limit 60] [--no-static] [--no-pid]
+
+Static output feedback on problems of COMPleib (tests/data/compleib.json: numbers, their source and what `best` and
+`hifoo` are), and PID controllers on the weighted plants of the main job, where the full-order bound is that of the
+Riccati route. Ratios below one are better than the value they are compared with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.hinf_loop import default_options
+from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.structured.structures import PID, Static
+from platform_ctrl.design.structured.synthesis import structured
+from platform_ctrl.design.weighting import WeightedPlant, weighted_plant
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.linearisation import linearise
+from platform_ctrl.reading import read_job
+
+HERE = Path(__file__).parent
+JOB = HERE.parent / "examples" / "three_gyro_platform.toml"
+PROBLEMS = HERE.parent / "tests" / "data" / "compleib.json"
+# What a norm may exceed `best` and `hifoo` by, and the share of the full-order norm that a PID may cost.
+EXCESS = 1e-3
+TARGETS = {("caging 4-5-7", "full PID"): 1.03, ("caging 9-10", "full PID"): 1.05, ("caging 9-10", "cross PI"): 1.20}
+
+
+def compleib(problem: dict[str, Any]) -> control.StateSpace:
+    """Return a problem of the file as a plant with inputs [w, u] and outputs [z, y]."""
+    A, B1, B2, C1, C2, D11, D12, D21 = (
+        np.array(problem[name], dtype=np.float64) for name in ("A", "B1", "B", "C1", "C", "D11", "D12", "D21")
+    )
+    none = np.zeros((len(C2), B2.shape[1]))
+    return control.StateSpace(
+        A, np.hstack([B1, B2]), np.vstack([C1, C2]), np.block([[D11, D12], [D21, none]]), remove_useless_states=False
+    )
+
+
+def static_rows(names: list[str], starts: int, time_limit: float) -> bool:
+    """Print static output feedback beside the values of the file; return whether all are within the allowed excess."""
+    problems = json.loads(PROBLEMS.read_text())["problems"]
+    print(f"{'static gains':<10}{'best':>12}{'hifoo':>10}{'ours':>13}{'over best':>11}{'over hifoo':>11}", end="")
+    print(f"{'full order':>12}{'price':>8}{'s':>7}")
+    met = True
+    for name in names or list(problems):
+        problem = problems[name]
+        P = compleib(problem)
+        nmeas, ncon = len(problem["C"]), len(problem["B"][0])
+        began = time.perf_counter()
+        try:
+            r = structured(P, nmeas, ncon, structure=Static(), starts=starts, time_limit=time_limit)
+        except PlatformCtrlError as error:
+            print(f"{name:<10}{error}")
+            met = False
+            continue
+        taken = time.perf_counter() - began
+        best, hifoo = problem["best"], problem.get("hifoo", float("nan"))
+        print(f"{name:<10}{best:>12.8g}{hifoo:>10.6g}{r.gamma:>13.8g}{r.gamma / best - 1:>11.1e}", end="")
+        print(f"{r.gamma / hifoo - 1:>11.1e}{r.gamma_optimal:>12.6g}{r.price:>8.3f}{taken:>7.1f}", flush=True)
+        met = met and not r.gamma > (1.0 + EXCESS) * min(best, hifoo if hifoo == hifoo else best)
+    return met
+
+
+def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
+    """Return the weighted w-plane plants of the caging loops of the main job, and the period, s."""
+    job = read_job(str(JOB))
+    model = linearise(job.platform)
+    out = []
+    for spec in job.loops[:2]:
+        plants = loop_plants(job, spec.gimbals)
+        channel = channels(model, rows_of(model, spec.gimbals))
+        given = next(design.options for design in spec.designs if design.method == "hinf")
+        weighted = weighted_plant(default_options(given, channel, plants.nutation), channel, plants)
+        names = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(weighted.size)]
+        shown = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(weighted.size)]
+        out.append((spec.name, state_space(weighted.arrays, names, shown), weighted, plants.period))
+    return out
+
+
+def pid_rows(starts: int, time_limit: float) -> bool:
+    """Print PID controllers beside the full order; return whether every target is met.
+
+    The measurement is W_e times the angle's error: the integrator of W_e is that of the PID.
+    """
+    print(
+        f"\n{'PID, job':<14}{'structure':<10}{'numbers':>8}{'full order':>12}"
+        f"{'ours':>10}{'ratio':>8}{'asked':>7}{'s':>6}"
+    )
+    met = True
+    for name, P, weighted, period in job_plants():
+        # The measurement is W_e times the angle's error: the integrator of W_e is that of the PID. A zero at 2/period
+        # is a sampled filter that does not wait a sample.
+        kept: dict[str, Any] = {"filter_zero": True, "seen_through": (weighted.weight_gain, weighted.weight_rate)}
+        early = {f"zero{k + 1}": 2.0 / period for k in range(weighted.size)}
+        kinds = {"full PID": PID(fixed=early, **kept)}
+        if weighted.size == 2:
+            # Cross I, direct P, and a lead for both: cross-axis PI with direct-axis damping.
+            kinds["cross PI"] = PID(P="diagonal", I="cross", D="none", **kept)
+        for kind, structure in kinds.items():
+            began = time.perf_counter()
+            r = structured(P, weighted.size, weighted.size, structure=structure, starts=starts, time_limit=time_limit)
+            taken = time.perf_counter() - began
+            asked = TARGETS[name, kind]
+            free = len(r.parameters) - len(structure.fixed)
+            print(f"{name:<14}{kind:<10}{free:>8}{r.gamma_optimal:>12.6g}{r.gamma:>10.6g}", end="")
+            print(f"{r.price:>8.4f}{asked:>7.2f}{taken:>6.1f}", flush=True)
+            met = met and r.price <= asked
+    return met
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--problems", default="", help="names of COMPleib problems, with commas; default all in the file"
+    )
+    parser.add_argument("--starts", type=int, default=16, help="starts of a static problem")
+    parser.add_argument("--pid-starts", type=int, default=4)
+    parser.add_argument("--time-limit", type=float, default=60.0, help="s, of a static problem")
+    parser.add_argument("--no-static", action="store_true")
+    parser.add_argument("--no-pid", action="store_true")
+    chosen = parser.parse_args()
+    met = []
+    if not chosen.no_static:
+        names = [name for name in chosen.problems.split(",") if name]
+        met.append(("static", static_rows(names, chosen.starts, chosen.time_limit)))
+    if not chosen.no_pid:
+        met.append(("PID", pid_rows(chosen.pid_starts, 10.0)))
+    print("\n" + ", ".join(f"{name}: {'every' if good else 'not every'} target met" for name, good in met))
+
+
+if __name__ == "__main__":
+    main()
