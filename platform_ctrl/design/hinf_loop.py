@@ -7,8 +7,6 @@ that rises through the bandwidth to the peak M, W_t bounds T.
 
 from __future__ import annotations
 
-import numpy as np
-
 from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane
@@ -16,7 +14,7 @@ from platform_ctrl.design.blocks import Block, series
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.options import completed
 from platform_ctrl.design.synthesis import HinfMethod, hinf
-from platform_ctrl.design.weighting import default_weights, weighted_plant
+from platform_ctrl.design.weighting import default_weights, signal_names, weighted_plant
 
 
 def default_options(given: dict[str, float], channel: Channels, nutation: float) -> dict[str, float]:
@@ -43,16 +41,9 @@ def hinf_controller(
     """
     options = default_options(given, channel, plants.nutation)
     weighted = weighted_plant(options, channel, plants)
-    size = weighted.size
-    names = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
-    shown = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
-    P = state_space(weighted.arrays, names, shown)
-    found = hinf(P, size, size, method=method, backoff=options["backoff"])
-    eye = np.eye(size)
-    # The weight's integrator belongs to the controller: it stands before K.
-    weight: Block = (np.zeros((size, size)), eye, np.diag(weighted.weight_rate), np.diag(weighted.weight_gain))
+    P = state_space(weighted.arrays, *signal_names(weighted.size))
+    found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
     K = found.controller
-    A, B, C, D = from_w_plane(*series(weight, (K.A, K.B, K.C, K.D)), plants.period)
-    out = channel.basis.T * weighted.torque_unit
-    controller = (A, B @ channel.basis, out @ C, out @ D @ channel.basis)
+    sampled = from_w_plane(*series(weighted.weight(), (K.A, K.B, K.C, K.D)), plants.period)
+    controller = weighted.at_gimbals(sampled, channel)
     return controller, options, {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}

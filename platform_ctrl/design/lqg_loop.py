@@ -7,8 +7,6 @@ sample counts; the integrator of W_e gives integral action.
 
 from __future__ import annotations
 
-import numpy as np
-
 from platform_ctrl.analysis.arrays import StateArrays, state_space
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane
@@ -16,7 +14,7 @@ from platform_ctrl.design.blocks import Block, series
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.h2 import h2
 from platform_ctrl.design.options import completed
-from platform_ctrl.design.weighting import default_weights, weighted_plant
+from platform_ctrl.design.weighting import default_weights, signal_names, weighted_plant
 
 
 def default_options(given: dict[str, float], channel: Channels, nutation: float) -> dict[str, float]:
@@ -47,17 +45,9 @@ def lqg_controller(
     options = default_options(given, channel, plants.nutation)
     weighted = weighted_plant(options, channel, plants)
     size, period = weighted.size, plants.period
-    names = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
-    shown = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
-    P = state_space(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), names, shown)
+    P = state_space(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), *signal_names(size))
     found = h2(P, size, size)
-    eye = np.eye(size)
-    # The weight's integrator belongs to the controller: it stands before K.
-    weight: Block = from_w_plane(
-        np.zeros((size, size)), eye, np.diag(weighted.weight_rate), np.diag(weighted.weight_gain), period
-    )
     K = found.controller
-    A, B, C, D = series(weight, (K.A, K.B, K.C, K.D))
-    out = channel.basis.T * weighted.torque_unit
-    controller = (A, B @ channel.basis, out @ C, out @ D @ channel.basis)
+    sampled = series(from_w_plane(*weighted.weight(), period), (K.A, K.B, K.C, K.D))
+    controller = weighted.at_gimbals(sampled, channel)
     return controller, options, {"gamma": found.gamma, "gamma_optimal": found.gamma_optimal}

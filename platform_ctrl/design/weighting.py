@@ -24,6 +24,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.design.blocks import Block
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.frozen import FloatArray, value
 
@@ -49,6 +50,24 @@ class WeightedPlant:
     weight_gain: FloatArray
     weight_rate: FloatArray
     torque_unit: FloatArray
+
+    def weight(self) -> Block:
+        """Return W_e in the w-plane. Its integrator belongs to the controller: W_e stands before K."""
+        eye = np.eye(self.size)
+        return np.zeros((self.size, self.size)), eye, np.diag(self.weight_rate), np.diag(self.weight_gain)
+
+    def at_gimbals(self, controller: Block, channel: Channels) -> Block:
+        """Return a controller of the channels, in units of torque, as one from angles to torques in N m."""
+        A, B, C, D = controller
+        out = channel.basis.T * self.torque_unit
+        return A, B @ channel.basis, out @ C, out @ D @ channel.basis
+
+
+def signal_names(size: int) -> tuple[list[str], list[str]]:
+    """Return the names of a weighted plant's inputs and outputs, for `size` channels."""
+    inputs = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(size)]
+    outputs = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(size)]
+    return inputs, outputs
 
 
 def weighted_plant(options: dict[str, float], channel: Channels, plants: PlantSet) -> WeightedPlant:

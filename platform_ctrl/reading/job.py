@@ -33,6 +33,19 @@ from platform_ctrl.reading.plant import judge_plant, open_plant
 from platform_ctrl.reading.source import Document, open_file, open_mapping, path_of
 from platform_ctrl.reading.structure import Table, structure
 
+# What the weights of a full-order design are made of.
+_WEIGHTS = frozenset(
+    {
+        "bandwidth_hz",
+        "sensitivity_peak",
+        "complementary",
+        "disturbance",
+        "torque",
+        "inertial_bandwidth_hz",
+        "inertial_disturbance",
+        "inertial_torque",
+    }
+)
 # The numbers that each method takes, by the names of the job file.
 OPTIONS: dict[str, frozenset[str]] = {
     "classical": frozenset(
@@ -56,31 +69,8 @@ OPTIONS: dict[str, frozenset[str]] = {
             "spin_notch_width",
         }
     ),
-    "hinf": frozenset(
-        {
-            "bandwidth_hz",
-            "sensitivity_peak",
-            "complementary",
-            "disturbance",
-            "torque",
-            "inertial_bandwidth_hz",
-            "inertial_disturbance",
-            "inertial_torque",
-            "backoff",
-        }
-    ),
-    "lqg": frozenset(
-        {
-            "bandwidth_hz",
-            "sensitivity_peak",
-            "complementary",
-            "disturbance",
-            "torque",
-            "inertial_bandwidth_hz",
-            "inertial_disturbance",
-            "inertial_torque",
-        }
-    ),
+    "hinf": _WEIGHTS | {"backoff"},
+    "lqg": _WEIGHTS,
     "structured": frozenset({"order", "starts", "integral_hz", "rolloff_hz", "reserve", "evaluations"}),
     "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
 }

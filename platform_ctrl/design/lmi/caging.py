@@ -22,12 +22,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.arrays import StateArrays, state_space
 from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.design.blocks import series
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.synthesis import hinf
+from platform_ctrl.design.weighting import signal_names
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import Terms, linearise
@@ -203,8 +205,6 @@ def _weighted(
     lag: float,
 ) -> StateSpace:
     """The plant of the synthesis; states: gimbals, torques behind the lag, integrals of the error."""
-    import control
-
     complementary, disturbance, torque = sizes
     A, C = affine.state_matrix(rho), basis @ affine.C
     B = affine.B[:, : len(into)] @ into
@@ -217,9 +217,4 @@ def _weighted(
     direct = np.block(
         [[eye / peak, none, none], [none, none, none], [none, none, torque * eye], [eye / peak, none, none]]
     )
-    return control.StateSpace(
-        states, inputs, outputs, direct,
-        inputs=[f"{kind}{i + 1}" for kind in ("n", "d", "u") for i in range(k)],
-        outputs=[f"{kind}{i + 1}" for kind in ("error", "angle", "torque", "measured") for i in range(k)],
-        remove_useless_states=False,
-    )  # fmt: skip
+    return state_space(StateArrays(states, inputs, outputs, direct, 0.0), *signal_names(k))
