@@ -232,7 +232,7 @@ def test_every_claim_is_proved():
     P = random_plant()
     fastest = requirement("controller poles", 100.0)
     result = design.multiobjective(P, 2, 2, [h2_bound(inputs=("d1", "d2")), hinf_bound(80.0, True), *REGION, fastest])
-    certificates = result.certificates()
+    certificates = result.certificates
     assert len(certificates) == 1 + len(result.outcomes)
     assert all(certificate.verify().proved for certificate in certificates)
     for certificate, outcome in zip(certificates[1:3], result.outcomes[:2], strict=True):

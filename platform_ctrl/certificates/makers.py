@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import ParamSpec
 
 import numpy as np
@@ -104,11 +104,9 @@ def stability_certificate(
         claimed = [float(decay)]
     else:
         claimed = [share * rate for share in _SHARES] + [0.0] if np.isfinite(rate) else [0.0]
-    for bound in claimed:
-        if bound < rate:
-            for certificate in _attempts("stability", bound, loop, system, *_lyapunov(bound)):
-                if certificate.verify().proved:
-                    return certificate
+    made = _first_proved("stability", [one for one in claimed if one < rate], loop, system, _lyapunov)
+    if made is not None:
+        return made
     raise NotCertifiedError(
         f"stability_certificate: no proof that the closed loop{_of(label)} decays at {claimed[0]:.6g} 1/s or faster "
         f"(its slowest pole decays at {rate:.6g} 1/s); try a smaller decay",
@@ -157,11 +155,10 @@ def norm_certificate(
     _require_stable(system, where, loop)
     norm = _hinf(*system) if norm is None else float(norm)
     bounds = [float(gamma)] if gamma is not None else _just_above(norm)
-    for bound in bounds:
-        if bound > norm:
-            for certificate in _attempts("norm", bound, loop, system, *_bounded_real(bound, norm)):
-                if certificate.verify().proved:
-                    return certificate
+    above = [one for one in bounds if one > norm]
+    made = _first_proved("norm", above, loop, system, lambda one: _bounded_real(one, norm))
+    if made is not None:
+        return made
     raise NotCertifiedError(
         f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
         "try a larger gamma",
@@ -208,11 +205,10 @@ def h2_certificate(
     X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
     norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
     bounds = [float(bound)] if bound is not None else _just_above(norm)
-    for claimed in bounds:
-        if claimed > norm:
-            for certificate in _attempts("h2", claimed, loop, system, *_observability(claimed, norm)):
-                if certificate.verify().proved:
-                    return certificate
+    above = [one for one in bounds if one > norm]
+    made = _first_proved("h2", above, loop, system, lambda one: _observability(one, norm))
+    if made is not None:
+        return made
     raise NotCertifiedError(
         f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
         "try a larger bound",
@@ -256,6 +252,21 @@ def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
             "try another controller",
             loop,
         )
+
+
+def _first_proved(
+    claim: Claim,
+    bounds: Sequence[float],
+    loop: ClosedLoop,
+    system: StateArrays,
+    finders: Callable[[float], tuple[Finder, PreciseFinder]],
+) -> Certificate | None:
+    """Return the certificate of the first bound that is proved, None if none is."""
+    for bound in bounds:
+        for certificate in _attempts(claim, bound, loop, system, *finders(bound)):
+            if certificate.verify().proved:
+                return certificate
+    return None
 
 
 def _attempts(

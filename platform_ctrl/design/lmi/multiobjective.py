@@ -83,8 +83,9 @@ class Multiobjective:
     method: str
     residual: dict[str, float]
 
+    @property
     def certificates(self) -> tuple[Certificate, ...]:
-        """Return proofs in interval arithmetic: stability, then one for each requirement, of `closed_loop` as it is.
+        """Proofs in interval arithmetic: stability, then one for each requirement, of `closed_loop` as it is.
 
         Norms are proved just above what they are, pole regions as asked.
 
