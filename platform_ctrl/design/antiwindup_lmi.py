@@ -16,7 +16,6 @@ room is kept by K η itself the torques never reach their limits, φ is zero, an
 from __future__ import annotations
 
 import math
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -324,9 +323,9 @@ class _Problem:
 
     def solve(self, gain: FloatArray | None, objective: float | None, time_limit: float) -> _Solution:
         """Minimise the objective; where one is given maximise the slack at it."""
-        from platform_ctrl.design.lmi.conic import solve
+        from platform_ctrl.design.lmi.conic import cvxpy, solve
 
-        cp = import_module("cvxpy")
+        cp = cvxpy()
         n, m = self.B.shape
         order = self.R.shape[1]
         Q, S, Y = cp.Variable((n, n), symmetric=True), cp.Variable(m), cp.Variable((m, n))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
+from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray
 
 Block = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+# Real or complex matrices.
+Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 
 
 def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> Block:
@@ -45,7 +50,9 @@ def gain(matrix: FloatArray | float) -> Block:
     return np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D
 
 
-def series(first: Block, *others: Block) -> Block:
+def series(
+    first: tuple[Numbers, Numbers, Numbers, Numbers], *others: tuple[Numbers, Numbers, Numbers, Numbers]
+) -> tuple[Numbers, Numbers, Numbers, Numbers]:
     """Return the blocks one after another, `first` first."""
     A, B, C, D = first
     for a, b, c, d in others:

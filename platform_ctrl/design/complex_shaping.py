@@ -23,6 +23,7 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates import Certificate, stability_certificate
+from platform_ctrl.design.blocks import series
 from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_response, transfer
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
@@ -169,7 +170,7 @@ def complex_loop(
             centre, width = centre * bend, width * bend
         cross.append(_block(1.0, notch_depth * width - 1j * centre, 1.0, width - 1j * centre, plant.dt))
     lead = _block(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, plant.dt)
-    A, B, C, D = _sum(_scaled(1j * h * rad["crossover_hz"], _series(cross)), _scaled(-J * rad["damping_hz"], lead))
+    A, B, C, D = _sum(_scaled(1j * h * rad["crossover_hz"], series(*cross)), _scaled(-J * rad["damping_hz"], lead))
     controller = ComplexSystem(
         A=A,
         B=B,
@@ -335,14 +336,6 @@ def _block(b1: complex, b0: complex, a1: complex, a0: complex, dt: float) -> Par
 def _scaled(factor: complex, parts: Parts) -> Parts:
     A, B, C, D = parts
     return A, B, np.asarray(factor * C), np.asarray(factor * D)
-
-
-def _series(blocks: list[Parts]) -> Parts:
-    A, B, C, D = blocks[0]
-    for a, b, c, d in blocks[1:]:
-        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
-        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
-    return A, B, C, D
 
 
 def _sum(one: Parts, two: Parts) -> Parts:

@@ -9,14 +9,13 @@ rank the least norm is not attained: nearer to it the controller's gains grow wi
 from __future__ import annotations
 
 import dataclasses
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from platform_ctrl.design.assumptions import without_direct_path
 from platform_ctrl.design.lmi.bounded_real import Pair, balancing, from_linearised, turned
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale
 from platform_ctrl.errors import UnscalableError
@@ -114,7 +113,7 @@ def _least(
 
 
 def _minimised(p: Partition, direct: bool, time_limit: float, P: StateSpace, tolerance: float) -> Found:
-    cp = import_module("cvxpy")
+    cp = cvxpy()
     X, Y, hat, level = *_unknowns(p, direct), cp.Variable()
     problem = cp.Problem(cp.Minimize(level), _inequalities(p, X, Y, hat, level, 0.0))
     return _solved(problem, X, Y, hat, level, 1.0, "minimising the norm", time_limit, P, tolerance)
@@ -123,7 +122,7 @@ def _minimised(p: Partition, direct: bool, time_limit: float, P: StateSpace, tol
 def _separated(
     p: Partition, least: Found, direct: bool, backoff: float, margin: float, time_limit: float, P: StateSpace
 ) -> Found:
-    cp = import_module("cvxpy")
+    cp = cvxpy()
     X, Y, hat, t = *_unknowns(p, direct), cp.Variable()
     n = len(p.A)
     own = max(10.0, float(np.trace(least.pair.X) / n), float(np.trace(least.pair.Y) / n))
@@ -140,7 +139,7 @@ def _separated(
 
 
 def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, Realisation]:
-    cp = import_module("cvxpy")
+    cp = cvxpy()
     n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
     D: Any = cp.Variable((nu, ny)) if p.dt and direct else np.zeros((nu, ny))
     hat = Realisation(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=D)
@@ -149,7 +148,7 @@ def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, Realisation]:
 
 def _inequalities(p: Partition, X: Any, Y: Any, hat: Realisation, level: Any, margin: float) -> list[Any]:
     """Constraints: the norm is below `level`, by the Lyapunov matrix whose congruent form is [[X, I], [I, Y]]."""
-    cp = import_module("cvxpy")
+    cp = cvxpy()
     (nz, nw), one = p.D11.shape, np.eye(len(p.A))
     V = cp.bmat([[X, one], [one, Y]])
     VA = cp.bmat([[p.A @ X + p.B2 @ hat.C, p.A + p.B2 @ hat.D @ p.C2], [hat.A, Y @ p.A + hat.B @ p.C2]])

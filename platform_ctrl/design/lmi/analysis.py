@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.design.lmi.conic import solve
-from platform_ctrl.design.lmi.linearised import LinearLoop, cvxpy
+from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.linearised import LinearLoop
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained
 from platform_ctrl.design.partition import Partition, Realisation, closed_loop
 from platform_ctrl.frozen import FloatArray

@@ -9,12 +9,11 @@ Becker 1995).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.errors import IllPosedError
 from platform_ctrl.frozen import FloatArray, value
@@ -73,7 +72,7 @@ def minimised(plants: Sequence[Partition], *, where: str, time_limit: float, P: 
     InfeasibleError, TimeLimitError, UnscalableError
         As in `design.lmi.conic.solve`.
     """
-    cp = _cvxpy()
+    cp = cvxpy()
     n = len(plants[0].A)
     X, Y, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     problem = cp.Problem(cp.Minimize(gamma), _constraints(plants, X, Y, gamma, 0.0, 1.0))
@@ -112,7 +111,7 @@ def separated(
     InfeasibleError, TimeLimitError, UnscalableError
         As in `design.lmi.conic.solve`.
     """
-    cp = _cvxpy()
+    cp = cvxpy()
     n = len(plants[0].A)
     X, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
     mean_X, mean_Y = cp.trace(X) / n, cp.trace(Y) / n
@@ -124,12 +123,8 @@ def separated(
     return Pair(gamma=gamma, X=X.value, Y=Y.value, separation=float(t.value))
 
 
-def _cvxpy() -> Any:
-    return import_module("cvxpy")  # Any: its annotations are incomplete
-
-
 def _constraints(plants: Sequence[Partition], X: Any, Y: Any, gamma: Any, margin: float, t: Any) -> list[Any]:
-    cp = _cvxpy()
+    cp = cvxpy()
     one = np.eye(len(plants[0].A))
     constraints = [cp.bmat([[X, t * one], [t * one, Y]]) >> 0]
     for plant in plants:

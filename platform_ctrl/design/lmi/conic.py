@@ -73,6 +73,11 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_shared.forget)
 
 
+def cvxpy() -> Any:
+    """Return the module, imported at the first use: it is slow."""
+    return import_module("cvxpy")  # Any: its annotations are incomplete
+
+
 def solve(
     problem: Any,
     variables: tuple[Any, ...],

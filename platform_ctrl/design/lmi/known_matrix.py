@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.design.lmi.bounded_real import Pair, balancing, turned
-from platform_ctrl.design.lmi.linearised import Hats, LinearLoop, cvxpy, output_feedback
+from platform_ctrl.design.lmi.conic import cvxpy
+from platform_ctrl.design.lmi.linearised import Hats, LinearLoop, output_feedback
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.frozen import FloatArray
 

@@ -8,11 +8,11 @@ expressions are those of cvxpy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.design.lmi.conic import cvxpy
 from platform_ctrl.design.lmi.regions import Region
 from platform_ctrl.design.partition import Partition, Realisation
 
@@ -38,11 +38,6 @@ class Hats(NamedTuple):
     def values(self) -> Realisation:
         """Return what the solver found."""
         return Realisation(**{name: np.asarray(getattr(part, "value", part)) for name, part in self._asdict().items()})
-
-
-def cvxpy() -> Any:
-    """Return the module, imported at the first use: it is slow."""
-    return import_module("cvxpy")  # Any: its annotations are incomplete
 
 
 def output_feedback(p: Partition, X: Any, Y: Any, hat: Hats) -> LinearLoop:

@@ -17,9 +17,9 @@ from platform_ctrl.arguments import positive
 from platform_ctrl.certificates.certificate import Certificate, proved
 from platform_ctrl.design.lmi.analysis import least_ratio, slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.lmi.known_matrix import KnownMatrix
-from platform_ctrl.design.lmi.linearised import cvxpy, state_feedback
+from platform_ctrl.design.lmi.linearised import state_feedback
 from platform_ctrl.design.lmi.polytope import require_alike, require_common
 from platform_ctrl.design.lmi.proofs import claimed_loop
 from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled

@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, turned
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.lmi.linearised import (
     Hats,
     LinearLoop,
-    cvxpy,
     h2_below,
     hinf_below,
     output_feedback,

@@ -14,9 +14,8 @@ import numpy as np
 
 from platform_ctrl.design.lmi.analysis import slackest
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix
-from platform_ctrl.design.lmi.conic import solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.lmi.known_matrix import KnownMatrix
-from platform_ctrl.design.lmi.linearised import cvxpy
 from platform_ctrl.design.lmi.search import CURE, FINE, Found, Problem, constrained, direct
 from platform_ctrl.design.partition import Realisation
 from platform_ctrl.errors import InfeasibleError, UnscalableError

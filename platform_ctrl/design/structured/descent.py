@@ -18,6 +18,7 @@ import numpy as np
 from platform_ctrl.analysis.bandwidth import LEVEL
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.design.structured.curvature import damped_update
 from platform_ctrl.design.structured.families import Family
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
@@ -350,7 +351,7 @@ def _ranked(by_plant: FloatArray) -> list[int]:
 
 
 def _updated(H: FloatArray, move: FloatArray, here: _Pieces, there: _Pieces, weights: FloatArray) -> FloatArray:
-    """Damped BFGS (Powell) on the gradient of the weighted pieces."""
+    """Return the curvature updated by the change of the weighted pieces' gradient."""
     change = np.zeros(len(move))
     expected = here.values + here.gradients @ move
     for i in np.flatnonzero(weights > 1e-6):
@@ -361,15 +362,7 @@ def _updated(H: FloatArray, move: FloatArray, here: _Pieces, there: _Pieces, wei
         turned = np.linalg.norm(there.gradients[same] - here.gradients[i], axis=1) / size
         far = turned + 10.0 * np.abs(there.values[same] - expected[i])
         change += weights[i] * (there.gradients[same[int(np.argmin(far))]] - here.gradients[i])
-    curved = H @ move
-    bend, slope = float(move @ curved), float(move @ change)
-    if not bend > 0.0 or not np.all(np.isfinite(change)):
-        return H
-    if slope < 0.2 * bend:
-        share = 0.8 * bend / (bend - slope)
-        change = share * change + (1.0 - share) * curved
-        slope = float(move @ change)
-    return np.asarray(H - np.outer(curved, curved) / bend + np.outer(change, change) / slope)
+    return damped_update(H, move, change)
 
 
 def finer(plants: PlantSet) -> PlantSet:

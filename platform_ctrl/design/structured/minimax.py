@@ -17,6 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from platform_ctrl.design.structured.curvature import damped_update
 from platform_ctrl.design.structured.quadratic import least_maximum
 from platform_ctrl.frozen import FloatArray, value
 
@@ -469,12 +470,4 @@ def _updated(
     for i in np.flatnonzero(old > 1e-6):
         far = np.linalg.norm(new_gradients - gradients[i], axis=1) / size + np.abs(new_values - expected[i]) / spread
         change += old[i] * (new_gradients[int(np.argmin(far))] - gradients[i])
-    Hd = H @ d
-    dHd, dy = float(d @ Hd), float(d @ change)
-    if dHd <= 0.0:
-        return H
-    if dy < 0.2 * dHd:
-        share = 0.8 * dHd / (dHd - dy)
-        change = share * change + (1.0 - share) * Hd
-        dy = float(d @ change)
-    return np.asarray(H - np.outer(Hd, Hd) / dHd + np.outer(change, change) / dy)
+    return damped_update(H, d, change)
