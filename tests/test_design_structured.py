@@ -304,8 +304,8 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
     assert caught.value.problem is not None
     asked = [requirement("H-infinity norm", 1e-6)]
     soft = [requirement("H-infinity norm", 1.0, hard=False)]
+    structure = design.StateSpaceOrder(states=2)
     with pytest.raises(InfeasibleError, match="meets every hard requirement"):
-        structure = design.StateSpaceOrder(states=2)
         design.structured(P, 2, 2, structure=structure, requirements=asked + soft, starts=2, processes=1)
     for wrong, said in (
         ({"structure": "PID"}, "expected a structure such as"),
