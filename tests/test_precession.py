@@ -255,8 +255,8 @@ def test_subsystems_of_odd_order_are_always_singular_and_always_cured(platform, 
         sys = precession(model, gimbals=part.gimbals).state_space(momentum_states=True)
         assert np.all(np.isfinite(np.hstack([sys.A, sys.B])))
         kept = part.momentum_directions.shape[1]
-        # Springs hold what no momentum is kept for, at times a weak gyroscopic pair too: those angles follow the torques at
-        # once and are no states.
+        # Springs hold what no momentum is kept for, at times a weak gyroscopic pair too: those angles follow the
+        # torques at once and are no states.
         if kept:
             assert sys.nstates == n + kept
         else:
