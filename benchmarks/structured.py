@@ -106,14 +106,15 @@ def pid_rows(starts: int, time_limit: float) -> bool:
         early = {f"zero{k + 1}": 2.0 / period for k in range(weighted.size)}
         kinds = {"full PID": PID(fixed=early, **kept)}
         if weighted.size == 2:
-            # Cross I, direct P, and a lead for both: cross-axis PI with direct-axis damping.
-            kinds["cross PI"] = PID(P="diagonal", I="cross", D="none", **kept)
+            # Cross-axis PI, direct-axis PD, one filter for both: ten numbers.
+            tied = (("filter1", "filter2"), ("damping1", "damping2"))
+            kinds["cross PI"] = PID(P="full", I="cross", D="diagonal", fixed=early, tied=tied, **kept)
         for kind, structure in kinds.items():
             began = time.perf_counter()
             r = structured(P, weighted.size, weighted.size, structure=structure, starts=starts, time_limit=time_limit)
             taken = time.perf_counter() - began
             asked = TARGETS[name, kind]
-            free = len(r.parameters) - len(structure.fixed)
+            free = len(r.parameters) - len(structure.fixed) - sum(len(group) - 1 for group in structure.tied)
             print(f"{name:<14}{kind:<10}{free:>8}{r.gamma_optimal:>12.6g}{r.gamma:>10.6g}", end="")
             print(f"{r.price:>8.4f}{asked:>7.2f}{taken:>6.1f}", flush=True)
             met = met and r.price <= asked

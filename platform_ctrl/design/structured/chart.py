@@ -78,4 +78,5 @@ class Chart:
         left = U.T @ Q12  # u_k' dD v = left[k] dX v
         c = np.einsum("ka,b->kab", left, Vh[-1]).reshape(len(S), n)
         d = np.einsum("a,kb->kab", left[-1], Vh).reshape(len(S), n)
-        return -second_order(c.astype(complex), d.astype(complex), S, len(S) - 1)
+        apart = S - S[-1] > 1e-3 * S[-1]
+        return -second_order(c.astype(complex), d.astype(complex), S, float(S[-1]), apart)

@@ -23,11 +23,15 @@ from platform_ctrl.frozen import FloatArray, value
 
 # x -> values (k,) and gradients (k, n) of the pieces near the maximum; [inf] where there is none.
 Pieces = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# x, move -> further pieces at x.
+Sharpened = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 # x, weights (k,) of the pieces at x -> Hessian (n, n) of the weighted sum.
 Curvature = Callable[[FloatArray, FloatArray], FloatArray]
 
 # Lewis and Overton's line search: sufficient decrease and weak Wolfe curvature.
 _DECREASE, _SLOPE = 1e-4, 0.5
+# Most rounds in which coinciding pieces are sharpened for a step.
+_SHARPER = 8
 
 
 @value
@@ -83,6 +87,8 @@ class _Search:
         curvature: Curvature | None,
         walls: Pieces | None,
         wall_curvature: Curvature | None,
+        sharpened: Sharpened | None,
+        watch: Sharpened | None,
         evaluations: int,
         deadline: float,
         target: float,
@@ -91,6 +97,7 @@ class _Search:
         self.soft, self.hard_pieces, self.stability_pieces = pieces, hard, stability
         self.curvature, self.walls, self.wall_curvature = curvature, walls, wall_curvature
         self.lower, self.upper = lower, upper
+        self.sharpened, self.watch = sharpened, watch
         self.left, self.spent, self.deadline = evaluations, 0, deadline
         self.target = target
         self.progress = progress
@@ -125,6 +132,8 @@ def minimise(
     curvature: Curvature | None = None,
     walls: Pieces | None = None,
     wall_curvature: Curvature | None = None,
+    sharpened: Sharpened | None = None,
+    watch: Sharpened | None = None,
     target: float = -np.inf,
     tolerance: float = 1e-7,
     evaluations: int = 4000,
@@ -155,6 +164,11 @@ def minimise(
         Pieces that have to stay negative to first order in every step of the polish, with
     wall_curvature
         the Hessian of their weighted sum.
+    sharpened
+        x and a move → further pieces at x that the move makes large, where pieces nearly coincide; `curvature` counts
+        them behind the others.
+    watch
+        x and a refused point → pieces of that point as they are at x, likewise.
     target
         End as soon as the largest piece is not above it (and no hard piece above one).
     tolerance
@@ -183,6 +197,8 @@ def minimise(
         curvature,
         walls,
         wall_curvature,
+        sharpened,
+        watch,
         evaluations,
         time.monotonic() + time_limit,
         target,
@@ -390,6 +406,27 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 if radius < 1e-12:
                     break
                 continue
+            solved = len(values)
+            for _ in range(_SHARPER):
+                if search.sharpened is None:
+                    break
+                more, slopes = search.sharpened(x, step.move)
+                if more.size == 0:
+                    break
+                values, gradients = np.concatenate([values, more]), np.vstack([gradients, slopes])
+                at = float(np.max(more + slopes @ step.move))
+                if at <= step.level + 0.02 * max(merit - step.level, 0.0):
+                    break
+                all_values = np.concatenate([values, *(c[0] for c in cuts)])
+                all_gradients = np.vstack([gradients, *(c[1] for c in cuts)])
+                again = least_maximum(
+                    all_values, all_gradients, H, low, high, hard_values, hard_gradients, penalty, limits
+                )
+                if again is None:
+                    break
+                step, solved = again, len(values)
+            weights = np.concatenate([step.weights[:solved], np.zeros(len(values) - solved)])
+            wall_weights = step.wall_weights
             d = step.move
             curved = 0.5 * float(d @ H @ d)
             predicted = merit - (step.level + penalty * step.violation + curved)
@@ -421,6 +458,10 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                     radius = max(0.5 * length, 1e-14)
                 continue
             radius = 0.3 * length if not np.isfinite(trial) else min(0.5 * length, radius)
+            if np.isfinite(trial) and search.watch is not None:
+                more, slopes = search.watch(x, y)
+                values, gradients = np.concatenate([values, more]), np.vstack([gradients, slopes])
+                weights = np.concatenate([weights, np.zeros(len(more))])
             if np.isfinite(trial) and hard is None and len(cuts) < 6:
                 # The pieces of the refused point, as they look from x; never above what x itself has.
                 seen = new_values - new_gradients @ d

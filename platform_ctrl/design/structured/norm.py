@@ -26,6 +26,10 @@ ComplexArray = NDArray[np.complex128]
 
 # Steps of the search for the top of a peak.
 _CLIMBS = 12
+# Bend of a peak over the logarithm of frequency, relative to its height, below which it is flat.
+_HELD = 0.05
+# Peaks that no deeper dip than this parts, relative, count once.
+_DIP = 1e-6
 
 
 def augmented(plant: Partition, order: int) -> Partition:
@@ -217,7 +221,7 @@ class ClosedLoop:
         padded = np.concatenate([[-np.inf], gains, [-np.inf]])
         local = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
         top = max(float(gains.max()), direct)
-        local = local[gains[local] >= (1.0 - 1.3 * window) * top]
+        local = _parted(gains, local[gains[local] >= (1.0 - 1.3 * window) * top])
         start = grid[local]
         if local.size == 0:
             return start, np.zeros(0)
@@ -260,10 +264,11 @@ class ClosedLoop:
         U, S, Vh = np.linalg.svd(T, full_matrices=True)
         c = U.conj().swapaxes(1, 2) @ T1 @ Vh[:, 0].conj()[:, :, None]  # u_k' T1 v
         d = Vh @ T1.conj().swapaxes(1, 2) @ U[:, :, :1]  # v_k' T1' u
-        u, v = U[:, :, 0], Vh[:, 0].conj()
         slope = c[:, 0, 0].real
-        bend = np.einsum("ni,nij,nj->n", u.conj(), T2, v).real
-        bend = bend + second_order(c[:, :, 0], d[:, :, 0], S, 0)
+        bend = np.einsum("ni,nij,nj->n", U[:, :, 0].conj(), T2, Vh[:, 0].conj()).real
+        for k in range(len(frequency)):
+            apart = S[k, 0] - S[k] > 1e-3 * S[k, 0]
+            bend[k] += second_order(c[k], d[k], S[k], float(S[k, 0]), apart)[0, 0]
         return slope, bend
 
     def responses(self, frequency: float) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
@@ -297,11 +302,28 @@ class ClosedLoop:
             gradients=np.array([one[3] for one in out]).reshape(len(out), *self.M.shape),
         )
 
-    def curvature(self, frequency: float, index: int, J: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a peak's gradient with respect to M and its Hessian in parameters that move M linearly, J = dM/dx."""
+    def block(self, frequency: float, count: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+        """Return the `count` largest singular values at one frequency and a_i = L' u_i, b_i = R v_i, a column each.
+
+        To first order the largest singular value at M + dM is the largest eigenvalue of diag(values) + (P + P')/2 with
+        P = a' dM b, also where several coincide.
+        """
+        T, L, R, _ = self.responses(frequency)
+        U, S, Vh = np.linalg.svd(T, full_matrices=False)
+        return S[:count], L.conj().T @ U[:, :count], R @ Vh[:count].conj().T
+
+    def curvature(self, frequency: float, mix: ComplexArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a piece's gradient with respect to M and its Hessian in parameters that move M linearly, J = dM/dx.
+
+        The piece is Re(u' T v) with u, v mixed from the leading singular vectors by the unit vector `mix`.
+        """
         T, L, R, N = self.responses(frequency)
         U, S, Vh = np.linalg.svd(T, full_matrices=True)
-        u, v = U[:, index], Vh[index].conj()
+        r = len(mix)
+        u, v = U[:, :r] @ mix, Vh[:r].conj().T @ mix
+        height = float(np.abs(mix) ** 2 @ S[:r])
+        apart = height - S > 1e-3 * height
+        apart[:r] = False
         n = J.shape[2]
         left, right = U.conj().T @ L, R @ v  # u_k' L, R v
         JR = np.einsum("ijx,j->ix", J, right)
@@ -325,11 +347,26 @@ class ClosedLoop:
             whole[:n, n] = whole[n, :n] = mixed
             whole[n, n] = float(np.real(u.conj() @ T2 @ v))
             H = whole
-        H = H + second_order(c, d, S, index)
+        H = H + second_order(c, d, S, height, apart)
         if inner:
-            bent = float(H[n, n])
+            # A flat peak would run away with the least change: its frequency is held back.
+            bent = float(H[n, n]) - _HELD * height / frequency**2
             H = H[:n, :n] - (np.outer(H[:n, n], H[:n, n]) / bent if bent < 0.0 else 0.0)
         return np.real(np.outer(across, right)), np.asarray(0.5 * (H + H.T), dtype=np.float64)
+
+
+def _parted(gains: FloatArray, local: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the local maxima without those that a flat stretch joins to a higher neighbour."""
+    kept: list[int] = []
+    for i in local:
+        if kept:
+            before = kept[-1]
+            if gains[before : i + 1].min() >= (1.0 - _DIP) * min(gains[before], gains[i]):
+                if gains[i] > gains[before]:
+                    kept[-1] = int(i)
+                continue
+        kept.append(int(i))
+    return np.array(kept, dtype=np.intp)
 
 
 def _between(crossed: FloatArray) -> FloatArray:
@@ -339,39 +376,34 @@ def _between(crossed: FloatArray) -> FloatArray:
     return np.concatenate([[0.5 * crossed[0]], 0.5 * (crossed[1:] + crossed[:-1]), [2.0 * crossed[-1]]])
 
 
-def second_order(c: ComplexArray, d: ComplexArray, S: FloatArray, index: int) -> FloatArray:
-    """Second-order perturbation of the singular value S[index], a sum over the other eigenpairs of [0, T; T', 0].
+def second_order(
+    c: ComplexArray, d: ComplexArray, S: FloatArray, height: float, apart: NDArray[np.bool_]
+) -> FloatArray:
+    """Second-order perturbation of a singular value, a sum over the other eigenpairs of [0, T; T', 0].
 
     Parameters
     ----------
     c
-        u_k' dT v for all left vectors k, (rows, n); or (N, rows), one direction at N places.
+        u_k' dT v for all left vectors k, (rows, n).
     d
         v_k' dT' u for all right vectors k, likewise.
     S
-        Singular values, (r,) or (N, r).
-    index
-        Which one.
+        All singular values, (r,).
+    height
+        The one whose vectors are u and v.
+    apart : (r,)
+        Which of the others are distinct from it: those that nearly coincide have no derivatives of their own.
 
     Returns
     -------
-    (n, n) or (N,)
+    (n, n)
     """
-    if S.ndim == 2:
-        return np.array(
-            [second_order(c[i][:, None], d[i][:, None], S[i], index)[0, 0] for i in range(len(S))], dtype=np.float64
-        )
-    n, r, s = c.shape[1], len(S), float(S[index])
-    out = np.zeros((n, n))
-    least = 1e-6 * s + 1e-300
-    for k in range(r):
-        plus, minus = 0.5 * (c[k] + d[k]), 0.5 * (c[k] - d[k])
-        if k != index:
-            gap = s - float(S[k])
-            # Values that coincide have no derivatives of their own; their pieces stand side by side instead.
-            if abs(gap) > 1e-3 * s:
-                out += 2.0 / gap * np.real(np.outer(plus.conj(), plus))
-        out += 2.0 / max(s + float(S[k]), least) * np.real(np.outer(minus.conj(), minus))
+    r = len(S)
+    plus, minus = 0.5 * (c[:r] + d[:r]), 0.5 * (c[:r] - d[:r])
+    gap = height - S[apart]
+    out = (2.0 * np.real(plus[apart].conj().T / gap @ plus[apart])) if np.any(apart) else 0.0
+    least = 1e-6 * height + 1e-300
+    out = out + 2.0 * np.real(minus.conj().T / np.maximum(height + S, least) @ minus)
     for rest in (c[r:], d[r:]):
-        out += np.real(rest.conj().T @ rest) / max(s, least)
-    return out
+        out = out + np.real(rest.conj().T @ rest) / max(height, least)
+    return np.asarray(out, dtype=np.float64)

@@ -9,11 +9,13 @@ from typing import Protocol
 import numpy as np
 
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.norm import ClosedLoop
+from platform_ctrl.design.structured.norm import ClosedLoop, ComplexArray
 from platform_ctrl.frozen import FloatArray
 
 # Share of its distance to the stability boundary that a pole may lose in one step, to first order.
 _APPROACH = 0.95
+# Most frequencies that are watched though no peak is there, and how near to another one is the same.
+_WATCHED, _NEAR = 12, 0.02
 
 
 class Parametrisation(Protocol):
@@ -38,7 +40,17 @@ class Parametrisation(Protocol):
 class _Point:
     def __init__(self, x: FloatArray, loops: list[ClosedLoop] | None) -> None:
         self.x, self.loops = x, loops
-        self.seen: list[tuple[int, float, int]] | None = None  # plant, frequency and number of each piece
+        # Plant, frequency and mixture of singular vectors of each piece.
+        self._blocks: dict[tuple[int, float, int], tuple[FloatArray, ComplexArray, ComplexArray]] = {}
+        self.seen: list[tuple[int, float, ComplexArray]] | None = None
+
+    def block(self, plant: int, frequency: float, count: int) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+        """Return `ClosedLoop.block`, kept."""
+        assert self.loops is not None
+        key = plant, frequency, count
+        if key not in self._blocks:
+            self._blocks[key] = self.loops[plant].block(frequency, count)
+        return self._blocks[key]
 
 
 class WorstNorm:
@@ -59,6 +71,8 @@ class WorstNorm:
     ) -> None:
         self.plants, self.controller, self.window, self.margin = tuple(plants), controller, window, margin
         self._memory = [np.zeros(0) for _ in self.plants]
+        # Frequencies at which peaks have come up out of the deep.
+        self._watched: list[tuple[int, float]] = []
         # The last few points: a search comes back to where a trial was refused.
         self._points: list[_Point] = []
 
@@ -129,20 +143,71 @@ class WorstNorm:
         if point.loops is None:
             return np.array([np.inf]), np.zeros((1, len(x)))
         values, slopes = [], []
-        seen: list[tuple[int, float, int]] = []
+        seen: list[tuple[int, float, ComplexArray]] = []
         try:
             for k, loop in enumerate(point.loops):
                 found = loop.peaks(self.window, self._memory[k])
                 self._memory[k] = np.unique(found.frequency[np.isfinite(found.frequency)])
                 values.append(found.values)
                 slopes.append(found.gradients)
-                seen += [(k, float(w), int(i)) for w, i in zip(found.frequency, found.index, strict=True)]
+                for w, i in zip(found.frequency, found.index, strict=True):
+                    count = int(np.sum(found.frequency == w))
+                    seen.append((k, float(w), np.eye(count, dtype=np.complex128)[i]))
         except np.linalg.LinAlgError:
             return np.array([np.inf]), np.zeros((1, len(x)))
         value = np.concatenate(values)
         near = value >= (1.0 - self.window) * value.max()
         point.seen = [one for one, close in zip(seen, near, strict=True) if close]
-        return value[near], np.einsum("kij,ijx->kx", np.concatenate(slopes)[near], self.controller.jacobian(x))
+        slope = np.einsum("kij,ijx->kx", np.concatenate(slopes)[near], self.controller.jacobian(x))
+        more, steep = self._at_watched(x, self._watched)
+        return np.concatenate([value[near], more]), np.vstack([slope, steep])
+
+    def _at_watched(self, x: FloatArray, watched: list[tuple[int, float]]) -> tuple[FloatArray, FloatArray]:
+        """Return the largest singular values at watched frequencies where no piece is near."""
+        point = self._at(x)
+        values: list[float] = []
+        slopes: list[FloatArray] = []
+        if point.loops is not None and point.seen is not None and watched:
+            J = self.controller.jacobian(x)
+            for k, w in watched:
+                if any(k == j and abs(w - v) <= _NEAR * w for j, v, _ in point.seen):
+                    continue
+                S, a, b = point.block(k, w, 1)
+                values.append(float(S[0]))
+                slopes.append(np.einsum("ij,ijx->x", np.real(np.outer(a[:, 0].conj(), b[:, 0])), J))
+                point.seen.append((k, w, np.ones(1, dtype=np.complex128)))
+        return np.array(values), np.array(slopes).reshape(len(values), len(x))
+
+    def watch(self, x: FloatArray, refused: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return further pieces at x: at the frequencies of peaks that made a trial point be refused."""
+        here, trial = self._at(x).seen, self._at(refused).seen
+        if here is None or trial is None:
+            return np.zeros(0), np.zeros((0, len(x)))
+        known = [(k, w) for k, w, _ in here]
+        new: list[tuple[int, float]] = []
+        for k, w, _ in trial:
+            if np.isfinite(w) and not any(k == j and abs(w - v) <= _NEAR * w for j, v in known + new):
+                new.append((k, w))
+        self._watched = [*self._watched, *new][-_WATCHED:]
+        return self._at_watched(x, new)
+
+    def sharpened(self, x: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return further pieces at x: of singular values near each other the mixture that a move makes largest."""
+        point = self._at(x)
+        values: list[float] = []
+        slopes: list[FloatArray] = []
+        if point.loops is None or point.seen is None:
+            return np.zeros(0), np.zeros((0, len(x)))
+        J = self.controller.jacobian(x)
+        dM = J @ move
+        for k, frequency, count in sorted({(k, w, len(mix)) for k, w, mix in point.seen if len(mix) > 1}):
+            S, a, b = point.block(k, frequency, count)
+            P = a.conj().T @ dM @ b
+            mix = np.linalg.eigh(np.diag(S) + 0.5 * (P + P.conj().T))[1][:, -1]
+            values.append(float(np.abs(mix) ** 2 @ S))
+            slopes.append(np.einsum("ij,ijx->x", np.real(np.outer((a @ mix).conj(), b @ mix)), J))
+            point.seen.append((k, frequency, mix))
+        return np.array(values), np.array(slopes).reshape(len(values), len(x))
 
     def curvature(self, x: FloatArray, weights: FloatArray) -> FloatArray:
         """Return the Hessian of the weighted pieces that `pieces` returned at x."""
@@ -154,9 +219,9 @@ class WorstNorm:
         if point.loops is None or point.seen is None:
             return H
         G = np.zeros(J.shape[:2])
-        for weight, (k, frequency, index) in zip(weights, point.seen, strict=True):
+        for weight, (k, frequency, mix) in zip(weights, point.seen, strict=True):
             if weight > 1e-6:
-                gradient, bent = point.loops[k].curvature(frequency, index, J)
+                gradient, bent = point.loops[k].curvature(frequency, mix, J)
                 G += weight * gradient
                 H += weight * bent
         return H + self.controller.bend(x, G)

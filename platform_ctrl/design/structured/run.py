@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,7 @@ from platform_ctrl.design.structured.minimax import Minimum, Pieces, minimise
 from platform_ctrl.design.structured.objective import Parametrisation, WorstNorm
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.power import WorstPower
+from platform_ctrl.design.structured.rescaled import Rescaled, step_sizes
 from platform_ctrl.frozen import FloatArray, value
 
 # A hard norm that exceeds its limit by no more counts as kept.
@@ -22,7 +24,9 @@ _TOUCHING = 5e-4
 _CHARTS, _WORTH = 6, 1e-7
 # The gain may grow in stages: along the limit of one the search finds its way before it meets the next.
 _COSINES = (1e-2, 1e-4, 1e-6)
-# Most evaluations in one chart.
+# The same for a pattern in coordinates scaled anew, and the first trust region there.
+_ROUNDS, _WORTHWHILE, _FIRST = 6, 2e-4, 0.1
+# Most evaluations in one chart or scaling.
 _EVALUATIONS = 1200
 
 
@@ -109,15 +113,14 @@ def searched(
     """Return what the search from `start` (search coordinates, or M where there is no pattern) finds."""
     began = time.monotonic()
     if problem.structured is not None:
-        least, _ = _minimised(problem, problem.structured, start, time_limit, progress)
-        return _outcome(problem.structured.matrix(least.x), least, least.evaluations, began)
+        return _patterned(problem, problem.structured, start, began, time_limit, progress)
     M, best, spent = start, None, 0
     for cosine in _COSINES:
         last = np.inf
         for _ in range(_CHARTS):
             chart = Chart(M, *problem.units, cosine)
             left = time_limit - (time.monotonic() - began)
-            least, moved = _minimised(problem, chart, np.zeros(M.size), left, progress)
+            least, moved = _minimised(problem, chart, np.zeros(M.size), None, left, progress)
             spent += least.evaluations
             M = chart.matrix(least.x)
             if best is None or not best[0].stable or least.value < best[0].value:
@@ -129,6 +132,37 @@ def searched(
             break
     assert best is not None
     return _outcome(best[1], best[0], spent, began, plain=True)
+
+
+def _patterned(
+    problem: Problem,
+    whole: Parametrised,
+    start: FloatArray,
+    began: float,
+    time_limit: float,
+    progress: Callable[[float], None] | None,
+) -> Outcome:
+    """Return the outcome of a search among the numbers of a structure, in coordinates that are scaled anew."""
+    bounds = whole.lower, whole.upper
+    x, spent, last = start, 0, np.inf
+    # First to stability, as far as there is no slope to scale by.
+    curved = _curved(problem)
+    least = _minimised(problem, whole, x, bounds, time_limit, progress, np.inf if curved else -np.inf)[0]
+    for _ in range(_ROUNDS if curved else 0):
+        level = least.value if least.hard <= 1.0 + _TOUCHING else np.inf
+        if not (least.finished and least.stable) or not (level < last * (1.0 - _WORTHWHILE) or level == np.inf):
+            break
+        spent, x, last = spent + least.evaluations, least.x, level
+        inner = Rescaled(whole, x, step_sizes(*WorstNorm(problem.soft[0].plants, whole).pieces(x)))
+        left = time_limit - (time.monotonic() - began)
+        found = _minimised(problem, inner, np.zeros(x.size), inner.within(*bounds), left, progress, radius=_FIRST)[0]
+        least = dataclasses.replace(found, x=np.clip(inner.outer(found.x), *bounds))
+    return _outcome(whole.matrix(least.x), least, spent + least.evaluations, began)
+
+
+def _curved(problem: Problem) -> bool:
+    """Whether curvatures are known: one norm is made small, and it is the H-infinity norm."""
+    return len(problem.soft) == 1 and not problem.soft[0].h2
 
 
 def _outcome(M: FloatArray, least: Minimum, evaluations: int, began: float, plain: bool = False) -> Outcome:
@@ -148,14 +182,17 @@ def _minimised(
     problem: Problem,
     controller: Parametrisation,
     start: FloatArray,
+    bounds: tuple[FloatArray, FloatArray] | None,
     time_limit: float,
     progress: Callable[[float], None] | None,
+    target: float = -np.inf,
+    radius: float = 1.0,
 ) -> tuple[Minimum, bool]:
     """Return the minimum, and whether it lies away from the start."""
     loops = WorstNorm(problem.plants, controller, margin=problem.decay)
     soft, curved = _pieces(problem.soft, controller, loops)
     hard = _pieces(problem.hard, controller, loops)[0] if problem.hard else None
-    lower, upper = (controller.lower, controller.upper) if isinstance(controller, Parametrised) else (None, None)
+    lower, upper = bounds or (None, None)
     least = minimise(
         soft,
         start,
@@ -163,24 +200,26 @@ def _minimised(
         upper,
         hard=hard,
         stability=loops.stability,
-        curvature=curved,
+        curvature=None if curved is None else curved.curvature,
         walls=loops.walls,
         wall_curvature=loops.wall_curvature,
+        sharpened=None if curved is None else curved.sharpened,
+        watch=None if curved is None else curved.watch,
+        target=target,
         time_limit=time_limit,
-        descent=0 if curved is not None else 200,
+        descent=200 if curved is None else 0,
         evaluations=_EVALUATIONS,
+        radius=radius,
         progress=progress,
     )
     return least, bool(np.any(least.x != start))
 
 
-def _pieces(
-    goals: tuple[Goal, ...], controller: Parametrisation, loops: WorstNorm
-) -> tuple[Pieces, Callable[[FloatArray, FloatArray], FloatArray] | None]:
-    """Return the pieces of all goals, and their curvature where it is known."""
+def _pieces(goals: tuple[Goal, ...], controller: Parametrisation, loops: WorstNorm) -> tuple[Pieces, WorstNorm | None]:
+    """Return the pieces of all goals, and what knows their curvature, if anything does."""
     if len(goals) == 1 and not goals[0].h2:
         only = loops if goals[0].plants is loops.plants else WorstNorm(goals[0].plants, controller)
-        return only.pieces, only.curvature
+        return only.pieces, only
     parts: list[WorstNorm | WorstPower] = [
         WorstPower(goal.plants, controller) if goal.h2 else WorstNorm(goal.plants, controller) for goal in goals
     ]
