@@ -24,7 +24,7 @@ from platform_ctrl.design.hinf_loop import default_options
 from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.structured.structures import PID, Static
 from platform_ctrl.design.structured.synthesis import structured
-from platform_ctrl.design.weighting import WeightedPlant, weighted_plant
+from platform_ctrl.design.weighting import WeightedPlant, signal_names, weighted_plant
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.reading import read_job
@@ -83,17 +83,12 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
         channel = channels(model, rows_of(model, spec.gimbals))
         given = next(design.options for design in spec.designs if design.method == "hinf")
         weighted = weighted_plant(default_options(given, channel, plants.nutation), channel, plants)
-        names = [f"{kind}{k + 1}" for kind in ("n", "d", "u") for k in range(weighted.size)]
-        shown = [f"{kind}{k + 1}" for kind in ("error", "angle", "torque", "measured") for k in range(weighted.size)]
-        out.append((spec.name, state_space(weighted.arrays, names, shown), weighted, plants.period))
+        out.append((spec.name, state_space(weighted.arrays, *signal_names(weighted.size)), weighted, plants.period))
     return out
 
 
 def pid_rows(starts: int, time_limit: float) -> bool:
-    """Print PID controllers beside the full order; return whether every target is met.
-
-    The measurement is W_e times the angle's error: the integrator of W_e is that of the PID.
-    """
+    """Print PID controllers beside the full order; return whether every target is met."""
     print(
         f"\n{'PID, job':<14}{'structure':<10}{'numbers':>8}{'full order':>12}"
         f"{'ours':>10}{'ratio':>8}{'asked':>7}{'s':>6}"

@@ -18,6 +18,7 @@ symmetric matrices are positive definite, which balls decide for good.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Literal
 
@@ -100,6 +101,7 @@ class Certificate:
     coordinates: FloatArray | None = None
     L: FloatArray | None = None
     M: FloatArray | None = None
+    _shown: dict[int, Verification] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def statement(self) -> str:
@@ -120,6 +122,8 @@ class Certificate:
     def verify(self, precision: int = 128) -> Verification:
         """Prove the claim in ball arithmetic, or say what fails; a false or a senseless certificate never raises.
 
+        Done once for each precision: a certificate does not change.
+
         Parameters
         ----------
         precision
@@ -127,6 +131,11 @@ class Certificate:
         """
         if not isinstance(precision, int) or precision < 2:
             raise ArgumentError(f"Certificate.verify: precision = {precision!r}; expected a number of bits, 2 or more")
+        if precision not in self._shown:
+            self._shown[precision] = self._verified(precision)
+        return self._shown[precision]
+
+    def _verified(self, precision: int) -> Verification:
         wrong, bits = self._senseless(), precision
         if wrong:
             statement = "the certificate makes sense"

@@ -150,20 +150,9 @@ def norm_certificate(
         The system is not stable, its norm is not below `gamma`, or no proof was found.
     """
     where = "norm_certificate"
-    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
-    system = _rounded(loop, where)
-    _require_stable(system, where, loop)
+    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
     norm = _hinf(*system) if norm is None else float(norm)
-    bounds = [float(gamma)] if gamma is not None else _just_above(norm)
-    above = [one for one in bounds if one > norm]
-    made = _first_proved("norm", above, loop, system, lambda one: _bounded_real(one, norm))
-    if made is not None:
-        return made
-    raise NotCertifiedError(
-        f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
-        "try a larger gamma",
-        loop,
-    )
+    return _norm_proved("norm", norm, gamma, loop, system, _bounded_real)
 
 
 @found_in_doubles
@@ -195,25 +184,14 @@ def h2_certificate(
         The system is not stable, its norm is not below `bound`, or no proof was found.
     """
     where = "h2_certificate"
-    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
-    system = _rounded(loop, where)
-    _require_stable(system, where, loop)
+    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
     if dt == 0 and np.any(system.D):
         raise NotCertifiedError(f"{where}: D is not zero; expected it zero: the H2 norm is infinite", loop)
     s = state_scaling(*system[:3])
     balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
     X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
     norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
-    bounds = [float(bound)] if bound is not None else _just_above(norm)
-    above = [one for one in bounds if one > norm]
-    made = _first_proved("h2", above, loop, system, lambda one: _observability(one, norm))
-    if made is not None:
-        return made
-    raise NotCertifiedError(
-        f"{where}: no proof that the norm{_of(label)} is below {bounds[0]:.9g} (it is about {norm:.9g}); "
-        "try a larger bound",
-        loop,
-    )
+    return _norm_proved("h2", norm, bound, loop, system, _observability)
 
 
 def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> float:
@@ -252,6 +230,36 @@ def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
             "try another controller",
             loop,
         )
+
+
+def _stable_loop(
+    plant: StateArrays, controller: StateArrays | None, label: str, where: str
+) -> tuple[ClosedLoop, StateArrays]:
+    loop = closed(plant, controller, label, where)
+    system = _rounded(loop, where)
+    _require_stable(system, where, loop)
+    return loop, system
+
+
+def _norm_proved(
+    claim: Claim,
+    norm: float,
+    asked: float | None,
+    loop: ClosedLoop,
+    system: StateArrays,
+    finders: Callable[[float, float], tuple[Finder, PreciseFinder]],
+) -> Certificate:
+    """Return the certificate that a norm lies below what is asked, or as little above `norm` as can be proved."""
+    bounds = [float(asked)] if asked is not None else _just_above(norm)
+    above = [one for one in bounds if one > norm]
+    made = _first_proved(claim, above, loop, system, lambda one: finders(one, norm))
+    if made is not None:
+        return made
+    raise NotCertifiedError(
+        f"{claim}_certificate: no proof that the norm{_of(loop.label)} is below {bounds[0]:.9g} "
+        f"(it is about {norm:.9g}); try a larger {'gamma' if claim == 'norm' else 'bound'}",
+        loop,
+    )
 
 
 def _first_proved(

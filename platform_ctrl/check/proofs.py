@@ -1,4 +1,4 @@
-"""Every certificate proved once more, and held against what the designs claim."""
+"""What every certificate proves, held against what the designs claim."""
 
 from __future__ import annotations
 
