@@ -1,0 +1,265 @@
+"""One run of the non-linear plant as values: what is flown, what moves the platform, what fails and when. SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.description import Platform
+from platform_ctrl.frozen import FloatArray, read_only, value
+
+Mode = Literal["caged", "stabilised"]
+VibrationKind = Literal["rate", "force"]
+FaultKind = Literal[
+    "rotor run-down",
+    "rotor run-up",
+    "speed ripple",
+    "torquer dead",
+    "torquer stuck",
+    "torquer weak",
+    "pick-off dead",
+    "pick-off stuck",
+    "pick-off drift",
+    "pick-off dropout",
+    "controller overrun",
+    "stop contact",
+]
+# What a fault happens to: a rotor, a torquer, a pick-off or rate sensor by its signal, a gimbal; None: the controllers.
+PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
+
+
+@value
+class HalfCosine:
+    """A platform rate that rises to `rate` about a root axis along half a cosine, is held, and falls back.
+
+    Attributes
+    ----------
+    axis
+        Root axis, 1 to 3.
+    rate
+        Rate that is held, rad/s.
+    rise, hold
+        Length of the rise (and of the fall), and of the time between, s.
+    """
+
+    axis: int
+    rate: float
+    rise: float
+    hold: float
+
+
+@value
+class TimeTable:
+    """Three numbers over time, given at points; before the first and after the last point they stay as there.
+
+    Attributes
+    ----------
+    t : (k,)
+        Increasing, s.
+    values : (k, 3)
+        Of a rate, rad/s, or a torque, N m, in root axes.
+    smooth
+        Between the points: a cubic spline with natural ends, or straight lines.
+    """
+
+    t: FloatArray
+    values: FloatArray
+    smooth: bool = False
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point."""
+        if self.smooth:
+            from scipy.interpolate import CubicSpline
+
+            # SciPy's order: highest power first, (power, piece, component).
+            spline = CubicSpline(self.t, self.values, bc_type="natural")
+            return np.ascontiguousarray(spline.c[::-1].transpose(1, 2, 0))
+        out = np.zeros((len(self.t) - 1, 3, 4))
+        out[:, :, 0] = self.values[:-1]
+        out[:, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
+        return out
+
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Return the three numbers at times of any shape, (..., 3)."""
+        times = np.clip(np.asarray(t, dtype=np.float64), self.t[0], self.t[-1])
+        if len(self.t) == 1:
+            return np.broadcast_to(self.values[0], (*times.shape, 3)).copy()
+        piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        c, s = self.coefficients[piece], (times - self.t[piece])[..., None]
+        return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
+
+
+@value
+class Vibration:
+    """Random vibration of the base about or along a root axis, with a one-sided power spectral density.
+
+    Flown as a sum of `lines` sinusoids at the middles of equal slices of logarithmic frequency, with phases drawn from
+    the run's seed alone (Shinozuka, J. Acoust. Soc. Am. 49, 1971).
+
+    Attributes
+    ----------
+    kind
+        ``"rate"`` adds to the prescribed Omega (caged alone); ``"force"`` adds to the specific force.
+    axis
+        Root axis, 1 to 3.
+    frequencies_hz : (k,), densities : (k,)
+        Increasing, Hz; (rad/s)²/Hz or (m/s²)²/Hz. Straight lines between the points on logarithmic scales, zero
+        outside.
+    lines
+        Number of sinusoids.
+    """
+
+    kind: VibrationKind
+    axis: int
+    frequencies_hz: FloatArray
+    densities: FloatArray
+    lines: int = 64
+
+    @property
+    def amplitudes(self) -> tuple[FloatArray, FloatArray]:
+        """Frequencies of the lines, rad/s, and their amplitudes sqrt(2 S(f) Δf), rad/s or m/s²; each (lines,)."""
+        low, high = math.log(self.frequencies_hz[0]), math.log(self.frequencies_hz[-1])
+        edges = np.exp(np.linspace(low, high, self.lines + 1))
+        middle = np.sqrt(edges[:-1] * edges[1:])
+        density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
+        return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
+
+
+@value
+class Fault:
+    """A part that fails at a given time.
+
+    Attributes
+    ----------
+    name
+        What tables call it.
+    kind
+        ``"rotor run-down"``: L falls from its nominal value towards `share` of it with `time_constant` from `at` on;
+        ``"rotor run-up"``: it is at `share` before `at` and rises to the nominal value with `time_constant`;
+        ``"speed ripple"``: L (1 + `amplitude` sin(2π `frequency_hz` (t − `at`))) between `at` and `until`;
+        ``"torquer dead"``: no torque between `at` and `until`;
+        ``"torquer stuck"``: the torque that it had at `at` stays until `until`;
+        ``"torquer weak"``: `share` of the commanded torque between `at` and `until`;
+        ``"pick-off dead"``: reads 0 between `at` and `until`;
+        ``"pick-off stuck"``: the last reading before `at` stays until `until`;
+        ``"pick-off drift"``: reads `rate` (t − `at`) too much between `at` and `until`;
+        ``"pick-off dropout"``: each sample between `at` and `until` is lost with `probability`, and the last one that
+        was delivered is used in its place;
+        ``"controller overrun"``: each sample between `at` and `until` is missed with `probability`: commands and the
+        controllers' states stay;
+        ``"stop contact"``: an `impulse` at the gimbal's joint at `at` throws it towards a stop, the upper one if it is
+        positive.
+    part
+        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; None for the controllers.
+    at, until
+        When it begins and when the part is sound again, s.
+    share, time_constant, amplitude, frequency_hz, rate, probability, impulse
+        Numbers of the kinds above: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
+    """
+
+    name: str
+    kind: FaultKind
+    part: str | None = None
+    at: float
+    until: float = math.inf
+    share: float = 0.0
+    time_constant: float = 0.0
+    amplitude: float = 0.0
+    frequency_hz: float = 0.0
+    rate: float = 0.0
+    probability: float = 1.0
+    impulse: float = 0.0
+
+
+@value
+class FaultKeys:
+    """What a kind of fault is made of beside `at`: the part it happens to, the numbers it needs and those it may have."""
+
+    part: PartKind | None
+    needed: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ("until",)
+
+
+FAULT_KEYS: dict[FaultKind, FaultKeys] = {
+    "rotor run-down": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
+    "rotor run-up": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
+    "speed ripple": FaultKeys(part="rotor", needed=("amplitude", "frequency_hz")),
+    "torquer dead": FaultKeys(part="torquer"),
+    "torquer stuck": FaultKeys(part="torquer"),
+    "torquer weak": FaultKeys(part="torquer", needed=("share",)),
+    "pick-off dead": FaultKeys(part="pick-off"),
+    "pick-off stuck": FaultKeys(part="pick-off"),
+    "pick-off drift": FaultKeys(part="pick-off", needed=("rate",)),
+    "pick-off dropout": FaultKeys(part="pick-off", needed=("probability",)),
+    "controller overrun": FaultKeys(part=None, optional=("until", "probability")),
+    "stop contact": FaultKeys(part="gimbal", needed=("impulse",), optional=()),
+}
+
+
+@value
+class Scenario:
+    """One run: the plant as it is in this run, how it begins, what moves it, what fails, and what it is judged by.
+
+    Noise and random phases depend on (`seed`, `run`), the sample and the channel alone.
+
+    Attributes
+    ----------
+    platform
+        The plant, tolerances included.
+    mode
+        ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free.
+    duration, delay
+        Length of the run, delay from sample to torque, s.
+    profile, Omega_table
+        Caged: what Omega is the sum of, rate vibration included; none of them: zero.
+    torque : (3,), torque_table
+        Stabilised: torques on the platform in its own axes, N m; they add up.
+    vibrations
+        Of the base.
+    faults
+        What fails; the effects of several on one part follow one another in this order.
+    q, rate : (n,)
+        Gimbal angles and their rates at t = 0, rad and rad/s; empty: all zero.
+    Omega : (3,), attitude : (4,)
+        Platform rate (stabilised alone) and unit quaternion w, x, y, z at t = 0.
+    spin : (servo rotors,)
+        Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
+    seed, run
+        What the noise is drawn from.
+    limits
+        Largest ``angle``, ``attitude``, ``torque_share``, as in `platform_ctrl.job.Manoeuvre`.
+    """
+
+    platform: Platform
+    mode: Mode
+    duration: float
+    delay: float
+    profile: HalfCosine | None = None
+    Omega_table: TimeTable | None = None
+    torque: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
+    torque_table: TimeTable | None = None
+    vibrations: tuple[Vibration, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    q: FloatArray = field(default_factory=lambda: read_only(()))
+    rate: FloatArray = field(default_factory=lambda: read_only(()))
+    Omega: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
+    attitude: FloatArray = field(default_factory=lambda: read_only((1.0, 0.0, 0.0, 0.0)))
+    spin: FloatArray | None = None
+    seed: int = 0
+    run: int = 0
+    limits: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Fill in the angles and rates that were left out."""
+        n = len(self.platform.gimbals)
+        for name in ("q", "rate"):
+            given = getattr(self, name)
+            object.__setattr__(self, name, read_only(given if len(given) else np.zeros(n)))
+        for name in ("torque", "Omega", "attitude", "spin"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, read_only(getattr(self, name)))
