@@ -1,0 +1,86 @@
+"""How a figure is distributed over any number of runs, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.frozen import FloatArray
+
+# Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
+RESOLUTION = 1e-3
+_LOWEST, _HIGHEST = 1e-12, 1e9
+_BINS = int(np.ceil(np.log(_HIGHEST / _LOWEST) / RESOLUTION))
+_EDGES_FROM = np.log(_LOWEST)
+
+
+class Distribution:
+    """Counts of a figure that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
+
+    What is added up in pieces, in any order, is the same as what is added up at once.
+
+    Attributes
+    ----------
+    counts
+        Runs in each bin: the first for everything below 1e-12, the last for everything above 1e9, infinity included.
+    smallest, largest
+        The extremes, exactly; infinite where the largest is (a run that diverged).
+    """
+
+    __slots__ = ("counts", "largest", "smallest")
+
+    def __init__(self) -> None:
+        self.counts: NDArray[np.int64] = np.zeros(_BINS + 2, dtype=np.int64)
+        self.smallest, self.largest = np.inf, -np.inf
+
+    @property
+    def runs(self) -> int:
+        """How many figures were counted."""
+        return int(self.counts.sum())
+
+    def add(self, figures: ArrayLike) -> None:
+        """Count `figures`."""
+        values = np.asarray(figures, dtype=np.float64)
+        if not values.size:
+            return
+        values = np.where(np.isfinite(values), values, np.inf)
+        self.counts += np.bincount(_bin(values), minlength=_BINS + 2)
+        self.smallest = min(self.smallest, float(values.min()))
+        self.largest = max(self.largest, float(values.max()))
+
+    def merge(self, other: Distribution) -> None:
+        """Count everything that `other` counted."""
+        self.counts += other.counts
+        self.smallest, self.largest = min(self.smallest, other.smallest), max(self.largest, other.largest)
+
+    def quantile(self, share: float) -> float:
+        """Return the least figure that at least `share` of the runs do not exceed; NaN without runs."""
+        runs = self.runs
+        if not runs:
+            return float("nan")
+        if share >= 1.0:
+            return float(self.largest)
+        rank = max(int(np.ceil(share * runs - 1e-9)), 1)
+        place = int(np.searchsorted(np.cumsum(self.counts), rank))
+        return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
+
+    def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
+        """Return how many figures lie between each two of `edges`; what lies beyond the last is left out.
+
+        The bins here are as fine as `RESOLUTION`: a figure next to an edge may be counted on its other side.
+        """
+        filled = np.flatnonzero(self.counts)
+        middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)
+        counted, _ = np.histogram(middles, bins=edges, weights=self.counts[filled].astype(np.float64))
+        return np.asarray(np.rint(counted), dtype=np.int64)
+
+
+def _bin(values: FloatArray) -> NDArray[np.intp]:
+    with np.errstate(divide="ignore"):
+        place = (np.log(np.maximum(values, 0.0)) - _EDGES_FROM) / RESOLUTION
+    return np.asarray(np.clip(np.floor(np.clip(place, -1.0, _BINS)), -1, _BINS), dtype=np.intp) + 1
+
+
+def _middles(bins: NDArray[np.intp]) -> FloatArray:
+    middles = np.exp(_EDGES_FROM + (bins - 0.5) * RESOLUTION)
+    return np.asarray(np.where(bins == 0, 0.0, np.where(bins > _BINS, np.inf, middles)))

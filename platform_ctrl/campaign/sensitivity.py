@@ -1,0 +1,319 @@
+"""Which input drives which requirement: estimated from the runs there are, none are flown for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.campaign.statistics import Limits
+from platform_ctrl.campaign.table import (
+    ENDED,
+    FIGURES,
+    MANOEUVRE,
+    PASSED,
+    RUN,
+    Array,
+    Table,
+    batches,
+    codes,
+    column_names,
+    input_names,
+)
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+
+# Runs that are looked at: the first ones of the campaign, in whatever order the table has them.
+MOST_RUNS = 1 << 16
+# An input is called a driver if noise would look like it in fewer than this share of campaigns, over all inputs.
+SIGNIFICANCE = 0.01
+# Fewer violations than this say nothing about what causes them.
+_FEWEST_EVENTS = 20
+_FEWEST_RUNS = 16
+_GROUPS = 20
+
+
+@value
+class Influence:
+    """What one input does to one figure.
+
+    Attributes
+    ----------
+    parameter
+        Name of the input.
+    index, low, high
+        First-order Sobol index: the share of the figure's variance that the input explains on its own, and its 95 %
+        interval (jackknife).
+    rank_correlation
+        Spearman's, −1 to 1: the direction of a monotone influence. NaN for words (which manoeuvre).
+    p_value
+        How probable it is that an input without influence looks like this, all inputs of the figure together (Holm).
+    driver
+        Whether that is below 1 %.
+    """
+
+    parameter: str
+    index: float
+    low: float
+    high: float
+    rank_correlation: float
+    p_value: float
+
+    @property
+    def driver(self) -> bool:
+        """Whether chance alone is no explanation."""
+        return bool(self.p_value < SIGNIFICANCE)
+
+
+@value
+class Sensitivity:
+    """What drives one requirement.
+
+    Attributes
+    ----------
+    figure
+        Name of the limit, or ``"passed"``: whether a run violates anything at all.
+    manoeuvre
+        Within this manoeuvre alone; None: over all, where the manoeuvre is an input like the others.
+    runs
+        How many were looked at.
+    ranked
+        Whether the figure's ranks stand for it, because it is not finite in some runs.
+    influences
+        All inputs, the strongest first.
+    """
+
+    figure: str
+    manoeuvre: str | None
+    runs: int
+    ranked: bool
+    influences: tuple[Influence, ...]
+
+    @property
+    def explained(self) -> float:
+        """Sum of the drivers' indices; what is missing from 1 is interaction, noise, or too small to be told."""
+        return float(sum(one.index for one in self.influences if one.driver))
+
+
+def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
+    """Return what drives each requirement, over all manoeuvres and within each.
+
+    Over manoeuvres that ask different things a figure counts relative to its limit. The first 65,536 runs are looked
+    at, so that the memory needed does not grow with a campaign.
+
+    Parameters
+    ----------
+    table, limits
+        As for `statistics`.
+    inputs
+        Columns that are inputs; default: all that are no outcome.
+
+    Raises
+    ------
+    ArgumentError
+        A column is missing.
+    InputError
+        The files cannot be read.
+    """
+    names = tuple(input_names(table) if inputs is None else inputs)
+    data = _first_runs(table, names)
+    known: dict[str, int] = {}
+    place = codes(data[MANOEUVRE], known)
+    columns = {name: data[name] for name in names}
+    found = []
+    for manoeuvre in (
+        None,
+        *sorted(known, key=lambda name: list(limits).index(name) if name in limits else len(limits)),
+    ):
+        chosen = np.ones(len(place), dtype=bool) if manoeuvre is None else place == known[manoeuvre]
+        if manoeuvre is not None and len(known) == 1:
+            continue  # the same as over all
+        for figure in (*FIGURES, PASSED):
+            if figure not in data:
+                continue
+            output, asked = _output(data, figure, manoeuvre, known, place, limits)
+            rows = chosen & asked
+            given = {
+                name: column[rows]
+                for name, column in columns.items()
+                if not (manoeuvre is not None and name == MANOEUVRE)
+            }
+            one = _sensitivity(figure, manoeuvre, given, output[rows])
+            if one is not None:
+                found.append(one)
+    return tuple(found)
+
+
+def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Influence, ...]:
+    """Return what each input does to `output`, the strongest first.
+
+    Parameters
+    ----------
+    inputs
+        Columns of N numbers, of yes and no, or of words; independent of each other, drawn as the campaign draws them.
+    output : (N,)
+        The figure, finite.
+
+    Raises
+    ------
+    ArgumentError
+        The columns do not have one length, or the output is not finite.
+
+    Notes
+    -----
+    The index: the variance of the output's means over classes of equal numbers of runs along the input, with the share
+    that classes of noise would have taken off (the ε² of an analysis of variance), over the whole variance; its
+    interval by leaving out one of 20 groups of runs at a time. Significance: Kruskal and Wallis's test over the same
+    classes and Spearman's, the smaller of the two doubled, then Holm's rule over the inputs; both tests go by ranks and
+    need no normal output.
+    """
+    y = np.asarray(output, dtype=np.float64)
+    columns = {name: np.asarray(column) for name, column in inputs.items()}
+    for name, column in columns.items():
+        if column.shape != y.shape or y.ndim != 1:
+            raise ArgumentError(f"input {name!r}: given shape {column.shape}; expected that of the output, {y.shape}")
+    if not np.isfinite(y).all():
+        raise ArgumentError("output: given a number that is not finite; expected finite ones, or their ranks")
+    from scipy import stats
+
+    ranks = stats.rankdata(y)
+    events = int(min(np.unique(y, return_counts=True)[1].min(), len(y))) if len(np.unique(y)) == 2 else len(y)
+    singles = []
+    for name, column in columns.items():
+        kind, numeric = _classes(column, events)
+        if kind.max(initial=0) == 0:
+            continue  # the same in every run
+        correlation = float(np.corrcoef(stats.rankdata(column.astype(np.float64)), ranks)[0, 1]) if numeric else np.nan
+        singles.append((name, kind, correlation))
+    adjusted = _holm([_p_value(kind, ranks, correlation) for _, kind, correlation in singles])
+    out = []
+    for (name, kind, correlation), p in zip(singles, adjusted, strict=True):
+        index, low, high = _first_order(kind, y)
+        out.append(
+            Influence(parameter=name, index=index, low=low, high=high, rank_correlation=correlation, p_value=float(p))
+        )
+    return tuple(sorted(out, key=lambda one: (-one.index, one.parameter)))
+
+
+def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
+    present = column_names(table)
+    figures = [name for name in FIGURES if name in present]
+    wanted = tuple(dict.fromkeys((RUN, MANOEUVRE, *names, *figures, PASSED, ENDED)))
+    pieces: list[dict[str, Array]] = []
+    for batch in batches(table, wanted):
+        rows = batch[RUN] < MOST_RUNS
+        rows &= np.fromiter((not str(one).startswith("not flown") for one in batch[ENDED]), bool, len(rows))
+        if rows.any():
+            pieces.append({name: column[rows] for name, column in batch.items()})
+    if not pieces:
+        return {name: np.zeros(0) for name in wanted}
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in wanted}
+
+
+def _output(
+    data: Mapping[str, Array],
+    figure: str,
+    manoeuvre: str | None,
+    known: Mapping[str, int],
+    place: NDArray[np.intp],
+    limits: Limits,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return what the inputs act on, and where it is asked for."""
+    if figure == PASSED:
+        return (data[PASSED] == 0).astype(np.float64), np.asarray(data[PASSED] >= 0)
+    bounds = np.array([limits.get(name, {}).get(figure, np.nan) for name in known] or [np.nan])[place]
+    asked = ~np.isnan(bounds)
+    return data[figure] / np.where(asked, bounds, 1.0), asked
+
+
+def _sensitivity(
+    figure: str, manoeuvre: str | None, inputs: Mapping[str, Array], output: FloatArray
+) -> Sensitivity | None:
+    """Return None where the runs are too few, or all the same."""
+    if len(output) < _FEWEST_RUNS or (
+        figure == PASSED and min(output.sum(), len(output) - output.sum()) < _FEWEST_EVENTS
+    ):
+        return None
+    from scipy import stats
+
+    ranked = not bool(np.isfinite(output).all())
+    used = stats.rankdata(np.where(np.isfinite(output), output, np.inf)) if ranked else output
+    found = influences(inputs, used)
+    return Sensitivity(figure=figure, manoeuvre=manoeuvre, runs=len(output), ranked=ranked, influences=found)
+
+
+def _classes(column: Array, events: int) -> tuple[NDArray[np.intp], bool]:
+    """Return each run's class along an input, and whether the input has an order.
+
+    Few different values are a class each. Otherwise classes of equal size: enough to follow the input, few enough
+    that each has runs to average over (and rare events to count).
+    """
+    if column.dtype.kind not in "biuf":
+        return np.unique(column.astype(str), return_inverse=True)[1].astype(np.intp), False
+    values, place = np.unique(column, return_inverse=True)
+    number = int(np.clip(min(np.sqrt(len(column)) / 2.0, events / 5.0), 2, 50))
+    if len(values) <= number:
+        return place.astype(np.intp), True
+    # Equal values stay together: a class ends where a value does.
+    return np.asarray(
+        (number * np.searchsorted(np.sort(column), column, side="left")) // len(column), dtype=np.intp
+    ), True
+
+
+def _first_order(kind: NDArray[np.intp], y: FloatArray) -> tuple[float, float, float]:
+    classes, N = int(kind.max()) + 1, len(y)
+    group = np.arange(N) * _GROUPS // N if N >= 2 * _GROUPS else np.arange(N)
+    groups = int(group.max()) + 1
+    y = y - y.mean()
+    place = group * classes + kind
+    number = np.bincount(place, minlength=groups * classes).reshape(groups, classes).astype(np.float64)
+    total = np.bincount(place, y, minlength=groups * classes).reshape(groups, classes)
+    square = np.bincount(group, y * y, minlength=groups)
+    whole = _corrected(number.sum(axis=0), total.sum(axis=0), square.sum())
+    without = np.array(
+        [
+            _corrected(number.sum(axis=0) - number[g], total.sum(axis=0) - total[g], square.sum() - square[g])
+            for g in range(groups)
+        ]
+    )
+    error = float(np.sqrt((groups - 1) / groups * ((without - without.mean()) ** 2).sum()))
+    return float(np.clip(whole, 0.0, 1.0)), max(whole - 1.96 * error, 0.0), min(max(whole + 1.96 * error, 0.0), 1.0)
+
+
+def _corrected(number: FloatArray, total: FloatArray, square: float) -> float:
+    """Return the share of variance between classes, less what classes of noise would have."""
+    N, classes = number.sum(), int((number > 0).sum())
+    variance = square - total.sum() ** 2 / N
+    if variance <= 0.0 or classes >= N:
+        return 0.0
+    between = float((total[number > 0] ** 2 / number[number > 0]).sum() - total.sum() ** 2 / N)
+    return float(1.0 - (1.0 - between / variance) * (N - 1.0) / (N - classes))
+
+
+def _p_value(kind: NDArray[np.intp], ranks: FloatArray, correlation: float) -> float:
+    """Return the smaller p of both tests, doubled where there are two."""
+    from scipy import stats
+
+    N = len(ranks)
+    number = np.bincount(kind).astype(np.float64)
+    total = np.bincount(kind, ranks - ranks.mean())
+    scatter = float(((ranks - ranks.mean()) ** 2).sum())
+    if scatter == 0.0:
+        return 1.0
+    filled = number > 0
+    statistic = (N - 1.0) * float((total[filled] ** 2 / number[filled]).sum()) / scatter
+    by_class = float(stats.chi2.sf(statistic, int(filled.sum()) - 1))
+    if np.isnan(correlation) or N < 3:
+        return by_class
+    monotone = float(2.0 * stats.norm.sf(abs(correlation) * np.sqrt(N - 1.0)))
+    return min(1.0, 2.0 * min(by_class, monotone))
+
+
+def _holm(p_values: Sequence[float]) -> FloatArray:
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p)
+    adjusted = np.maximum.accumulate(np.minimum((len(p) - np.arange(len(p))) * p[order], 1.0))
+    out = np.empty_like(p)
+    out[order] = adjusted
+    return out

@@ -1,0 +1,124 @@
+"""A campaign's table read a piece at a time: Parquet files, or columns that are in memory already."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.arguments import short
+from platform_ctrl.errors import ArgumentError, InputError
+
+# The figures of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
+FIGURES = {
+    "angle": ("largest gimbal angle", "rad"),
+    "attitude": ("largest platform angle", "rad"),
+    "torque_share": ("largest torque over its limit", ""),
+}
+# What a run's row holds besides its inputs.
+RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
+OUTCOMES = frozenset(
+    {RUN, *FIGURES, *(f"{name}_passed" for name in FIGURES), "stop_contacts", "saturated", PASSED, ENDED}
+)
+
+ROWS_AT_ONCE = 1 << 15
+
+Array = NDArray[Any]
+# A folder or file of Parquet, several files, or the columns themselves.
+Table = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str, Any]
+
+
+def column_names(table: Table) -> tuple[str, ...]:
+    """Return the names of the table's columns.
+
+    Raises
+    ------
+    InputError
+        The files cannot be read.
+    """
+    return tuple(table) if isinstance(table, Mapping) else tuple(_dataset(table).schema.names)
+
+
+def input_names(table: Table) -> tuple[str, ...]:
+    """Return the columns that went into the runs: all that are no outcome."""
+    return tuple(name for name in column_names(table) if name not in OUTCOMES)
+
+
+def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
+    """Yield the named columns a stretch of rows at a time, in the table's order.
+
+    Numbers come as float64 (`run` as int64), words as objects, yes and no as int8 where −1 says neither.
+
+    Raises
+    ------
+    ArgumentError
+        A column is missing, or the columns have different lengths.
+    InputError
+        The files cannot be read.
+    """
+    known = column_names(table)
+    for name in names:
+        if name not in known:
+            raise ArgumentError(f"table: has no column {name!r}; expected one with {short(tuple(names))}")
+    if isinstance(table, Mapping):
+        yield from _in_memory(table, names)
+        return
+    dataset = _dataset(table)
+    for batch in dataset.to_batches(columns=list(names), batch_size=ROWS_AT_ONCE):
+        if batch.num_rows:
+            yield {name: _column(name, batch.column(name).to_numpy(zero_copy_only=False)) for name in names}
+
+
+def _in_memory(table: Mapping[str, Any], names: Sequence[str]) -> Iterator[dict[str, Array]]:
+    columns = {name: np.asarray(table[name]) for name in names}
+    lengths = {name: column.shape for name, column in columns.items()}
+    if len(set(lengths.values())) != 1 or any(len(shape) != 1 for shape in lengths.values()):
+        raise ArgumentError(f"table: columns of shapes {short(lengths)}; expected one length for all")
+    rows = len(next(iter(columns.values())))
+    for first in range(0, rows, ROWS_AT_ONCE):
+        yield {name: _column(name, column[first : first + ROWS_AT_ONCE]) for name, column in columns.items()}
+
+
+def _column(name: str, column: Array) -> Array:
+    if name == RUN:
+        return column.astype(np.int64)
+    if name == PASSED or name.endswith("_passed"):
+        return _answers(column)
+    if column.dtype.kind == "b":
+        return column.astype(np.int8)
+    if column.dtype.kind in "iuf":
+        return column.astype(np.float64)
+    if column.dtype.kind in "US":
+        return column.astype(object)
+    if all(isinstance(item, bool | np.bool_ | None) for item in column):
+        return _answers(column)
+    return column
+
+
+def _answers(column: Array) -> Array:
+    """Return 1 for yes, 0 for no, −1 where the question was not asked (None, a missing number)."""
+    if column.dtype.kind in "biu":
+        return column.astype(np.int8)
+    return np.fromiter((-1 if item is None or item != item else int(bool(item)) for item in column), np.int8)
+
+
+def _dataset(table: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Any:
+    try:
+        from pyarrow import ArrowException, dataset
+    except ImportError:
+        raise InputError(
+            "a campaign's table is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]'"
+        ) from None
+    given = os.fspath(table) if isinstance(table, str | os.PathLike) else [os.fspath(path) for path in table]
+    try:
+        return dataset.dataset(given, format="parquet")
+    except (ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{short(given)}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+
+
+def codes(words: Array, known: dict[str, int]) -> NDArray[np.intp]:
+    """Return a number for each word; words that are new get the next one in `known`."""
+    return np.fromiter((known.setdefault(str(word), len(known)) for word in words), np.intp, len(words))
