@@ -57,7 +57,7 @@ def furnished(platform: Platform, seed: int) -> Platform:
 
 def state_derivative(platform, q, v, force, free):
     """[q', v'] of the kernel."""
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     n = len(platform.gimbals)
     y = np.concatenate([q, v, [1.0, 0.0, 0.0, 0.0]])

@@ -60,7 +60,7 @@ def some_free(platform: Platform) -> Platform:
 
 
 def derivative(platform, q, velocity, force, free=True, held=()):
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     n = len(platform.gimbals)
     y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
@@ -73,7 +73,7 @@ def derivative(platform, q, velocity, force, free=True, held=()):
 
 def mass_and_momentum(platform, q):
     """A* and B'L from the kernel's workspace, the latter through the joint momenta and the root's sum at rest."""
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     n = len(platform.gimbals)
     work, matrix = kernel.workspace(n)
@@ -85,7 +85,7 @@ def mass_and_momentum(platform, q):
 
 
 def joint_momenta(platform, q, velocity):
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     n = len(platform.gimbals)
     p = np.empty(n)
@@ -308,7 +308,7 @@ def test_gimbals_that_carry_each_other_in_a_ring_are_refused():
 
 
 def test_the_kernel_compiles_where_no_cache_can_be_kept():
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     # numba finds no place for the cache of a function without a source file.
     scope: dict = {}

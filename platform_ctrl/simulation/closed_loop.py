@@ -241,7 +241,7 @@ def simulate(
         [[math.exp(-0.5 * h / t.lag) if t.lag > 0.0 else 0.0 for t in platform.torquers] for h in steps]
     ).reshape(2, len(limit))
 
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     plant = pack(platform)
     if not free:

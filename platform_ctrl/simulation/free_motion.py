@@ -110,7 +110,7 @@ def rollout(
     check_step(platform, step, free=True)
     check_elements(platform, step, free=True)
 
-    from platform_ctrl.simulation import kernel
+    from platform_ctrl.simulation import old_kernel as kernel
 
     plant = pack(platform)
     states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)

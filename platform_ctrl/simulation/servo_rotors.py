@@ -46,7 +46,7 @@ def spins_of(plant: Plant, states: FloatArray) -> FloatArray:
     count = (states.shape[-1] - 2 * plant[0].shape[1] - 7) // 2
     spins = np.empty((*states.shape[:-1], count))
     if count:
-        from platform_ctrl.simulation import kernel
+        from platform_ctrl.simulation import old_kernel as kernel
 
         flat = np.ascontiguousarray(states).reshape(-1, states.shape[-1])
         kernel.rotor_spins(*plant, True, flat, spins.reshape(-1, count))

@@ -1,0 +1,583 @@
+"""Equations of motion of the exact non-linear plant, by articulated bodies (Featherstone 2008, ch. 7).
+
+All bodies turn about one fixed point, so that only rotations remain of that recursion. Bodies are numbered 0 (root) and
+1 + k (gimbal k). With the rates w, the carriers' inertias I (rotors included: A(1 - ss') + C ss' where regulated,
+A(1 - ss') where free), h = sum L s of the rotors, and a the joint's axis:
+
+    N = I wdot + w x (I w + h) + hdot                     moment of one carrier
+    Q_j = a_j . (sum of N over the subtree of j)          joint torque; the root's M is the sum over all bodies
+    p_j = a_j . (sum of H = I w + h over the subtree)     joint momentum, eq. (9): dT/dqdot_j
+    dT/dq_j = a_j . (H_subtree x w_parent)                only w_parent turns against the frame of j
+
+The root rows are Boltzmann-Hamel's by construction: they are the moment of momentum in turning axes. N and p have the
+same form, so that one recursion gives accelerations from torques and rates from momenta.
+
+The state is [q (n), v (3 + n), attitude (4), P (m), x (m)] with v = [Omega, qdot] for a free root and
+v = [Omega(t), p] for a prescribed Omega, whose derivative is not needed then; attitude is the unit quaternion w, x, y,
+z that takes root axes to inertial axes. P and x belong to the m servo rotors: axial momentum C (phidot + s . w) and
+integral of the speed error.
+
+A servo rotor is a free rotor, P s in place of L s, whose momentum the motor changes: Pdot = tau. N of its carrier then
+has hdot = tau s besides, in other words the motor's reaction -tau s acts on the carrier. With dT/dqdot as momenta there
+is no reaction: the motor's torque does virtual work along phi alone, and dT/dq at constant phidot is that above. The
+same holds for regulated rotors whose L follows a course in time.
+
+The force elements add to [M, Q]: springs, friction, cages and erections at their gimbals; an unbalance as the moment
+-(m r) x f on its carrier.
+
+Non-positive pivots give NaN, which the callers take as divergence.
+"""
+
+from __future__ import annotations
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.simulation.kernel.body import (
+    ACCELERATION,
+    BODY,
+    BREAKAWAY,
+    CAGE,
+    COS,
+    COULOMB,
+    DRIVE,
+    ERECTION,
+    ERECTION_GAIN,
+    ERECTION_LIMIT,
+    FORCE,
+    GAIN,
+    GAIN_X,
+    GAIN_Y,
+    GIMBAL,
+    INERTIA,
+    INTEGRAL,
+    JOINT,
+    LOCKED,
+    MOMENT,
+    PARENT,
+    PER_COULOMB_RATE,
+    PER_STRIBECK_RATE,
+    PRELOAD,
+    PRODUCT,
+    RATE,
+    SERVO,
+    SIN,
+    SKEW,
+    SPIN,
+    STIFFNESS,
+    TORQUE_LIMIT,
+    UNBALANCE,
+    VISCOUS,
+    WORK,
+    XX,
+    XY,
+    XZ,
+    YY,
+    YZ,
+    ZZ,
+    At,
+    C,
+    Links,
+    X,
+    Y,
+    Z,
+)
+from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential, hyperbolic_tangent
+from platform_ctrl.simulation.kernel.lanes import (
+    Number,
+    choose,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    root,
+    store,
+)
+
+Vector = tuple[Number, Number, Number]
+
+
+@inlined
+def _vector(mem: FloatArray, lane: int, slot: int) -> Vector:
+    return load(mem, slot, lane), load(mem, slot + 1, lane), load(mem, slot + 2, lane)
+
+
+@inlined
+def _put(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> None:
+    store(mem, slot, lane, x)
+    store(mem, slot + 1, lane, y)
+    store(mem, slot + 2, lane, z)
+
+
+@inlined
+def _add(mem: FloatArray, lane: int, slot: int, number: Number) -> None:
+    store(mem, slot, lane, load(mem, slot, lane) + number)
+
+
+@inlined
+def _from_parent(links: Links, mem: FloatArray, lane: int, m: int, slot: int) -> Vector:
+    """A vector of the parent, in the axes that gimbal m of the order has at q = 0."""
+    tree, turn = links.tree, links.turn
+    x, y, z = load(mem, slot + tree[m, X], lane), load(mem, slot + tree[m, Y], lane), load(mem, slot + tree[m, Z], lane)
+    if tree[m, SKEW] != 0:
+        return (
+            turn[m, 0, 0] * x + turn[m, 0, 1] * y + turn[m, 0, 2] * z,
+            turn[m, 1, 0] * x + turn[m, 1, 1] * y + turn[m, 1, 2] * z,
+            turn[m, 2, 0] * x + turn[m, 2, 1] * y + turn[m, 2, 2] * z,
+        )
+    return x, y, z
+
+
+@inlined
+def _to_parent(
+    links: Links, mem: FloatArray, lane: int, m: int, slot: int, c: Number, s: Number, x: Number, y: Number, z: Number
+) -> None:
+    """Add a vector of gimbal m of the order to one of its parent."""
+    tree, turn = links.tree, links.turn
+    x, y = c * x - s * y, s * x + c * y
+    if tree[m, SKEW] != 0:
+        for i in range(3):
+            _add(mem, lane, slot + i, turn[m, 0, i] * x + turn[m, 1, i] * y + turn[m, 2, i] * z)
+    else:
+        _add(mem, lane, slot + tree[m, X], x)
+        _add(mem, lane, slot + tree[m, Y], y)
+        _add(mem, lane, slot + tree[m, Z], z)
+
+
+@inlined
+def _times(mem: FloatArray, lane: int, slot: int, x: Number, y: Number, z: Number) -> Vector:
+    """The inertia at `slot` times a vector."""
+    xx, yy, zz = _vector(mem, lane, slot)
+    xy, xz, yz = _vector(mem, lane, slot + 3)
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@inlined
+def _whole_inertia_to_parent(links: Links, mem: FloatArray, lane: int, at: At, m: int, slot: int) -> None:
+    """Add the articulated inertia at `slot`, all six of it, to the parent's: skew axes and locked joints."""
+    tree, turn = links.tree, links.turn
+    work = slot - INERTIA
+    c, s = load(mem, work + COS, lane), load(mem, work + SIN, lane)
+    xx, yy, zz = _vector(mem, lane, slot)
+    xy, xz, yz = _vector(mem, lane, slot + 3)
+    a, b = c * xx - s * xy, c * xy - s * yy
+    trace = xx + yy
+    xx, xy = c * a - s * b, s * a + c * b
+    yy = trace - xx
+    xz, yz = c * xz - s * yz, s * xz + c * yz
+    up = at.work + tree[m, PARENT] * WORK + INERTIA
+    if tree[m, SKEW] != 0:
+        for i in range(3):
+            ax, ay, az = turn[m, 0, i], turn[m, 1, i], turn[m, 2, i]
+            u, v, w = xx * ax + xy * ay + xz * az, xy * ax + yy * ay + yz * az, xz * ax + yz * ay + zz * az
+            _add(mem, lane, up + i, ax * u + ay * v + az * w)
+            for j in range(i):
+                turned = turn[m, 0, j] * u + turn[m, 1, j] * v + turn[m, 2, j] * w
+                _add(mem, lane, up + 2 + i + j, turned)  # xy 3, xz 4, yz 5
+    else:
+        _add(mem, lane, up + tree[m, XX], xx)
+        _add(mem, lane, up + tree[m, YY], yy)
+        _add(mem, lane, up + tree[m, ZZ], zz)
+        _add(mem, lane, up + tree[m, XY], xy)
+        _add(mem, lane, up + tree[m, XZ], xz)
+        _add(mem, lane, up + tree[m, YZ], yz)
+
+
+@internal
+def _joint_torque(mem: FloatArray, lane: int, at: At, joint: int, q: Number, rate: Number) -> Number:
+    """What springs, friction and a cage do at a joint."""
+    Q = load(mem, joint + PRELOAD, lane) - load(mem, joint + STIFFNESS, lane) * q
+    Q = Q - load(mem, joint + VISCOUS, lane) * rate
+    if at.dry != 0:
+        back = rate < 0.0
+        level = choose(back, load(mem, joint + COULOMB, lane), load(mem, joint + COULOMB + 1, lane))
+        more = choose(back, load(mem, joint + BREAKAWAY, lane), load(mem, joint + BREAKAWAY + 1, lane)) - level
+        sliding = rate * load(mem, joint + PER_STRIBECK_RATE, lane)
+        level = level + more * exponential(-sliding * sliding)
+        Q = Q - level * hyperbolic_tangent(rate * load(mem, joint + PER_COULOMB_RATE, lane))
+    if at.cages != 0:
+        # No cage is one with infinite clearance.
+        stiffness, damping = load(mem, joint + CAGE, lane), load(mem, joint + CAGE + 1, lane)
+        clearance, out = load(mem, joint + CAGE + 2, lane), q - load(mem, joint + CAGE + 3, lane)
+        held = stiffness * out + damping * rate
+        above = greater(held - stiffness * clearance, 0.0 * rate)
+        below = lesser(held + stiffness * clearance, 0.0 * rate)
+        push = choose(out > clearance, above, choose(out < -clearance, below, 0.0 * rate))
+        Q = Q - choose(clearance > 0.0, push, held)
+    return Q
+
+
+@inlined
+def _servo_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, field: int) -> None:
+    """Add P s of the servo rotors to a vector of their carriers."""
+    for r in range(at.servos):
+        slot = at.work + links.servo_carrier[r] * WORK + field
+        p = load(mem, y + 2 * at.n + 7 + r, lane)
+        for i in range(3):
+            _add(mem, lane, slot + i, p * load(mem, at.servo + r * SERVO + i, lane))
+
+
+@inlined
+def _drives(links: Links, mem: FloatArray, lane: int, at: At, react: bool, y: int, dy: int) -> None:
+    """Derivatives of the servo rotors' states; with `react` their motors' torques on the carriers' moments."""
+    p, x = 2 * at.n + 7, 2 * at.n + 7 + at.servos
+    for r in range(at.servos):
+        row, work = at.servo + r * SERVO, at.work + links.servo_carrier[r] * WORK
+        s0, s1, s2 = _vector(mem, lane, row)
+        w0, w1, w2 = _vector(mem, lane, work + RATE)
+        spin = load(mem, y + p + r, lane) / load(mem, row + C, lane) - (s0 * w0 + s1 * w1 + s2 * w2)
+        error = spin - load(mem, row + SPIN, lane)
+        limit = load(mem, row + TORQUE_LIMIT, lane)
+        wanted = -load(mem, row + GAIN, lane) * error - load(mem, row + INTEGRAL, lane) * load(mem, y + x + r, lane)
+        torque = lesser(greater(wanted, -limit), limit)
+        further = ((wanted >= limit) & (error < 0.0)) | ((wanted <= -limit) & (error > 0.0))
+        store(mem, dy + p + r, lane, torque)
+        store(mem, dy + x + r, lane, choose(further, 0.0 * error, error))
+        if react:
+            _add(mem, lane, work + MOMENT, torque * s0)
+            _add(mem, lane, work + MOMENT + 1, torque * s1)
+            _add(mem, lane, work + MOMENT + 2, torque * s2)
+
+
+@inlined
+def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare: bool, y: int, around: int) -> None:
+    """From the root to the tips: joints' cosines and sines; rates and moments at zero acceleration (free root)."""
+    n = at.n
+    momenta = around + n + 9
+    for b in range(n + 1):
+        slot = at.work + b * WORK
+        for i in range(6):
+            store(mem, slot + INERTIA + i, lane, load(mem, at.body + b * BODY + i, lane))
+    w0, w1, w2 = _vector(mem, lane, y + n)
+    _put(mem, lane, at.work + RATE, w0, w1, w2)
+    if at.weight != 0:
+        f0, f1, f2 = _vector(mem, lane, around + n + 6)
+        _put(mem, lane, at.work + FORCE, f0, f1, f2)
+    for m in range(n):
+        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
+        slot = at.work + (k + 1) * WORK
+        c, s = cosine_and_sine(load(mem, y + k, lane))
+        store(mem, slot + COS, lane, c)
+        store(mem, slot + SIN, lane, s)
+        if free:
+            x, v, z = _from_parent(links, mem, lane, m, up + RATE)
+            rate = load(mem, y + n + 3 + k, lane)
+            x, v, z = c * x + s * v, c * v - s * x, z + rate
+            _put(mem, lane, slot + RATE, x, v, z)
+            store(mem, slot + PRODUCT, lane, v * rate)
+            store(mem, slot + PRODUCT + 1, lane, -x * rate)
+        if at.weight != 0:
+            x, v, z = _from_parent(links, mem, lane, m, up + FORCE)
+            _put(mem, lane, slot + FORCE, c * x + s * v, c * v - s * x, z)
+    for b in range(n + 1):
+        slot = at.work + b * WORK
+        h0, h1, h2 = _vector(mem, lane, momenta + 3 * b)
+        if bare:
+            h0, h1, h2 = 0.0 * h0, 0.0 * h1, 0.0 * h2
+        _put(mem, lane, slot + MOMENT, h0, h1, h2)
+    if not bare:
+        _servo_momenta(links, mem, lane, at, y, MOMENT)
+    if free:
+        for b in range(n + 1):
+            slot = at.work + b * WORK
+            w0, w1, w2 = _vector(mem, lane, slot + RATE)
+            H0, H1, H2 = _times(mem, lane, at.body + b * BODY, w0, w1, w2)
+            h0, h1, h2 = _vector(mem, lane, slot + MOMENT)
+            H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
+            _put(mem, lane, slot + MOMENT, w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0)
+
+
+@inlined
+def _weight(links: Links, mem: FloatArray, lane: int, at: At, torque: int) -> None:
+    """Add the unbalances' moments on the carriers to MOMENT, with the sign of what has to be held."""
+    for b in range(at.n + 1):
+        slot = at.work + b * WORK
+        u0, u1, u2 = _vector(mem, lane, at.body + b * BODY + UNBALANCE)
+        f0, f1, f2 = _vector(mem, lane, slot + FORCE)
+        _add(mem, lane, slot + MOMENT, u1 * f2 - u2 * f1)
+        _add(mem, lane, slot + MOMENT + 1, u2 * f0 - u0 * f2)
+        _add(mem, lane, slot + MOMENT + 2, u0 * f1 - u1 * f0)
+
+
+@inlined
+def _erections(links: Links, mem: FloatArray, lane: int, at: At, dy: int) -> None:
+    """Add the erecting devices' torques to the joints' in `dy`."""
+    f0, f1, f2 = _vector(mem, lane, at.work + FORCE)
+    size = root(f0 * f0 + f1 * f1 + f2 * f2)
+    scale = choose(size > 0.0, 1.0 / size, 0.0 * size)
+    for e in range(links.erection.shape[0]):
+        row, slot = at.erection + e * ERECTION, at.work + links.erection[e, 1] * WORK + FORCE
+        s0, s1, s2 = _vector(mem, lane, row)
+        f0, f1, f2 = _vector(mem, lane, slot)
+        Q = load(mem, row + ERECTION_GAIN, lane) * (s0 * f0 + s1 * f1 + s2 * f2) * scale
+        limit = load(mem, row + ERECTION_LIMIT, lane)
+        _add(mem, lane, dy + links.erection[e, 0], lesser(greater(Q, -limit), limit))
+
+
+@inlined
+def _inward(links: Links, mem: FloatArray, lane: int, at: At, moving: bool, locking: bool, torque: int) -> None:
+    """From the tips to the root: articulated inertias and moments; `torque` holds the joints' torques (or momenta)."""
+    n = at.n
+    for m in range(n - 1, -1, -1):
+        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
+        slot = at.work + (k + 1) * WORK
+        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
+        xx, yy, D = _vector(mem, lane, slot + INERTIA)
+        xy, ux, uy = _vector(mem, lane, slot + INERTIA + 3)
+        p0, p1, p2 = _vector(mem, lane, slot + MOMENT)
+        tau = load(mem, torque + k, lane)
+        ease = choose(D > 0.0, 1.0 / D, float("nan") * D)
+        if locking:
+            ease = ease * (1.0 - load(mem, slot + LOCKED, lane))
+        gx, gy, drive = ux * ease, uy * ease, (tau - p2) * ease
+        store(mem, slot + GAIN_X, lane, gx)
+        store(mem, slot + GAIN_Y, lane, gy)
+        store(mem, slot + DRIVE, lane, drive)
+        xx, xy, yy = xx - ux * gx, xy - ux * gy, yy - uy * gy
+        p0, p1, p2 = p0 + ux * drive, p1 + uy * drive, p2 + D * drive
+        if moving:
+            cx, cy = load(mem, slot + PRODUCT, lane), load(mem, slot + PRODUCT + 1, lane)
+            p0, p1 = p0 + xx * cx + xy * cy, p1 + xy * cx + yy * cy
+        if locking or links.tree[m, SKEW] != 0:
+            kept = 1.0 - D * ease  # 0, or 1 where the joint is locked
+            if moving:
+                p2 = p2 + kept * (ux * cx + uy * cy)
+            _put(mem, lane, slot + INERTIA, xx, yy, kept * D)
+            _put(mem, lane, slot + INERTIA + 3, xy, kept * ux, kept * uy)
+            _whole_inertia_to_parent(links, mem, lane, at, m, slot + INERTIA)
+        else:
+            a, b = c * xx - s * xy, c * xy - s * yy
+            turned = c * a - s * b
+            _add(mem, lane, up + INERTIA + links.tree[m, XX], turned)
+            _add(mem, lane, up + INERTIA + links.tree[m, YY], xx + yy - turned)
+            _add(mem, lane, up + INERTIA + links.tree[m, XY], s * a + c * b)
+        _to_parent(links, mem, lane, m, up + MOMENT, c, s, p0, p1, p2)
+
+
+@inlined
+def _root_acceleration(mem: FloatArray, lane: int, at: At, around: int) -> Vector:
+    """Solve the root's three equations: articulated inertia times acceleration = M − moment."""
+    xx, yy, zz = _vector(mem, lane, at.work + INERTIA)
+    xy, xz, yz = _vector(mem, lane, at.work + INERTIA + 3)
+    b0, b1, b2 = _vector(mem, lane, around)
+    p0, p1, p2 = _vector(mem, lane, at.work + MOMENT)
+    b0, b1, b2 = b0 - p0, b1 - p1, b2 - p2
+    d0 = choose(xx > 0.0, 1.0 / xx, float("nan") * xx)
+    l10, l20 = xy * d0, xz * d0
+    yy = yy - l10 * xy
+    d1 = choose(yy > 0.0, 1.0 / yy, float("nan") * yy)
+    yz = yz - l20 * xy
+    l21 = yz * d1
+    zz = zz - l20 * xz - l21 * yz
+    d2 = choose(zz > 0.0, 1.0 / zz, float("nan") * zz)
+    b1 = b1 - l10 * b0
+    b2 = b2 - l20 * b0 - l21 * b1
+    z = b2 * d2
+    y = b1 * d1 - l21 * z
+    return b0 * d0 - l10 * y - l20 * z, y, z
+
+
+@inlined
+def _accelerate(
+    links: Links, mem: FloatArray, lane: int, at: At, moving: bool, locking: bool, field: int, result: int
+) -> None:
+    """From the root to the tips: the joints' accelerations (or rates) into `result`, the bodies' into `field`."""
+    n = at.n
+    for m in range(n):
+        k, up = links.tree[m, GIMBAL], at.work + links.tree[m, PARENT] * WORK
+        slot = at.work + (k + 1) * WORK
+        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
+        x, y, z = _from_parent(links, mem, lane, m, up + field)
+        x, y = c * x + s * y, c * y - s * x
+        if moving:
+            x, y = x + load(mem, slot + PRODUCT, lane), y + load(mem, slot + PRODUCT + 1, lane)
+        along = z
+        if locking:
+            along = z * (1.0 - load(mem, slot + LOCKED, lane))
+        own = load(mem, slot + DRIVE, lane) - load(mem, slot + GAIN_X, lane) * x - load(mem, slot + GAIN_Y, lane) * y
+        own = own - along
+        store(mem, result + k, lane, own)
+        _put(mem, lane, slot + field, x, y, z + own)
+
+
+@inlined
+def _momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int) -> None:
+    """Angular momenta of the subtrees into MOMENT, from the bodies' rates."""
+    n = at.n
+    for b in range(n + 1):
+        slot = at.work + b * WORK
+        h0, h1, h2 = _vector(mem, lane, around + n + 9 + 3 * b)
+        w0, w1, w2 = _vector(mem, lane, slot + RATE)
+        H0, H1, H2 = _times(mem, lane, at.body + b * BODY, w0, w1, w2)
+        _put(mem, lane, slot + MOMENT, H0 + h0, H1 + h1, H2 + h2)
+    _servo_momenta(links, mem, lane, at, y, MOMENT)
+    for m in range(n - 1, -1, -1):
+        slot = at.work + (links.tree[m, GIMBAL] + 1) * WORK
+        H0, H1, H2 = _vector(mem, lane, slot + MOMENT)
+        c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
+        up = at.work + links.tree[m, PARENT] * WORK + MOMENT
+        _to_parent(links, mem, lane, m, up, c, s, H0, H1, H2)
+
+
+@inlined
+def _turn(mem: FloatArray, lane: int, at: At, y: int, dy: int) -> None:
+    """Derivative of the attitude."""
+    W0, W1, W2 = _vector(mem, lane, y + at.n)
+    e, d = y + 2 * at.n + 3, dy + 2 * at.n + 3
+    e0, e1 = 0.5 * load(mem, e, lane), 0.5 * load(mem, e + 1, lane)
+    e2, e3 = 0.5 * load(mem, e + 2, lane), 0.5 * load(mem, e + 3, lane)
+    store(mem, d, lane, -e1 * W0 - e2 * W1 - e3 * W2)
+    store(mem, d + 1, lane, e0 * W0 + e2 * W2 - e3 * W1)
+    store(mem, d + 2, lane, e0 * W1 + e3 * W0 - e1 * W2)
+    store(mem, d + 3, lane, e0 * W2 + e1 * W1 - e2 * W0)
+
+
+@internal
+def derivative(
+    links: Links,
+    mem: FloatArray,
+    lane: int,
+    at: At,
+    free: bool,
+    locking: bool,
+    bare: bool,
+    y: int,
+    around: int,
+    dy: int,
+) -> None:
+    """Derivative of the state at slot `y` in the surroundings at slot `around`, into slot `dy`.
+
+    With a prescribed Omega, v[:3] must hold its value at this instant. With `locking`, gimbals whose LOCKED is 1 do
+    not turn: qdot = const (free root) or qdot = 0 (prescribed Omega; its momentum then means nothing). With `bare`
+    rotors and force elements are left out.
+    """
+    n = at.n
+    torque = dy + n + 3  # the joints' torques, where their accelerations come to stand
+    _outward(links, mem, lane, at, free, bare, y, around)
+    if free:
+        for k in range(n):
+            rate = load(mem, y + n + 3 + k, lane)
+            if locking:
+                rate = rate * (1.0 - load(mem, at.work + (k + 1) * WORK + LOCKED, lane))
+            store(mem, dy + k, lane, rate)
+            Q = load(mem, around + 3 + k, lane)
+            if at.joints != 0 and not bare:
+                Q = Q + _joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
+            store(mem, torque + k, lane, Q)
+        if at.weight != 0 and not bare:
+            _weight(links, mem, lane, at, torque)
+            _erections(links, mem, lane, at, torque)
+        if at.servos != 0 and not bare:
+            _drives(links, mem, lane, at, True, y, dy)
+        _inward(links, mem, lane, at, True, locking, torque)
+        x, v, z = _root_acceleration(mem, lane, at, around)
+        _put(mem, lane, dy + n, x, v, z)
+        _put(mem, lane, at.work + ACCELERATION, x, v, z)
+        _accelerate(links, mem, lane, at, True, locking, ACCELERATION, torque)
+    else:
+        _inward(links, mem, lane, at, False, locking, y + n + 3)
+        _accelerate(links, mem, lane, at, False, locking, RATE, dy)
+        _momenta(links, mem, lane, at, y, around)
+        for m in range(n):
+            k = links.tree[m, GIMBAL]
+            slot = at.work + (k + 1) * WORK
+            Q = load(mem, around + 3 + k, lane)
+            if at.joints != 0:
+                rate = load(mem, dy + k, lane)
+                Q = Q + _joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
+            H0, H1 = load(mem, slot + MOMENT, lane), load(mem, slot + MOMENT + 1, lane)
+            w0, w1 = load(mem, slot + RATE, lane), load(mem, slot + RATE + 1, lane)
+            store(mem, torque + k, lane, Q + H0 * w1 - H1 * w0)
+        if at.weight != 0:
+            # The same recursion once more, for moments that act on the carriers.
+            for b in range(n + 1):
+                slot = at.work + b * WORK
+                _put(
+                    mem,
+                    lane,
+                    slot + ACCELERATION,
+                    load(mem, slot + MOMENT, lane),
+                    load(mem, slot + MOMENT + 1, lane),
+                    load(mem, slot + MOMENT + 2, lane),
+                )
+                zero = 0.0 * load(mem, slot + MOMENT, lane)
+                _put(mem, lane, slot + MOMENT, zero, zero, zero)
+            _weight(links, mem, lane, at, torque)
+            for m in range(n - 1, -1, -1):
+                k = links.tree[m, GIMBAL]
+                slot = at.work + (k + 1) * WORK
+                N0, N1, N2 = _vector(mem, lane, slot + MOMENT)
+                _add(mem, lane, torque + k, -N2)
+                c, s = load(mem, slot + COS, lane), load(mem, slot + SIN, lane)
+                _to_parent(links, mem, lane, m, at.work + links.tree[m, PARENT] * WORK + MOMENT, c, s, N0, N1, N2)
+            _erections(links, mem, lane, at, torque)
+            for b in range(n + 1):
+                slot = at.work + b * WORK
+                _put(
+                    mem,
+                    lane,
+                    slot + MOMENT,
+                    load(mem, slot + ACCELERATION, lane),
+                    load(mem, slot + ACCELERATION + 1, lane),
+                    load(mem, slot + ACCELERATION + 2, lane),
+                )
+        if at.servos != 0:
+            _drives(links, mem, lane, at, False, y, dy)
+        for i in range(3):
+            store(mem, dy + n + i, lane, 0.0 * load(mem, y + n + i, lane))
+    _turn(mem, lane, at, y, dy)
+
+
+@internal
+def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
+    """Joint momenta dT/dqdot of a state whose v holds the rates; the whole angular momentum stays in the root's MOMENT."""
+    _outward(links, mem, lane, at, True, False, y, around)
+    _momenta(links, mem, lane, at, y, around)
+    for k in range(at.n):
+        store(mem, result + k, lane, load(mem, at.work + (k + 1) * WORK + MOMENT + 2, lane))
+
+
+@internal
+def runge_kutta(
+    links: Links, mem: FloatArray, lane: int, at: At, free: bool, locking: bool, y: int, step: Number
+) -> None:
+    """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
+    n, size = at.n, at.size
+    now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
+    block = 4 * n + 12
+    if not free:
+        for i in range(3):
+            store(mem, y + n + i, lane, load(mem, at.surroundings + n + 3 + i, lane))
+    for stage in range(4):
+        around = at.surroundings + (stage + 1) // 2 * block
+        source = y if stage == 0 else now
+        derivative(links, mem, lane, at, free, locking, False, source, around, dy)
+        ahead = step if stage == 2 else 0.5 * step
+        if stage == 0:
+            for i in range(size):
+                d = load(mem, dy + i, lane)
+                store(mem, total + i, lane, d)
+                store(mem, now + i, lane, load(mem, y + i, lane) + ahead * d)
+        elif stage < 3:
+            for i in range(size):
+                d = load(mem, dy + i, lane)
+                store(mem, total + i, lane, load(mem, total + i, lane) + 2.0 * d)
+                store(mem, now + i, lane, load(mem, y + i, lane) + ahead * d)
+        else:
+            sixth = step / 6.0
+            for i in range(size):
+                both = load(mem, total + i, lane) + load(mem, dy + i, lane)
+                store(mem, y + i, lane, load(mem, y + i, lane) + sixth * both)
+        if not free and stage < 3:
+            block_ahead = at.surroundings + (stage + 2) // 2 * block
+            for i in range(3):
+                store(mem, now + n + i, lane, load(mem, block_ahead + n + 3 + i, lane))
+    if not free:
+        for i in range(3):
+            store(mem, y + n + i, lane, load(mem, at.surroundings + 2 * block + n + 3 + i, lane))
+    e = y + 2 * n + 3
+    square = 0.0 * load(mem, e, lane)
+    for i in range(4):
+        square = square + load(mem, e + i, lane) * load(mem, e + i, lane)
+    scale = 1.0 / root(square)
+    for i in range(4):
+        store(mem, e + i, lane, load(mem, e + i, lane) * scale)
