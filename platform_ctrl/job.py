@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import field
 from typing import Literal
 
-from platform_ctrl.description import Platform
+import numpy as np
+
+from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.scenario import Mode as Mode
+from platform_ctrl.variation import Vary
 
 Method = Literal["classical", "hinf", "lqg", "structured", "platform-servo"]
 Structure = Literal["cross-axis", "pid", "state-space"]
 LoopKind = Literal["caging", "stabilisation"]
-Mode = Literal["caged", "stabilised"]
+Points = Literal["sobol", "latin-hypercube", "random"]
 
 
 @value
@@ -189,11 +194,19 @@ class Manoeuvre:
     name, mode
         ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free and a torque acts on it.
     axis
-        Root axis, 1 to 3.
+        Root axis of the rate or torque, 1 to 3.
     rate, rise, hold
-        Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s.
+        Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s; no rate: none.
     torque
         Stabilised: step of the torque on the platform at t = 0, N m.
+    Omega_table, torque_table
+        Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
+    vibrations
+        Of the base.
+    faults
+        Names of the faults that happen in it.
+    initial
+        What does not begin at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
     duration
         Length of the run, s.
     limits
@@ -203,20 +216,69 @@ class Manoeuvre:
 
     name: str
     mode: Mode
-    axis: int
+    axis: int = 1
     duration: float
     rate: float = 0.0
     rise: float = 0.0
     hold: float = 0.0
     torque: float = 0.0
+    Omega_table: TimeTable | None = None
+    torque_table: TimeTable | None = None
+    vibrations: tuple[Vibration, ...] = ()
+    faults: tuple[str, ...] = ()
+    initial: dict[str, float] = field(default_factory=dict)
     limits: dict[str, float]
+
+
+@value
+class CampaignManoeuvre:
+    """A manoeuvre of a campaign, and how often it is flown relative to the others."""
+
+    name: str
+    weight: float = 1.0
+
+
+@value
+class CampaignFault:
+    """A fault of the job that happens in a run with a probability."""
+
+    fault: str
+    probability: float
+
+
+@value
+class Campaign:
+    """Many runs that differ.
+
+    Attributes
+    ----------
+    runs, seed
+        How many; what everything random is drawn from.
+    sampling
+        How the runs fill the space of what varies.
+    step
+        Longest integration step, s.
+    manoeuvres
+        Which are flown; none: all of the job's, equally often.
+    vary, faults
+        What differs from run to run, and what may fail.
+    """
+
+    runs: int = 1000
+    seed: int = 0
+    sampling: Points = "sobol"
+    step: float = 1e-4
+    manoeuvres: tuple[CampaignManoeuvre, ...] = ()
+    vary: tuple[Vary, ...] = ()
+    faults: tuple[CampaignFault, ...] = ()
 
 
 @value
 class Job:
     """A job file: the plant, what it has to stand, the loops and the checks.
 
-    `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone.
+    `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone. `faults` are
+    those that the design allows for, `fault_events` those that happen at a time in a simulated run.
     """
 
     name: str
@@ -231,3 +293,47 @@ class Job:
     seed: int = 0
     Omega_grid: int = 2
     faults: Faults = field(default_factory=Faults)
+    fault_events: tuple[Fault, ...] = ()
+    campaign: Campaign | None = None
+
+    @property
+    def flown(self) -> tuple[tuple[Manoeuvre, float], ...]:
+        """Manoeuvres of the campaign with their weights; all alike where it names none or there is no campaign."""
+        if self.campaign is None or not self.campaign.manoeuvres:
+            return tuple((manoeuvre, 1.0) for manoeuvre in self.manoeuvres)
+        by_name = {manoeuvre.name: manoeuvre for manoeuvre in self.manoeuvres}
+        return tuple((by_name[one.name], one.weight) for one in self.campaign.manoeuvres)
+
+
+def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
+    """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0."""
+    caged = manoeuvre.mode == "caged"
+    torque = np.zeros(3)
+    torque[manoeuvre.axis - 1] = manoeuvre.torque
+    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
+    angles = job.platform.angle_names
+    for name, number in manoeuvre.initial.items():
+        if name in angles:
+            q[angles.index(name)] = number
+        elif name in OMEGA_NAMES:
+            Omega[OMEGA_NAMES.index(name)] = number
+        else:
+            rate[angles.index(name.removesuffix("_rate"))] = number
+    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+    return Scenario(
+        platform=job.platform,
+        mode=manoeuvre.mode,
+        duration=manoeuvre.duration,
+        delay=job.sampling.delay,
+        profile=profile if caged and manoeuvre.rate else None,
+        Omega_table=manoeuvre.Omega_table,
+        torque=torque,
+        torque_table=manoeuvre.torque_table,
+        vibrations=manoeuvre.vibrations,
+        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
+        q=q,
+        rate=rate,
+        Omega=Omega,
+        seed=job.seed,
+        limits=dict(manoeuvre.limits),
+    )

@@ -178,7 +178,7 @@ class Fault:
 
 @value
 class FaultKeys:
-    """What a kind of fault is made of beside `at`: the part it happens to, the numbers it needs and those it may have."""
+    """What a kind of fault is made of beside `at`: the part that fails, the numbers it needs and those it may have."""
 
     part: PartKind | None
     needed: tuple[str, ...] = ()
