@@ -39,7 +39,7 @@ def pack(platform: Platform) -> Packed:
     links = _links(platform, tree, frames)
     at = _at(platform, n)
     constants = np.zeros(at.work)
-    around = np.zeros(4 * n + 12)
+    around = np.zeros(at.block)
     around[n + 6 : n + 9] = platform.specific_force
 
     regulated = np.array([r.control == "regulated" for r in platform.rotors], dtype=bool)
@@ -48,7 +48,7 @@ def pack(platform: Platform) -> Packed:
     axial = np.where(regulated, tree.C, 0.0)
     np.add.at(carriers, tree.carriers, axial[:, None, None] * tree.spin_axes[:, :, None] * tree.spin_axes[:, None, :])
     np.add.at(momentum, tree.carriers, momenta[:, None] * tree.spin_axes)
-    around[n + 9 :] = np.einsum("bij,bj->bi", frames, momentum).ravel()
+    around[n + 9 : 4 * n + 12] = np.einsum("bij,bj->bi", frames, momentum).ravel()
     bodies = constants[at.body : at.joint].reshape(1 + n, layout.BODY)
     bodies[:, :6] = (frames @ carriers @ frames.transpose(0, 2, 1))[:, *_SIX]
     for unbalance in platform.unbalances:
@@ -115,6 +115,7 @@ def _at(platform: Platform, n: int) -> At:
         dry=any(max(f.coulomb) > 0.0 for f in platform.frictions),
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
+        course=False,
         body=body,
         joint=joint,
         servo=servo,
@@ -123,7 +124,8 @@ def _at(platform: Platform, n: int) -> At:
         stages=stages,
         state=state,
         surroundings=surroundings,
-        end=surroundings + 3 * (4 * n + 12),
+        block=layout.slots_of_block(n),
+        end=surroundings + 3 * layout.slots_of_block(n),
     )
 
 

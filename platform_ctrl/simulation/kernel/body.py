@@ -64,6 +64,7 @@ class At(NamedTuple):
     dry: int  # whether there is dry friction
     cages: int
     weight: int  # whether specific force and unbalance or erections act
+    course: int  # whether rotors' momenta change with time
     body: int
     joint: int
     servo: int
@@ -72,6 +73,14 @@ class At(NamedTuple):
     stages: int  # three states: at, derivative, total
     state: int
     surroundings: int  # three blocks: at the beginning, middle and end of a step
+    block: int  # slots of a block
     end: int
 
-    # A block of the surroundings: [M, Q], Omega, specific force, the rotors' momentum of every body.
+
+# A block of the surroundings: [M, Q], Omega, specific force, and of every body its rotors' momentum and how fast that
+# changes. Where the parts begin:
+
+
+def slots_of_block(n: int) -> int:
+    """Return the number of slots of a block of the surroundings of n gimbals."""
+    return 7 * n + 15

@@ -283,7 +283,11 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
             H0, H1, H2 = _times(mem, lane, at.body + b * BODY, w0, w1, w2)
             h0, h1, h2 = _vector(mem, lane, slot + MOMENT)
             H0, H1, H2 = H0 + h0, H1 + h1, H2 + h2
-            _put(mem, lane, slot + MOMENT, w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0)
+            N0, N1, N2 = w1 * H2 - w2 * H1, w2 * H0 - w0 * H2, w0 * H1 - w1 * H0
+            if at.course != 0 and not bare:
+                h0, h1, h2 = _vector(mem, lane, momenta + 3 * (n + 1 + b))
+                N0, N1, N2 = N0 + h0, N1 + h1, N2 + h2
+            _put(mem, lane, slot + MOMENT, N0, N1, N2)
 
 
 @inlined
@@ -543,7 +547,7 @@ def runge_kutta(
     """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
     n, size = at.n, at.size
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
-    block = 4 * n + 12
+    block = at.block
     if not free:
         for i in range(3):
             store(mem, y + n + i, lane, load(mem, at.surroundings + n + 3 + i, lane))
