@@ -333,19 +333,29 @@ def _misfit_pairs(
                 yield begin, end, f'"{begin}" {line}; expected that it begins before it ends'
 
 
-def varied_scenario(scenario: Scenario, drawn: Sequence[tuple[Parameter, float, bool]]) -> Scenario:
+def varied_scenario(
+    scenario: Scenario,
+    drawn: Sequence[tuple[Parameter, float, bool]],
+    *,
+    faults: tuple[Fault, ...] | None = None,
+    seed: int | None = None,
+    run: int = 0,
+) -> Scenario:
     """Return the run with drawn numbers in their places; `scenario` stays as it is.
 
     Parameters
     ----------
     scenario
-        The run as it stands, with the faults that happen in it.
+        The run as it stands.
+    faults, seed, run
+        What happens in it, and what its noise is drawn from, where these differ from `scenario`.
     drawn
         Parameter, number, and whether the number multiplies what stands there. What the run does not have is passed
         over: the rate of a half-cosine where there is none, a fault that does not happen.
     """
     parts: dict[tuple[str, int, str], dict[str, Any]] = {}
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}
+    own |= {"seed": scenario.seed if seed is None else seed, "run": run}
     root: dict[str, Any] = {}
     for parameter, number, relative in drawn:
         key, k = parameter.key, parameter.index
@@ -372,18 +382,18 @@ def varied_scenario(scenario: Scenario, drawn: Sequence[tuple[Parameter, float, 
                     one
                     if one.name != parameter.part
                     else dataclasses.replace(one, **{key: _new(one, key, number, relative)})
-                    for one in own.get("faults", scenario.faults)
+                    for one in own["faults"]
                 )
             case "torquers" if key == "gain":
                 weak = Fault(name=parameter.path, kind="torquer weak", part=parameter.part, at=0.0, share=number)
-                own["faults"] = (weak, *own.get("faults", scenario.faults))
+                own["faults"] = (weak, *own["faults"])
             case "initial":
                 pass
             case group:
                 parts.setdefault((group, k, parameter.part), {})[key] = (number, relative)
     if parts or root:
         own["platform"] = _varied_platform(scenario.platform, parts, root)
-    return dataclasses.replace(scenario, **own) if own else scenario
+    return dataclasses.replace(scenario, **own)
 
 
 def _new(part: Any, key: str, number: float, relative: bool) -> Any:
@@ -405,7 +415,7 @@ def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenari
         name = key.replace("_scale", "_table")
         table = getattr(scenario, name)
         return {name: dataclasses.replace(table, values=read_only(table.values * number))}
-    profile = own.get("profile", scenario.profile)
+    profile: Any = own.get("profile", scenario.profile)
     return {"profile": dataclasses.replace(profile, **{key: number * (as_it_stands if relative else 1.0)})}
 
 
@@ -434,7 +444,8 @@ def _varied_platform(
                 part,
                 **{key: _new(part, key, x, relative or key == "inertia") for key, (x, relative) in changes.items()},
             )
-    return dataclasses.replace(platform, **root, **{group: tuple(array) for group, array in arrays.items()})
+    changed: dict[str, Any] = root | {group: tuple(array) for group, array in arrays.items()}
+    return dataclasses.replace(platform, **changed)
 
 
 def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor:

@@ -1,0 +1,211 @@
+"""What every run of a campaign is: the same for the same run, whichever runs are asked for and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.arguments import one_of, positive, short
+from platform_ctrl.campaign.draws import MOST_RUNS, chosen, quantiles, unit_points
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Campaign, Job, Points, manoeuvre_scenario
+from platform_ctrl.parameters import Parameter, misfits, parameters, varied_scenario
+from platform_ctrl.scenario import Fault, Scenario
+
+if TYPE_CHECKING:
+    import control
+
+Columns = dict[str, NDArray[Any]]
+
+
+@value
+class Plan:
+    """A campaign before it is flown: what every run is.
+
+    Attributes
+    ----------
+    job, controllers
+        What is flown: the job with its `Job.campaign`, and the controllers that are closed together.
+    runs, seed, sampling, step
+        As in `platform_ctrl.job.Campaign`.
+    nominal, weights
+        The manoeuvres that are flown, on the plant as it stands, and how often each.
+    varied
+        What differs, in the order of the campaign's entries.
+    failing
+        What may fail beside the faults of the manoeuvres themselves, in the order of the campaign's entries.
+    noise_seed
+        The key of noise and random phases, together with a run's number; derived from `seed`.
+    """
+
+    job: Job
+    controllers: tuple[control.StateSpace, ...]
+    runs: int
+    seed: int
+    sampling: Points
+    step: float
+    nominal: tuple[Scenario, ...]
+    weights: tuple[float, ...]
+    varied: tuple[Parameter, ...]
+    failing: tuple[Fault, ...]
+    noise_seed: int
+
+    @property
+    def campaign(self) -> Campaign:
+        """The job's campaign; without one nothing but the noise differs from run to run."""
+        return self.job.campaign or Campaign()
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Columns of the inputs: ``manoeuvre``, a number for each varied parameter, whether each fault happens."""
+        return (
+            "manoeuvre",
+            *(one.parameter for one in self.campaign.vary),
+            *(f"fault.{one.fault}" for one in self.campaign.faults),
+        )
+
+    @property
+    def dimensions(self) -> int:
+        """How many numbers in (0, 1) a run is made of: one for each of `input_names`."""
+        return len(self.input_names)
+
+    def points(self, first: int, last: int) -> FloatArray:
+        """Return the numbers in (0, 1) that runs `first` to `last` − 1 are made of, (last − first, dimensions).
+
+        Raises
+        ------
+        ArgumentError
+            The campaign has no such runs.
+        """
+        if not 0 <= first <= last <= self.runs:
+            raise ArgumentError(f"runs: given {first} to {last}; expected a range within 0 to {self.runs}")
+        return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
+
+    def inputs_at(self, points: FloatArray) -> Columns:
+        """Return the inputs at points of the unit cube, (N, dimensions): columns by their names.
+
+        The number of a relative parameter is the factor; the column of a fault says whether it happens.
+        """
+        names = np.array([one.name for one, _ in self.job.flown], dtype=np.str_)
+        columns: Columns = {"manoeuvre": names[chosen(self.weights, points[:, 0])]}
+        for k, vary in enumerate(self.campaign.vary, 1):
+            columns[vary.parameter] = quantiles(vary, points[:, k])
+        for k, fault in enumerate(self.campaign.faults, 1 + len(self.campaign.vary)):
+            columns[f"fault.{fault.fault}"] = points[:, k] < fault.probability
+        return columns
+
+    def inputs(self, first: int, last: int) -> Columns:
+        """Return the inputs of runs `first` to `last` − 1 as columns by their names.
+
+        Raises
+        ------
+        ArgumentError
+            The campaign has no such runs.
+        """
+        return self.inputs_at(self.points(first, last))
+
+    def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
+        """Return runs of given inputs; their numbers in the campaign, `runs`, are what their noise depends on."""
+        place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.flown)}
+        # Python's numbers: a dataclass keeps what it is given.
+        columns = [inputs[name].tolist() for name in self.input_names]
+        relative = [one.relative for one in self.campaign.vary]
+        out = []
+        for run, (manoeuvre, *row) in zip(runs, zip(*columns, strict=True), strict=True):
+            numbers, happens = row[: len(relative)], row[len(relative) :]
+            base = self.nominal[place[manoeuvre]]
+            more = tuple(fault for fault, yes in zip(self.failing, happens, strict=True) if yes)
+            faults = base.faults + tuple(fault for fault in more if fault not in base.faults)
+            drawn = list(zip(self.varied, numbers, relative, strict=True))
+            out.append(varied_scenario(base, drawn, faults=faults, seed=self.noise_seed, run=int(run)))
+        return out
+
+    def scenarios(self, first: int, last: int) -> list[Scenario]:
+        """Return runs `first` to `last` − 1.
+
+        Raises
+        ------
+        ArgumentError
+            The campaign has no such runs.
+        """
+        return self.scenarios_with(self.inputs(first, last), range(first, last))
+
+    def scenario(self, run: int) -> Scenario:
+        """Return one run.
+
+        Raises
+        ------
+        ArgumentError
+            The campaign has no such run.
+        """
+        return self.scenarios(run, run + 1)[0]
+
+
+def plan(
+    job: Job,
+    controllers: Sequence[control.StateSpace],
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    sampling: Points | None = None,
+) -> Plan:
+    """Return what every run of a campaign is.
+
+    Parameters
+    ----------
+    job
+        With a campaign; without one its manoeuvres are flown equally often and only the noise differs.
+    controllers
+        Those that are closed together.
+    runs, seed, sampling
+        In place of those of the job's campaign.
+
+    Raises
+    ------
+    ArgumentError
+        There is no manoeuvre; a number is out of range; a parameter that is varied does not exist, or could be drawn as
+        something that a plant or job file refuses.
+    """
+    campaign = job.campaign or Campaign(seed=job.seed)
+    if not job.manoeuvres:
+        raise ArgumentError(
+            f"job {job.name!r}: given without a manoeuvre; expected [[manoeuvre]], which runs are made of"
+        )
+    chosen_sampling = campaign.sampling if sampling is None else sampling
+    one_of("sampling", chosen_sampling, get_args(Points))
+    nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.flown)
+    for _, _, line in misfits(campaign.vary, nominal, job.fault_events):
+        raise ArgumentError(line)
+    known = parameters(nominal, job.fault_events)
+    by_name = {fault.name: fault for fault in job.fault_events}
+    number = _whole("seed", campaign.seed if seed is None else seed, 0, 2**63 - 1)
+    return Plan(
+        job=job,
+        controllers=tuple(controllers),
+        runs=_whole("runs", campaign.runs if runs is None else runs, 1, MOST_RUNS),
+        seed=number,
+        sampling=chosen_sampling,
+        step=positive("step", campaign.step),
+        nominal=nominal,
+        weights=tuple(weight for _, weight in job.flown),
+        varied=tuple(known[one.parameter] for one in campaign.vary),
+        failing=tuple(by_name[one.fault] for one in campaign.faults),
+        noise_seed=_seed_of(number, "noise"),
+    )
+
+
+def _seed_of(seed: int, use: Literal["inputs", "noise"]) -> int:
+    """Return a seed of 63 bits for one use: inputs and noise are drawn from different ones."""
+    return int(
+        np.random.SeedSequence((seed, ("inputs", "noise").index(use))).generate_state(1, np.uint64)[0] >> np.uint64(1)
+    )
+
+
+def _whole(name: str, given: object, lowest: int, highest: int) -> int:
+    if isinstance(given, bool) or not isinstance(given, int | np.integer) or not lowest <= given <= highest:
+        raise ArgumentError(f"{name}: given {short(given)}; expected a whole number from {lowest} to {highest}")
+    return int(given)
