@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from platform_ctrl import analysis, check, design, report, requirements, simulation
-    from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, Torquer
+    from platform_ctrl.description import Gimbal, PickOff, Platform, RateSensor, Rotor, Torquer
     from platform_ctrl.errors import PlatformCtrlError
     from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
     from platform_ctrl.job import Job
@@ -50,6 +50,7 @@ __all__ = [
     "Platform",
     "PlatformCtrlError",
     "Precession",
+    "RateSensor",
     "Rotor",
     "Spring",
     "TermTable",
@@ -94,6 +95,7 @@ _HOME = {
     "Platform": "description",
     "PlatformCtrlError": "errors",
     "Precession": "precession",
+    "RateSensor": "description",
     "Rotor": "description",
     "Spring": "force_elements",
     "TermTable": "terms",

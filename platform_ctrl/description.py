@@ -1,4 +1,4 @@
-"""What a platform is made of: gimbals, rotors, torquers, pick-offs. Values only; SI units."""
+"""What a platform is made of: gimbals, rotors, torquers, pick-offs, rate sensors. Values only; SI units."""
 
 from __future__ import annotations
 
@@ -37,6 +37,8 @@ class Gimbal:
         Name of the coordinate, for example ``alpha4``.
     stops
         Lowest and highest angle, rad, or None.
+    restitution
+        Share of the rate that a stop gives back, 0 to 1; 0: the gimbal stays at its stop.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Gimbal:
     inertia: FloatArray
     angle: str
     stops: tuple[float, float] | None = None
+    restitution: float = 0.0
 
 
 @value
@@ -103,6 +106,8 @@ class Torquer:
         Largest torque, N m, or None.
     lag
         Time constant of the first-order lag from command to torque, s.
+    rate_limit
+        Largest rate at which the torque follows its command, N m/s, or None.
     """
 
     name: str
@@ -110,6 +115,7 @@ class Torquer:
     root_axis: int | None = None
     limit: float | None = None
     lag: float = 0.0
+    rate_limit: float | None = None
 
     @property
     def signal(self) -> str:
@@ -141,7 +147,35 @@ class PickOff:
 
     def sampled_noise(self, period: float) -> float:
         """Rms of one sample, rad, when sampled every `period` s behind a filter at the Nyquist frequency."""
-        return float(self.noise_rms * np.sqrt(0.5 / period / self.noise_bandwidth_hz))
+        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
+
+
+@value
+class RateSensor:
+    """A sensor of a rate: of the root about one of its axes, or of a gimbal against its parent.
+
+    Attributes
+    ----------
+    name
+        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``.
+    gimbal, root_axis
+        Exactly one is given: the gimbal's name, or 1, 2 or 3.
+    noise_rms, noise_bandwidth_hz
+        White noise: `noise_rms` rad/s within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
+    quantisation
+        Step of the reading, rad/s; 0 for none.
+    """
+
+    name: str
+    gimbal: str | None = None
+    root_axis: int | None = None
+    noise_rms: float = 0.0
+    noise_bandwidth_hz: float = 1000.0
+    quantisation: float = 0.0
+
+    def sampled_noise(self, period: float) -> float:
+        """Rms of one sample, rad/s, when sampled every `period` s behind a filter at the Nyquist frequency."""
+        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
 
 
 @value
@@ -157,7 +191,7 @@ class Platform:
         Title, and where the numbers come from.
     root_name, root_inertia : (3, 3)
         The body whose rate is Omega, with everything rigidly attached, kg m².
-    gimbals, rotors, torquers, pickoffs
+    gimbals, rotors, torquers, pickoffs, rate_sensors
         In the file's order.
     springs, frictions, cages, unbalances, erections
         What acts besides the torquers, in the file's order.
@@ -173,6 +207,7 @@ class Platform:
     rotors: tuple[Rotor, ...] = ()
     torquers: tuple[Torquer, ...] = ()
     pickoffs: tuple[PickOff, ...] = ()
+    rate_sensors: tuple[RateSensor, ...] = ()
     springs: tuple[Spring, ...] = ()
     frictions: tuple[Friction, ...] = ()
     cages: tuple[Cage, ...] = ()
@@ -246,6 +281,11 @@ class Platform:
         return _on(gimbal, self.pickoffs, "pick-off")
 
 
+def gimbal_rate(angle: str) -> str:
+    """Return the signal name of a gimbal's rate, from that of its angle."""
+    return f"{angle}_rate"
+
+
 def expect_platform(given: object) -> None:
     """Judge an argument that has to be a platform.
 
@@ -256,6 +296,10 @@ def expect_platform(given: object) -> None:
     """
     if not isinstance(given, Platform):
         raise ArgumentError(f"platform: given {short(given)}; expected a Platform, for example from read_platform")
+
+
+def _sampled_noise(rms: float, bandwidth_hz: float, period: float) -> float:
+    return float(rms * np.sqrt(0.5 / period / bandwidth_hz))
 
 
 Part = TypeVar("Part", Torquer, PickOff)

@@ -5,6 +5,8 @@ Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evalua
 
 from __future__ import annotations
 
+import math
+
 from platform_ctrl.frozen import FloatArray, value
 
 
@@ -29,7 +31,10 @@ class Spring:
 
 @value
 class Friction:
-    """Friction in a gimbal's bearing: Q = −viscous q̇ − coulomb tanh(q̇ / coulomb_rate).
+    """Friction in a gimbal's bearing: Q = −viscous q̇ − dry(q̇) tanh(q̇ / coulomb_rate).
+
+    dry(q̇) = coulomb + (breakaway − coulomb) exp(−(q̇ / stribeck_rate)²) is the Stribeck curve: as bodies begin to slide
+    on each other friction falls from the breakaway torque to the Coulomb torque.
 
     Attributes
     ----------
@@ -38,16 +43,49 @@ class Friction:
     viscous
         N m s.
     coulomb
-        Dry friction against negative and against positive rates, N m, both >= 0.
+        Dry friction of fast sliding against negative and against positive rates, N m, both >= 0.
     coulomb_rate
         Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
         so that equations and integrators stay well-defined.
+    breakaway
+        Dry friction at the begin of sliding, the same way; not less than `coulomb`, which stands in where it would be.
+    stribeck_rate
+        Rate at which 1/e of the difference is left, rad/s. Infinite: there is no Stribeck curve, and `breakaway` is
+        `coulomb`.
     """
 
     gimbal: str
     viscous: float = 0.0
     coulomb: tuple[float, float] = (0.0, 0.0)
     coulomb_rate: float = 0.01
+    breakaway: tuple[float, float] = (0.0, 0.0)
+    stribeck_rate: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Let `breakaway` follow a `coulomb` that `dataclasses.replace` has changed, too."""
+        raised = self.coulomb
+        if math.isfinite(self.stribeck_rate):
+            raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
+        object.__setattr__(self, "breakaway", raised)
+
+    def dry(self, rate: float) -> float:
+        """Return the dry part of the friction torque at a rate in rad/s, N m, without its minus sign."""
+        side = 0 if rate < 0.0 else 1
+        left = math.exp(-((rate / self.stribeck_rate) ** 2)) if abs(rate) < 30.0 * self.stribeck_rate else 0.0
+        level = self.coulomb[side] + (self.breakaway[side] - self.coulomb[side]) * left
+        return level * math.tanh(rate / self.coulomb_rate)
+
+    @property
+    def steepest_slope(self) -> float:
+        """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: what a step of integration must stand.
+
+        The dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
+        falls it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.
+        """
+        rising = self.viscous + max(self.breakaway) / self.coulomb_rate
+        drop = max(self.breakaway[0] - self.coulomb[0], self.breakaway[1] - self.coulomb[1])
+        falling = math.sqrt(2.0 / math.e) * drop / self.stribeck_rate - self.viscous
+        return max(rising, falling)
 
 
 @value

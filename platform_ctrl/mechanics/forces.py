@@ -68,7 +68,7 @@ def element_forces(
         out[3 + k] -= spring.stiffness * (angles[k] - spring.rest)
     for friction in platform.frictions:
         k = platform.gimbal(friction.gimbal)
-        out[3 + k] -= friction.viscous * rates[k] + _dry(friction, float(rates[k]))
+        out[3 + k] -= friction.viscous * rates[k] + friction.dry(float(rates[k]))
     for cage in platform.cages:
         k = platform.gimbal(cage.gimbal)
         out[3 + k] += _contact(cage, float(angles[k]), float(rates[k]))
@@ -83,7 +83,7 @@ def force_slopes(
     """Return the slopes of `element_forces` with the gimbals at rest.
 
     Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function stands in: the viscous
-    friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude).
+    friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude), more with a Stribeck curve.
     """
     tree = topology(platform)
     n = len(tree.parents)
@@ -97,8 +97,7 @@ def force_slopes(
         k = platform.gimbal(friction.gimbal)
         rate[k, k] -= friction.viscous
         if rate_amplitude is not None:
-            mean = 0.5 * sum(friction.coulomb)
-            rate[k, k] -= 4.0 * mean / (math.pi * rate_amplitude[k])
+            rate[k, k] -= _equivalent(friction, float(rate_amplitude[k]))
     for cage in platform.cages:
         k = platform.gimbal(cage.gimbal)
         if cage.clearance == 0.0 or abs(q[k] - cage.angle) > cage.clearance:
@@ -114,9 +113,18 @@ def force_slopes(
     return ForceSlopes(angle=angle, rate=rate, force=force)
 
 
-def _dry(friction: Friction, rate: float) -> float:
-    level = friction.coulomb[0] if rate < 0.0 else friction.coulomb[1]
-    return level * math.tanh(rate / friction.coulomb_rate)
+def _equivalent(friction: Friction, amplitude: float) -> float:
+    """Describing function of dry friction without its smoothing, for an oscillation of this rate amplitude, N m s."""
+    out = 4.0 / math.pi * (0.5 * sum(friction.coulomb)) / amplitude
+    drop = 0.5 * (sum(friction.breakaway) - sum(friction.coulomb))
+    if drop > 0.0:
+        from scipy.special import dawsn
+
+        # With x = sin of the phase, the integral of cos exp(-(a cos)²) is that of exp(-a² (1 - x²)): Dawson's integral.
+        a = amplitude / friction.stribeck_rate
+        share = float(dawsn(a)) / a if a > 1e-8 else 1.0
+        out += 4.0 / math.pi * drop / amplitude * share
+    return out
 
 
 def _contact(cage: Cage, angle: float, rate: float) -> float:

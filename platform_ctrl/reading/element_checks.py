@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from platform_ctrl.reading.fields import Unfit, coulomb
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
 
 Data = dict[str, Any]
@@ -26,6 +27,7 @@ def element_mistakes(data: Data, root: str | None, gimbals: list[str] | None) ->
     if gimbals is not None and root is not None:
         for kind, key, root_too, single in _REFERENCES:
             yield from _references(data, kind, key, [root, *gimbals] if root_too else gimbals, single)
+    yield from _friction(data)
     yield from _servo(data)
 
 
@@ -48,6 +50,21 @@ def _references(data: Data, kind: str, key: str, known: list[str], single: bool)
             wrong = f"{key} = {given(name)}: has a {kind} already, [[{kind}]] {seen[name] + 1}"
             yield Mistake(path, f"{wrong}; expected one on a gimbal")
         seen.setdefault(name, k)
+
+
+def _friction(data: Data) -> Iterator[Mistake]:
+    for k, table in tables(data, "friction"):
+        for key, other in (("breakaway", "stribeck_rate"), ("stribeck_rate", "breakaway")):
+            if key in table and other not in table:
+                wrong = f"{key} = {given(table[key])}: means nothing alone"
+                yield Mistake(("friction", k, key), f'{wrong}; expected "{other}" with it, or none')
+        try:
+            breakaway, dry = coulomb(table["breakaway"]), coulomb(table.get("coulomb", 0.0))
+        except (KeyError, Unfit):
+            continue
+        if breakaway[0] < dry[0] or breakaway[1] < dry[1]:
+            wrong = f"breakaway = {given(table['breakaway'])}: is less than coulomb, {given(table.get('coulomb', 0.0))}"
+            yield Mistake(("friction", k, "breakaway"), f"{wrong}; expected at least that, on either side")
 
 
 def _servo(data: Data) -> Iterator[Mistake]:

@@ -10,12 +10,12 @@ from typing import Annotated, Any, get_args
 
 from pydantic import Field
 
-from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, RotorControl, Torquer
+from platform_ctrl.description import Gimbal, PickOff, Platform, RateSensor, Rotor, RotorControl, Torquer
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import read_only
 from platform_ctrl.reading import fields
 from platform_ctrl.reading.mistakes import Mistake, given, report
-from platform_ctrl.reading.plant_checks import default_angle, default_torquer, plant_mistakes
+from platform_ctrl.reading.plant_checks import default_angle, default_torquer, measured_rate, plant_mistakes
 from platform_ctrl.reading.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
 from platform_ctrl.reading.structure import Table, structure
 
@@ -38,6 +38,7 @@ class GimbalTable(Table):
     angle: fields.Text | None = None
     stops: fields.Stops | None = None
     stops_deg: fields.Stops | None = None
+    restitution: fields.Part = 0.0
 
 
 class RotorTable(Table):
@@ -64,12 +65,23 @@ class TorquerTable(Table):
     root_axis: fields.RootAxis | None = None
     limit: fields.Positive | None = None
     lag: fields.NotNegative = 0.0
+    rate_limit: fields.Positive | None = None
 
 
 class PickOffTable(Table):
     """``[[pickoff]]``."""
 
     gimbal: fields.Text
+    noise_rms: fields.NotNegative = 0.0
+    noise_bandwidth_hz: fields.Positive = 1000.0
+    quantisation: fields.NotNegative = 0.0
+
+
+class RateSensorTable(Table):
+    """``[[rate_sensor]]``."""
+
+    gimbal: fields.Text | None = None
+    root_axis: fields.RootAxis | None = None
     noise_rms: fields.NotNegative = 0.0
     noise_bandwidth_hz: fields.Positive = 1000.0
     quantisation: fields.NotNegative = 0.0
@@ -90,6 +102,8 @@ class FrictionTable(Table):
     viscous: fields.NotNegative = 0.0
     coulomb: fields.Coulomb = (0.0, 0.0)
     coulomb_rate: fields.Positive = 0.01
+    breakaway: fields.Coulomb | None = None
+    stribeck_rate: fields.Positive | None = None
 
 
 class CageTable(Table):
@@ -130,6 +144,7 @@ class PlantFile(Table):
     rotor: list[RotorTable] = Field(default_factory=list)
     torquer: list[TorquerTable] = Field(default_factory=list)
     pickoff: list[PickOffTable] = Field(default_factory=list)
+    rate_sensor: list[RateSensorTable] = Field(default_factory=list)
     spring: list[SpringTable] = Field(default_factory=list)
     friction: list[FrictionTable] = Field(default_factory=list)
     cage: list[CageTable] = Field(default_factory=list)
@@ -210,8 +225,12 @@ def _platform(file: PlantFile) -> Platform:
             )
             for table in file.pickoff
         ),
+        rate_sensors=tuple(
+            RateSensor(**table.model_dump(), name=measured_rate(angle.get(table.gimbal or ""), table.root_axis))
+            for table in file.rate_sensor
+        ),
         springs=tuple(Spring(**table.model_dump()) for table in file.spring),
-        frictions=tuple(Friction(**table.model_dump()) for table in file.friction),
+        frictions=tuple(Friction(**table.model_dump(exclude_none=True)) for table in file.friction),
         cages=tuple(Cage(**table.model_dump()) for table in file.cage),
         unbalances=tuple(Unbalance(**table.model_dump()) for table in file.unbalance),
         erections=tuple(Erection(**table.model_dump()) for table in file.erection),
@@ -231,6 +250,7 @@ def _gimbal(table: GimbalTable) -> Gimbal:
         inertia=table.inertia,
         angle=table.angle or default_angle(table.name),
         stops=stops,
+        restitution=table.restitution,
     )
 
 
@@ -260,4 +280,5 @@ def _torquer(table: TorquerTable) -> Torquer:
         root_axis=table.root_axis,
         limit=table.limit,
         lag=table.lag,
+        rate_limit=table.rate_limit,
     )

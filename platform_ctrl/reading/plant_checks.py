@@ -10,12 +10,15 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
+from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES, gimbal_rate
 from platform_ctrl.reading.element_checks import element_mistakes, no_such
 from platform_ctrl.reading.fields import ROUNDING, Unfit, number, text
 from platform_ctrl.reading.mistakes import Mistake, Path, given, tables, text_of
 
 Data = dict[str, Any]
+
+# Which signal of its own each table names.
+_SIGNALS = {"gimbal": "angle", "torquer": "torque", "rate_sensor": "rate"}
 
 
 def default_angle(gimbal: str) -> str:
@@ -26,6 +29,11 @@ def default_angle(gimbal: str) -> str:
 def default_torquer(gimbal: str | None, root_axis: object) -> str:
     """Return the name of a torquer where the file gives none."""
     return f"Q{gimbal}" if gimbal is not None else f"M{root_axis}"
+
+
+def measured_rate(angle: str | None, root_axis: object) -> str:
+    """Return the signal name of a rate sensor: of the gimbal with this angle, or about this root axis."""
+    return gimbal_rate(angle) if angle is not None else f"Omega{root_axis}"
 
 
 def plant_mistakes(data: Data) -> list[Mistake]:
@@ -99,7 +107,11 @@ def _tree(data: Data) -> Iterator[Mistake]:
 
 
 def _alternatives(data: Data) -> Iterator[Mistake]:
-    for kind, one, other in (("rotor", "spin", "angular_momentum"), ("torquer", "gimbal", "root_axis")):
+    for kind, one, other in (
+        ("rotor", "spin", "angular_momentum"),
+        ("torquer", "gimbal", "root_axis"),
+        ("rate_sensor", "gimbal", "root_axis"),
+    ):
         for k, table in tables(data, kind):
             if (one in table) == (other in table):
                 have = "both are given" if one in table else "neither is given"
@@ -107,6 +119,9 @@ def _alternatives(data: Data) -> Iterator[Mistake]:
     for k, table in tables(data, "gimbal"):
         if "stops" in table and "stops_deg" in table:
             yield Mistake(("gimbal", k), 'both are given; expected either "stops" or "stops_deg"')
+        if "restitution" in table and "stops" not in table and "stops_deg" not in table:
+            wrong = f"restitution = {given(table['restitution'])}: the gimbal has no stops to bounce off"
+            yield Mistake(("gimbal", k, "restitution"), f'{wrong}; expected "stops" or "stops_deg" with it, or none')
 
 
 def number_of(table: Data, key: str) -> float | None:
@@ -115,6 +130,12 @@ def number_of(table: Data, key: str) -> float | None:
         return number(table.get(key))
     except Unfit:
         return None
+
+
+def root_axis_of(table: Data) -> int | None:
+    """Return the number of a root axis, or None where there is none or another number."""
+    axis = table.get("root_axis")
+    return axis if isinstance(axis, int) and not isinstance(axis, bool) and axis in (1, 2, 3) else None
 
 
 def _rotor_inertias(data: Data) -> Iterator[Mistake]:
@@ -137,7 +158,11 @@ def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
     gimbals = _gimbal_names(data)
     if gimbals is None:
         return
-    for kind in ("torquer", "pickoff"):
+    for kind, single, of_root in (
+        ("torquer", "", "root_axis turns the root"),
+        ("pickoff", "pick-off", ""),
+        ("rate_sensor", "rate sensor", "root_axis measures the root"),
+    ):
         seen: dict[str, int] = {}
         for k, table in tables(data, kind):
             gimbal = text_of(table, "gimbal")
@@ -145,13 +170,20 @@ def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:
                 continue
             path: Path = (kind, k, "gimbal")
             if gimbal not in gimbals:
-                on_root = kind == "torquer" and gimbal == _root_name(data)
-                what = "a gimbal (root_axis turns the root)" if on_root else "a gimbal"
+                what = f"a gimbal ({of_root})" if of_root and gimbal == _root_name(data) else "a gimbal"
                 yield no_such(path, gimbal, what, gimbals)
-            elif kind == "pickoff" and gimbal in seen:
-                wrong = f"gimbal = {given(gimbal)}: has a pick-off already, [[pickoff]] {seen[gimbal] + 1}"
+            elif single and gimbal in seen:
+                wrong = f"gimbal = {given(gimbal)}: has a {single} already, [[{kind}]] {seen[gimbal] + 1}"
                 yield Mistake(path, f"{wrong}; expected one on a gimbal")
             seen.setdefault(gimbal, k)
+    axes: dict[int, int] = {}
+    for k, table in tables(data, "rate_sensor"):
+        axis = root_axis_of(table)
+        if axis in axes:
+            wrong = f"root_axis = {axis}: has a rate sensor already, [[rate_sensor]] {axes[axis] + 1}"
+            yield Mistake(("rate_sensor", k, "root_axis"), f"{wrong}; expected one about an axis")
+        elif axis is not None:
+            axes[axis] = k
 
 
 def _signals(data: Data) -> Iterator[Mistake]:
@@ -164,21 +196,31 @@ def _signals(data: Data) -> Iterator[Mistake]:
             wrong = f"{what} names {taken[name]} already"
             yield Mistake(path, f"{wrong}; expected a signal name of its own")
         else:
-            taken[name] = f"the {'angle' if path[0] == 'gimbal' else 'torque'} of [[{path[0]}]] {int(path[1]) + 1}"
+            taken[name] = f"the {_SIGNALS[str(path[0])]} of [[{path[0]}]] {int(path[1]) + 1}"
 
 
 def _signal_names(data: Data) -> Iterator[tuple[Path, str, str]]:
     """Walk the path, the name, and the reserved name that a root torquer may bear."""
+    angles: dict[str | None, str] = {}
     for k, table in tables(data, "gimbal"):
         name, angle = text_of(table, "name"), text_of(table, "angle")
         if angle is not None:
             yield ("gimbal", k, "angle"), angle, ""
         elif name is not None and "angle" not in table:
-            yield ("gimbal", k), default_angle(name), ""
+            angle = default_angle(name)
+            yield ("gimbal", k), angle, ""
+        if name is not None and angle is not None:
+            angles.setdefault(name, angle)
     for k, table in tables(data, "torquer"):
         name, gimbal, root_axis = text_of(table, "name"), text_of(table, "gimbal"), table.get("root_axis")
-        own = f"M{root_axis}" if isinstance(root_axis, int) and root_axis in (1, 2, 3) else ""
+        own = f"M{root_axis}" if root_axis_of(table) is not None else ""
         if name is not None:
             yield ("torquer", k, "name"), name, own
         elif "name" not in table and (gimbal is not None or own):
             yield ("torquer", k), default_torquer(gimbal, root_axis), own
+    measured: set[str | None] = set()
+    for k, table in tables(data, "rate_sensor"):
+        gimbal = text_of(table, "gimbal")
+        if gimbal in angles and gimbal not in measured:
+            yield ("rate_sensor", k), measured_rate(angles[gimbal], None), ""
+        measured.add(gimbal)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
@@ -11,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.check import records
-from platform_ctrl.description import Platform, Rotor
+from platform_ctrl.description import PickOff, Platform, RateSensor, Rotor, Torquer
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.job import Job
+
+Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection
 
 
 def job_data(job: Job) -> dict[str, Any]:
@@ -81,7 +84,7 @@ def plant_data(platform: Platform) -> dict[str, Any]:
                 "axis": g.axis.tolist(),
                 "inertia": g.inertia.tolist(),
                 "angle": g.angle,
-                **({} if g.stops is None else {"stops": list(g.stops)}),
+                **({} if g.stops is None else {"stops": list(g.stops), "restitution": g.restitution}),
             }
             for g in platform.gimbals
         ],
@@ -98,24 +101,18 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             }
             for r in platform.rotors
         ],
-        "torquer": [
-            _given({"name": t.name, "gimbal": t.gimbal, "root_axis": t.root_axis, "limit": t.limit, "lag": t.lag})
-            for t in platform.torquers
+        "torquer": [_fields(t) for t in platform.torquers],
+        # The names of what sensors measure follow from the angles and axes.
+        "pickoff": [_fields(s, "name") for s in platform.pickoffs],
+        "rate_sensor": [_fields(s, "name") for s in platform.rate_sensors],
+        "spring": [_fields(one) for one in platform.springs],
+        "friction": [
+            _fields(one) if math.isfinite(one.stribeck_rate) else _fields(one, "breakaway", "stribeck_rate")
+            for one in platform.frictions
         ],
-        "pickoff": [
-            {
-                "gimbal": s.gimbal,
-                "noise_rms": s.noise_rms,
-                "noise_bandwidth_hz": s.noise_bandwidth_hz,
-                "quantisation": s.quantisation,
-            }
-            for s in platform.pickoffs
-        ],
-        "spring": [_element(one) for one in platform.springs],
-        "friction": [_element(one) for one in platform.frictions],
-        "cage": [_element(one) for one in platform.cages],
-        "unbalance": [_element(one) for one in platform.unbalances],
-        "erection": [_element(one) for one in platform.erections],
+        "cage": [_fields(one) for one in platform.cages],
+        "unbalance": [_fields(one) for one in platform.unbalances],
+        "erection": [_fields(one) for one in platform.erections],
     }
 
 
@@ -124,8 +121,8 @@ def _speed_loop(rotor: Rotor) -> dict[str, Any]:
     return _given(own)
 
 
-def _element(element: Spring | Friction | Cage | Unbalance | Erection) -> dict[str, Any]:
-    own = {field.name: getattr(element, field.name) for field in dataclasses.fields(element)}
+def _fields(part: Part, *apart: str) -> dict[str, Any]:
+    own = {field.name: getattr(part, field.name) for field in dataclasses.fields(part) if field.name not in apart}
     return _given({key: item.tolist() if isinstance(item, np.ndarray) else item for key, item in own.items()})
 
 

@@ -75,7 +75,7 @@ def _frictions(platform: Platform, symbols: ElementSymbols, terms: list[Term], n
             meaning = f"viscous friction of gimbal {friction.gimbal}"
             at, _ = symbols.add("d", friction.gimbal, "", meaning, "N m s", friction.viscous)
             terms.append(Term(k, "rate", k, (), at, 1.0))
-        if any(friction.coulomb):
+        if any(friction.breakaway):
             notes.append(f"dry friction of gimbal {friction.gimbal} is left out: it has no slope at rest")
 
 
