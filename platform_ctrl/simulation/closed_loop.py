@@ -15,6 +15,7 @@ from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Mode
+from platform_ctrl.simulation import packing
 from platform_ctrl.simulation.plant import pack, unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
@@ -246,7 +247,7 @@ def simulate(
     plant = pack(platform)
     if not free:
         kernel.half_cosine(0.0, profile, state[n : n + 3])
-    state = with_rotor_states(plant, state[None], spins[None])[0]
+    state = with_rotor_states(packing.pack(platform), state[None], spins[None])[0]
     if not free:
         momenta = np.empty(n)
         kernel.joint_momenta(*plant, free, state, *kernel.workspace(n), momenta)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 import operator
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +14,8 @@ from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.simulation.plant import pack, unit_quaternions
+from platform_ctrl.simulation.packing import pack
+from platform_ctrl.simulation.plant import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
@@ -80,7 +81,7 @@ def rollout(
     every
         Record the runs every so many steps; the result does not depend on it.
     threads
-        Number of threads that share the runs; default: the processors available, for more than a few runs.
+        Number of threads that share the runs, in groups of eight; default: the processors available.
     spin : (N, m), optional
         Initial spins of the m servo rotors against their carriers, rad/s; default the nominal ones. Their loops start
         in the steady state of the nominal spin: with no torque.
@@ -104,37 +105,35 @@ def rollout(
     step = positive("step", step)
     steps = _count("steps", steps, 0)
     every = None if every is None else _count("every", every, 1)
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = min(processors, 1 + runs // 4) if threads is None else min(_count("threads", threads, 1), runs)
+    threads = _processors() if threads is None else _count("threads", threads, 1)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step(platform, step, free=True)
     check_elements(platform, step, free=True)
 
-    from platform_ctrl.simulation import old_kernel as kernel
+    from platform_ctrl.simulation.kernel.advance import advance
+    from platform_ctrl.simulation.kernel.lanes import LANES, memory
 
     plant = pack(platform)
     states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
-    bounds = [0, steps] if every is None else [*range(0, steps, every), steps]
-    marks = bounds[-1:] if every is None else bounds
-    history = np.empty((len(marks), *states.shape))
-    slices = [slice(part[0], part[-1] + 1) for part in np.array_split(np.arange(runs), threads) if part.size]
-    with ThreadPoolExecutor(max_workers=max(len(slices), 1)) as pool:
-        if every is not None:
-            history[0] = states
-        for k, (begin, end) in enumerate(itertools.pairwise(bounds)):
-            jobs = [pool.submit(kernel.advance, *plant, True, states[s], held[s], step, end - begin) for s in slices]
-            for job in jobs:
-                job.result()
-            if every is not None:
-                history[k + 1] = states
-    if every is None:
-        history[0] = states
-    along = history.transpose(1, 0, 2)
+    marks = [steps] if every is None else [*range(0, steps, every), steps]
+    along = np.empty((runs, len(marks), states.shape[1]))
+    # A thread takes whole groups of scenarios that the kernel moves side by side.
+    groups = math.ceil(runs / LANES)
+    share = LANES * math.ceil(groups / threads) or 1
+    parts = [slice(first, first + share) for first in range(0, runs, share)]
+
+    def move(part: slice) -> None:
+        space = memory(plant.at.end)
+        advance(*plant, space, states[part], held[part], step, steps, every or 0, along[part])
+
+    with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
+        list(pool.map(move, parts))
     spins_along = spins_of(plant, along)
+    ends = along[:, -1]
     return Rollout(
-        q=states[:, :n],
-        velocity=states[:, n : 2 * n + 3],
-        attitude=states[:, 2 * n + 3 : 2 * n + 7],
+        q=ends[:, :n],
+        velocity=ends[:, n : 2 * n + 3],
+        attitude=ends[:, 2 * n + 3 : 2 * n + 7],
         spin=spins_along[:, -1],
         t=step * np.array(marks, dtype=np.float64),
         q_history=along[..., :n],
@@ -142,6 +141,10 @@ def rollout(
         attitude_history=along[..., 2 * n + 3 : 2 * n + 7],
         spin_history=spins_along,
     )
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _count(what: str, given: int, least: int) -> int:

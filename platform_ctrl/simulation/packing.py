@@ -35,7 +35,7 @@ def pack(platform: Platform) -> Packed:
     """Return a platform as the kernel wants it."""
     tree = topology(platform)
     n = len(tree.parents)
-    frames = np.concatenate([np.eye(3)[None], [_frame(axis) for axis in tree.axes]])
+    frames = np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
     links = _links(platform, tree, frames)
     at = _at(platform, n)
     constants = np.zeros(at.work)
@@ -112,7 +112,7 @@ def _at(platform: Platform, n: int) -> At:
         servos=servos,
         size=size,
         joints=bool(platform.springs or platform.frictions or platform.cages),
-        dry=any(max(f.coulomb) > 0.0 for f in platform.frictions),
+        dry=any(max(f.breakaway) > 0.0 for f in platform.frictions),
         cages=bool(platform.cages),
         weight=bool(platform.unbalances or platform.erections),
         course=False,
@@ -142,14 +142,12 @@ def _pack_joints(platform: Platform, rows: FloatArray) -> None:
             )
     for friction in platform.frictions:
         k = platform.gimbal(friction.gimbal)
-        breakaway = getattr(friction, "breakaway", friction.coulomb)
-        per_stribeck = 1.0 / getattr(friction, "stribeck_rate", math.inf)
         rows[k, layout.VISCOUS : layout.CAGE] = (
             friction.viscous,
             *friction.coulomb,
-            *breakaway,
+            *friction.breakaway,
             1.0 / friction.coulomb_rate,
-            per_stribeck,
+            1.0 / friction.stribeck_rate,
         )
     for cage in platform.cages:
         k = platform.gimbal(cage.gimbal)

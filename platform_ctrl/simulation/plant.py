@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.simulation.servo_rotors import Plant, servo_rotors
+from platform_ctrl.simulation.servo_rotors import servo_rotors
+
+Plant = tuple[NDArray[np.int64], FloatArray]
 
 
 def pack(platform: Platform) -> Plant:

@@ -7,8 +7,10 @@ torque is at its limit and the error would drive it further in.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform, Rotor
@@ -16,8 +18,10 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.matrices import directions, mass_matrix
+from platform_ctrl.simulation.kernel import body as layout
 
-Plant = tuple[NDArray[np.int64], FloatArray]
+if TYPE_CHECKING:
+    from platform_ctrl.simulation.packing import Packed
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step.
 _PER_STEP = 2.7
@@ -41,27 +45,37 @@ def initial_spins(platform: Platform, given: ArrayLike | None, shape: tuple[int,
     return real_array("spin", given, shape)
 
 
-def spins_of(plant: Plant, states: FloatArray) -> FloatArray:
+def spins_of(plant: Packed, states: FloatArray) -> FloatArray:
     """Return the servo rotors' spins, (..., m), at states (..., 2 n + 7 + 2 m) whose v holds the rates."""
-    count = (states.shape[-1] - 2 * plant[0].shape[1] - 7) // 2
-    spins = np.empty((*states.shape[:-1], count))
-    if count:
-        from platform_ctrl.simulation import old_kernel as kernel
-
-        flat = np.ascontiguousarray(states).reshape(-1, states.shape[-1])
-        kernel.rotor_spins(*plant, True, flat, spins.reshape(-1, count))
-    return spins
+    at = plant.at
+    momenta = states[..., 2 * at.n + 7 : 2 * at.n + 7 + at.servos]
+    return np.asarray(momenta / _axial_inertias(plant) - _carrier_rates(plant, states))
 
 
-def with_rotor_states(plant: Plant, states: FloatArray, spins: FloatArray) -> FloatArray:
+def with_rotor_states(plant: Packed, states: FloatArray, spins: FloatArray) -> FloatArray:
     """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind."""
-    count = spins.shape[1]
-    with_rotors = np.concatenate([states, np.zeros((len(states), 2 * count))], axis=1)
-    # Without momentum a rotor seems to spin backwards at the rate of its carrier.
-    first, body = states.shape[1], plant[1]
-    rows = slice(1 + plant[0].shape[1], 1 + plant[0].shape[1] + count)
-    with_rotors[:, first : first + count] = body[rows, 4] * (spins - spins_of(plant, with_rotors))
-    return with_rotors
+    out = np.concatenate([states, np.zeros((len(states), 2 * plant.at.servos))], axis=1)
+    first = states.shape[1]
+    momenta = _axial_inertias(plant) * (spins + _carrier_rates(plant, out))
+    out[:, first : first + plant.at.servos] = momenta
+    return out
+
+
+def _axial_inertias(plant: Packed) -> FloatArray:
+    at = plant.at
+    return plant.constants[at.servo : at.erection].reshape(-1, layout.SERVO)[:, layout.C]
+
+
+def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
+    """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
+    rates = np.empty((*states.shape[:-1], plant.at.servos))
+    if rates.size:
+        from platform_ctrl.simulation.kernel.advance import carrier_rates
+        from platform_ctrl.simulation.kernel.lanes import memory
+
+        flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)
+        carrier_rates(*plant, memory(plant.at.end), flat, rates.reshape(-1, plant.at.servos))
+    return rates
 
 
 def check_step(platform: Platform, step: float, free: bool) -> None:

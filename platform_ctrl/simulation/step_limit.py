@@ -47,7 +47,7 @@ def check_elements(platform: Platform, step: float, free: bool) -> None:
     for cage in platform.cages:
         judge("cage", cage.gimbal, cage.stiffness, cage.damping, _CONTACT if cage.clearance else _PHASE)
     for friction in platform.frictions:
-        judge("friction", friction.gimbal, 0.0, friction.viscous + max(friction.coulomb) / friction.coulomb_rate)
+        judge("friction", friction.gimbal, 0.0, friction.steepest_slope)
     if longest:
         allowed, kind, gimbal = min(longest)
         if step > 1.005 * allowed:  # what the message rounds up to is allowed
