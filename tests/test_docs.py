@@ -12,7 +12,7 @@ import pytest
 from pydantic import BaseModel
 
 from platform_ctrl import read_job, read_platform
-from platform_ctrl.reading import job as job_tables
+from platform_ctrl.reading import job_tables
 from platform_ctrl.reading import plant as plant_tables
 from platform_ctrl.reading.job import OPTIONS
 from platform_ctrl.reading.structure import Table, keys_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -87,6 +88,26 @@ def numbers(item: object, count: int) -> list[float]:
         except Unfit as error:
             raise Unfit(f"element {k + 1}, {given(entry)}, is {str(error) or 'not a number'}") from None
     return out
+
+
+def numbers_of_any_count(least: int, fits: Callable[[list[float]], bool]) -> Callable[[object], tuple[float, ...]]:
+    """Return the judge of `least` finite floats or more that fit together."""
+
+    def judge(item: object) -> tuple[float, ...]:
+        if not isinstance(item, list):
+            raise Unfit
+        found = numbers(item, len(item))
+        if len(found) < least:
+            raise Unfit(f"has {len(item)} element{'' if len(item) == 1 else 's'}")
+        if not fits(found):
+            raise Unfit
+        return tuple(found)
+
+    return judge
+
+
+def _increasing(found: list[float]) -> bool:
+    return all(x < y for x, y in itertools.pairwise(found))
 
 
 def text(item: object) -> str:
@@ -237,6 +258,23 @@ Samples = Annotated[int, Expected("a whole number from 0 to 1000", integer(0, 10
 GridPoints = Annotated[int, Expected("a whole number from 2 to 9", integer(2, 9))]
 Seed = Annotated[int, Expected("a whole number >= 0", integer(0, 2**63 - 1))]
 Rates = Annotated[FloatArray, Expected("the largest rate about each root axis, three numbers >= 0, rad/s", _rates)]
+Numbers = Annotated[tuple[float, ...], Expected("one or more numbers", numbers_of_any_count(1, lambda found: True))]
+Times = Annotated[
+    tuple[float, ...], Expected("two or more times that increase, s", numbers_of_any_count(2, _increasing))
+]
+Frequencies = Annotated[
+    tuple[float, ...],
+    Expected(
+        "two or more frequencies > 0 that increase, Hz",
+        numbers_of_any_count(2, lambda found: found[0] > 0 and _increasing(found)),
+    ),
+]
+Densities = Annotated[
+    tuple[float, ...],
+    Expected("a density > 0 for each frequency", numbers_of_any_count(1, lambda found: min(found) > 0)),
+]
+Lines = Annotated[int, Expected("a whole number from 1 to 4096", integer(1, 4096))]
+Runs = Annotated[int, Expected("a whole number from 1 to 2^30", integer(1, 2**30))]
 Names = Annotated[tuple[str, ...], Expected("a list of names", _names)]
 Plant = Annotated[
     str | dict[str, Any], Expected("the name of a shipped model, a path relative to this file, or a table", _plant)

@@ -5,33 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_args
-
-from pydantic import ConfigDict, Field
+from typing import Any
 
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import InputError
-from platform_ctrl.job import (
-    CoupledLimits,
-    DesignSpec,
-    Faults,
-    Job,
-    LoopKind,
-    LoopLimits,
-    LoopSpec,
-    Manoeuvre,
-    Method,
-    Mode,
-    Sampling,
-    Spread,
-    Structure,
-)
-from platform_ctrl.reading import fields
+from platform_ctrl.job import CoupledLimits, DesignSpec, Faults, Job, LoopLimits, LoopSpec, Sampling, Spread
+from platform_ctrl.reading.campaign_checks import variation_mistakes
 from platform_ctrl.reading.job_checks import job_mistakes
+from platform_ctrl.reading.job_runs import campaign, fault, manoeuvre
+from platform_ctrl.reading.job_tables import JobFile, LoopTable
 from platform_ctrl.reading.mistakes import Mistake, report
 from platform_ctrl.reading.plant import judge_plant, open_plant
 from platform_ctrl.reading.source import Document, open_file, open_mapping, path_of
-from platform_ctrl.reading.structure import Table, structure
+from platform_ctrl.reading.structure import structure
 
 # What the weights of a full-order design are made of.
 _WEIGHTS = frozenset(
@@ -76,130 +62,6 @@ OPTIONS: dict[str, frozenset[str]] = {
 }
 
 
-class OperationTable(Table):
-    """``[operation]``."""
-
-    Omega: fields.Rates
-    Omega_grid: fields.GridPoints = 2
-    seed: fields.Seed = 0
-
-
-class SpreadTable(Table):
-    """``[spread]``."""
-
-    inertia: fields.Share = 0.0
-    spin: fields.Share = 0.0
-    samples: fields.Samples = 0
-
-
-class FaultsTable(Table):
-    """``[faults]``."""
-
-    slow_rotor: fields.Part | None = None
-    weak_torquer: fields.SomePart | None = None
-
-
-class SamplingTable(Table):
-    """``[sampling]``."""
-
-    rate_hz: fields.Frequency
-    delay: fields.NotNegative
-
-
-class LoopLimitsTable(Table):
-    """``[loop.limits]``."""
-
-    bandwidth_hz: fields.Positive | None = None
-    disk_margin: fields.Positive | None = None
-    sensitivity_peak: fields.Positive | None = None
-    complementary_peak: fields.Positive | None = None
-    damping: fields.Positive | None = None
-    fastest_pole: fields.Positive | None = None
-    tracking: fields.Positive | None = None
-    tracking_hz: fields.Positive | None = None
-    Omega_rejection: fields.Positive | None = None
-    torque_rejection: fields.Positive | None = None
-    torque_noise: fields.Positive | None = None
-    torque_limit: fields.Positive | None = None
-    torque_limit_hz: fields.Positive | None = None
-    controller_poles: fields.Positive | None = None
-    controller_gain: fields.Positive | None = None
-    disk_margin_spread: fields.Positive | None = None
-    sensitivity_peak_spread: fields.Positive | None = None
-    complementary_peak_spread: fields.Positive | None = None
-    damping_spread: fields.Positive | None = None
-    disk_margin_faults: fields.Positive | None = None
-    damping_faults: fields.Positive | None = None
-
-
-class DesignTable(Table):
-    """``[[loop.design]]``: every other key is a number for the method."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, fields.Number] = Field(init=False)
-
-    name: fields.Text
-    method: Annotated[Method, fields.one_of(get_args(Method))]
-    tune: fields.Truth = False
-    structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
-
-
-class LoopTable(Table):
-    """``[[loop]]``."""
-
-    name: fields.Text
-    kind: Annotated[LoopKind, fields.one_of(get_args(LoopKind))]
-    gimbals: fields.Names = ()
-    use: fields.Text
-    limits: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
-    soft: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
-    design: list[DesignTable] = Field(min_length=1)
-
-
-class CoupledTable(Table):
-    """``[coupled]``."""
-
-    disk_margin: fields.Positive | None = None
-    coupling_cost: fields.Positive | None = None
-
-
-class ManoeuvreLimitsTable(Table):
-    """``limits`` of a manoeuvre."""
-
-    angle: fields.Positive | None = None
-    attitude: fields.Positive | None = None
-    torque_share: fields.Positive | None = None
-
-
-class ManoeuvreTable(Table):
-    """``[[manoeuvre]]``."""
-
-    name: fields.Text
-    mode: Annotated[Mode, fields.one_of(get_args(Mode))]
-    axis: fields.RootAxis
-    duration: fields.Positive
-    rate: fields.NotZero | None = None
-    rise: fields.Positive | None = None
-    hold: fields.NotNegative | None = None
-    torque: fields.NotZero | None = None
-    limits: ManoeuvreLimitsTable = Field(default_factory=ManoeuvreLimitsTable)
-
-
-class JobFile(Table):
-    """The whole file."""
-
-    schema_: fields.SchemaOne = Field(alias="schema")
-    name: fields.Text
-    plant: fields.Plant
-    operation: OperationTable
-    spread: SpreadTable = Field(default_factory=SpreadTable)
-    faults: FaultsTable = Field(default_factory=FaultsTable)
-    sampling: SamplingTable
-    loop: list[LoopTable] = Field(min_length=1)
-    coupled: CoupledTable = Field(default_factory=CoupledTable)
-    manoeuvre: list[ManoeuvreTable] = Field(default_factory=list)
-
-
 def read_job(
     source: str | os.PathLike[str] | Mapping[str, Any], *, folder: str | os.PathLike[str] | None = None
 ) -> Job:
@@ -233,7 +95,10 @@ def read_job(
     mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform, OPTIONS), *wrong]
     if mistakes or file is None or platform is None:
         raise report(document.label, document.data, mistakes)
-    return _job(file, platform)
+    job = _job(file, platform)
+    if mistakes := list(variation_mistakes(job)):
+        raise report(document.label, document.data, mistakes)
+    return job
 
 
 def _plant(document: Document, folder: Path) -> tuple[Platform | None, list[Mistake]]:
@@ -266,8 +131,10 @@ def _job(file: JobFile, platform: Platform) -> Job:
         sampling=Sampling(period=1.0 / file.sampling.rate_hz, delay=file.sampling.delay),
         loops=tuple(_loop(table) for table in file.loop),
         coupled=CoupledLimits(**file.coupled.model_dump()),
-        manoeuvres=tuple(_manoeuvre(table) for table in file.manoeuvre),
+        manoeuvres=tuple(manoeuvre(table) for table in file.manoeuvre),
         seed=file.operation.seed,
+        fault_events=tuple(fault(table) for table in file.fault),
+        campaign=None if file.campaign is None else campaign(file.campaign, file.operation.seed),
     )
 
 
@@ -289,18 +156,4 @@ def _loop(table: LoopTable) -> LoopSpec:
         use=table.use,
         limits=LoopLimits(**table.limits.model_dump()),
         soft=LoopLimits(**table.soft.model_dump()),
-    )
-
-
-def _manoeuvre(table: ManoeuvreTable) -> Manoeuvre:
-    return Manoeuvre(
-        name=table.name,
-        mode=table.mode,
-        axis=table.axis,
-        duration=table.duration,
-        rate=table.rate or 0.0,
-        rise=table.rise or 0.0,
-        hold=table.hold or 0.0,
-        torque=table.torque or 0.0,
-        limits=table.limits.model_dump(exclude_none=True),
     )

@@ -1,4 +1,4 @@
-"""What must fit together in a job file: loops, their designs, the plant's gimbals, the manoeuvres.
+"""What must fit together in a job file: loops, their designs, the plant's gimbals.
 
 Like the checks of the plant, these read the plain data and pass over what the structure check refuses.
 """
@@ -11,9 +11,10 @@ from typing import Any
 
 from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.job import LoopLimits
-from platform_ctrl.reading.fields import ROUNDING
-from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
+from platform_ctrl.reading.campaign_checks import campaign_mistakes
+from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of, unique_names
 from platform_ctrl.reading.plant_checks import number_of
+from platform_ctrl.reading.run_checks import run_mistakes
 from platform_ctrl.reading.structure import unknown_key
 
 Data = dict[str, Any]
@@ -37,34 +38,20 @@ NEEDED_BESIDE = (("tracking", "tracking_hz"), ("tracking_hz", "tracking"), ("tor
 # Sample periods from sample to torque at most: each is a state of every torquer in every plant.
 LONGEST_DELAY = 100
 
-# What a manoeuvre of each mode needs; the keys of the other mode would be silently ignored.
-MODE_KEYS = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
-
 
 def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, frozenset[str]]) -> list[Mistake]:
     """Return what does not fit together in a job file; without a platform, what can be said without it."""
     return [
-        *_unique_names(data, (), "loop"),
-        *_unique_names(data, (), "manoeuvre"),
+        *unique_names(data, (), "loop"),
+        *unique_names(data, (), "manoeuvre"),
+        *unique_names(data, (), "fault"),
         *_sampling(data),
         *_sets(data),
         *_designs(data, options),
         *_loops(data, platform),
-        *_manoeuvres(data),
+        *run_mistakes(data, platform),
+        *campaign_mistakes(data),
     ]
-
-
-def _unique_names(data: Data, path: Path, key: str) -> Iterator[Mistake]:
-    taken: dict[str, int] = {}
-    for k, table in tables(data, key):
-        name = text_of(table, "name")
-        if name is None:
-            continue
-        if name in taken:
-            header = ".".join([*(step for step in path if isinstance(step, str)), key])
-            wrong = f"name = {given(name)}: is the name of [[{header}]] {taken[name] + 1} already"
-            yield Mistake((*path, key, k, "name"), f"{wrong}; expected another")
-        taken.setdefault(name, k)
 
 
 def _sets(data: Data) -> Iterator[Mistake]:
@@ -106,7 +93,7 @@ def _sampling(data: Data) -> Iterator[Mistake]:
 def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
     for i, loop in tables(data, "loop"):
         path: Path = ("loop", i)
-        yield from _unique_names(loop, path, "design")
+        yield from unique_names(loop, path, "design")
         names = []
         for k, design in tables(loop, "design"):
             names.append(text_of(design, "name"))
@@ -204,26 +191,3 @@ def _root_torquers(path: Path, platform: Platform | None) -> Iterator[Mistake]:
     if lacking:
         wrong = f'kind = "stabilisation": the plant has no root torquer {", ".join(lacking)}'
         yield Mistake(path, f"{wrong}; expected [[torquer]] with root_axis 1, 2 and 3")
-
-
-def _manoeuvres(data: Data) -> Iterator[Mistake]:
-    for k, table in tables(data, "manoeuvre"):
-        path: Path = ("manoeuvre", k)
-        mode = text_of(table, "mode")
-        if mode not in MODE_KEYS:
-            continue
-        for key in MODE_KEYS[mode]:
-            if key not in table:
-                needed = ", ".join(MODE_KEYS[mode])
-                yield Mistake((*path, key), f'missing key "{key}": a {mode} manoeuvre needs {needed}')
-        for other, keys in MODE_KEYS.items():
-            for key in keys:
-                if other != mode and key in table:
-                    wrong = f"{key} = {given(table[key])}: belongs to a {other} manoeuvre"
-                    yield Mistake((*path, key), f"{wrong}; leave it out where mode = {given(mode)}")
-        duration, rise, hold = (number_of(table, key) for key in ("duration", "rise", "hold"))
-        if mode == "caged" and duration is not None and rise is not None and hold is not None:
-            least = 2 * rise + hold
-            if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
-                wrong = f"duration = {given(duration)}: shorter than 2 rise + hold"
-                yield Mistake((*path, "duration"), f"{wrong}; expected at least {least:.6g} s")

@@ -78,6 +78,20 @@ def text_of(table: dict[str, Any], key: str) -> str | None:
     return item if isinstance(item, str) else None
 
 
+def unique_names(data: dict[str, Any], path: Path, key: str) -> Iterator[Mistake]:
+    """Walk the tables `key` of `data`, which stands at `path`, whose name another one bears."""
+    taken: dict[str, int] = {}
+    for k, table in tables(data, key):
+        name = text_of(table, "name")
+        if name is None:
+            continue
+        if name in taken:
+            header = ".".join([*(step for step in path if isinstance(step, str)), key])
+            wrong = f"name = {given(name)}: is the name of [[{header}]] {taken[name] + 1} already"
+            yield Mistake((*path, key, k, "name"), f"{wrong}; expected another")
+        taken.setdefault(name, k)
+
+
 def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> InputError:
     """Return the error that names the first mistake in the file's order and counts the others."""
     first_at: dict[Path, Mistake] = {}
@@ -132,6 +146,8 @@ def _title(entry: Any) -> str:
             ("gimbal", " (gimbal {})"),
             ("body", " (body {})"),
             ("root_axis", " (root_axis {})"),
+            ("parameter", " {}"),
+            ("fault", " {}"),
         ):
             if isinstance(entry.get(key), str | int):
                 return form.format(given(entry[key]))
