@@ -17,7 +17,7 @@ _EDGES_FROM = np.log(_LOWEST)
 class Distribution:
     """Counts of a figure that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
 
-    What is added up in pieces, in any order, is the same as what is added up at once.
+    What is added in pieces, in any order, comes to the same as what is added at once.
 
     Attributes
     ----------
@@ -47,11 +47,6 @@ class Distribution:
         self.counts += np.bincount(_bin(values), minlength=_BINS + 2)
         self.smallest = min(self.smallest, float(values.min()))
         self.largest = max(self.largest, float(values.max()))
-
-    def merge(self, other: Distribution) -> None:
-        """Count everything that `other` counted."""
-        self.counts += other.counts
-        self.smallest, self.largest = min(self.smallest, other.smallest), max(self.largest, other.largest)
 
     def quantile(self, share: float) -> float:
         """Return the least figure that at least `share` of the runs do not exceed; NaN without runs."""

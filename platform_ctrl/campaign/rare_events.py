@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.arguments import one_of, short
-from platform_ctrl.campaign.statistics import CONFIDENCE, clopper_pearson
+from platform_ctrl.campaign.probability import CONFIDENCE, clopper_pearson
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray, value
 

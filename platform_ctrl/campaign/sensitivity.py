@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.campaign.statistics import Limits
+from platform_ctrl.campaign.statistics import NOT_FLOWN, Limits, limits_of
 from platform_ctrl.campaign.table import (
     ENDED,
     FIGURES,
@@ -203,7 +203,7 @@ def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
     pieces: list[dict[str, Array]] = []
     for batch in batches(table, wanted):
         rows = batch[RUN] < MOST_RUNS
-        rows &= np.fromiter((not str(one).startswith("not flown") for one in batch[ENDED]), bool, len(rows))
+        rows &= np.fromiter((not str(one).startswith(NOT_FLOWN) for one in batch[ENDED]), bool, len(rows))
         if rows.any():
             pieces.append({name: column[rows] for name, column in batch.items()})
     if not pieces:
@@ -222,7 +222,7 @@ def _output(
     """Return what the inputs act on, and where it is asked for."""
     if figure == PASSED:
         return (data[PASSED] == 0).astype(np.float64), np.asarray(data[PASSED] >= 0)
-    bounds = np.array([limits.get(name, {}).get(figure, np.nan) for name in known] or [np.nan])[place]
+    bounds = limits_of(known, figure, limits)[place] if known else np.zeros(0)
     asked = ~np.isnan(bounds)
     return data[figure] / np.where(asked, bounds, 1.0), asked
 

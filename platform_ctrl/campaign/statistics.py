@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from platform_ctrl.arguments import positive
 from platform_ctrl.campaign.distribution import Distribution
+from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
 from platform_ctrl.campaign.table import (
     ENDED,
     FIGURES,
@@ -20,103 +21,16 @@ from platform_ctrl.campaign.table import (
     codes,
     column_names,
 )
+from platform_ctrl.campaign.worst import RunFigure, WorstRuns
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import value
+from platform_ctrl.frozen import FloatArray, value
 
-CONFIDENCE = 0.95
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
 # Different endings that are told apart; further ones are counted together.
 _MOST_ENDINGS = 20
+DIVERGED, NOT_FLOWN = "diverged", "not flown"
 
 Limits = Mapping[str, Mapping[str, float]]
-
-
-@value
-class Probability:
-    """How often something happened, with exact bounds.
-
-    Attributes
-    ----------
-    events, runs
-        How many runs of how many.
-    low, high
-        Clopper and Pearson's bounds: of all runs that could be drawn the share lies between them, both together at
-        least with probability `confidence`.
-    confidence
-        Two-sided.
-    """
-
-    events: int
-    runs: int
-    low: float
-    high: float
-    confidence: float
-
-    @property
-    def estimate(self) -> float:
-        """Share of the runs; NaN without runs."""
-        return self.events / self.runs if self.runs else float("nan")
-
-
-def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> Probability:
-    """Return the probability of an event seen `events` times in `runs` independent runs.
-
-    With no event the upper bound is 1 − (α/2)^(1/runs), about 3.7/runs at 95 %: two-sided throughout, also where the
-    lower bound can only be zero.
-
-    Parameters
-    ----------
-    events, runs
-        Whole numbers, 0 ≤ events ≤ runs.
-    confidence
-        Two-sided, between 0 and 1.
-
-    Raises
-    ------
-    ArgumentError
-        More events than runs, or a confidence that is none.
-
-    Notes
-    -----
-    Exact for independent runs (Clopper and Pearson, Biometrika 26, 1934). Points of a Sobol sequence or a Latin
-    hypercube fill the space more evenly than that: the estimate scatters less, the bounds err on the safe side as a
-    rule, but nobody guarantees it.
-    """
-    if not 0 <= events <= runs:
-        raise ArgumentError(f"events: given {events} of {runs} runs; expected 0 <= events <= runs")
-    if not 0.0 < positive("confidence", confidence) < 1.0:
-        raise ArgumentError(f"confidence: given {confidence}; expected a number between 0 and 1")
-    low, high = 0.0, 1.0
-    if runs:
-        from scipy import stats
-
-        tail = 0.5 * (1.0 - confidence)
-        low = float(stats.beta.ppf(tail, events, runs - events + 1)) if events else 0.0
-        high = float(stats.beta.isf(tail, events + 1, runs - events)) if events < runs else 1.0
-    return Probability(events=events, runs=runs, low=low, high=high, confidence=confidence)
-
-
-@value
-class RunFigure:
-    """One run's figure held against its limit.
-
-    Attributes
-    ----------
-    run, manoeuvre, ended
-        Which run, and how it ended; ``platform-ctrl simulate JOB.toml --run RUN`` flies it again.
-    figure
-        Name of the limit.
-    value, limit, ratio
-        The figure, what is asked at most, and the one over the other (above 1: violated); infinite where it diverged.
-    """
-
-    run: int
-    manoeuvre: str
-    figure: str
-    value: float
-    limit: float
-    ratio: float
-    ended: str
 
 
 @value
@@ -130,7 +44,8 @@ class RequirementStatistics:
     manoeuvre
         The manoeuvre, or None over all.
     limit
-        What is asked at most; None over manoeuvres that ask different things, and for ``"passed"``.
+        What is asked at most; None for ``"passed"``. Over all manoeuvres a figure counts relative to its manoeuvre's
+        limit, and this is 1.
     violation
         How often it is violated, of the runs that were flown and of which it is asked. A run that diverged violates
         whatever is asked of it.
@@ -208,59 +123,6 @@ class CampaignStatistics:
         raise ArgumentError(f"requirement: given {figure!r} of {manoeuvre or 'all manoeuvres'!r}; expected {asked}")
 
 
-class _Tally:
-    """Counts of one manoeuvre's runs."""
-
-    def __init__(self) -> None:
-        self.asked = dict.fromkeys((*FIGURES, PASSED), 0)
-        self.violated = dict.fromkeys((*FIGURES, PASSED), 0)
-        self.distributions: dict[str, Distribution] = {}
-
-    def count(self, figure: str, answers: Array) -> None:
-        self.asked[figure] += int((answers >= 0).sum())
-        self.violated[figure] += int((answers == 0).sum())
-
-    def spread(self, figure: str, figures: Array) -> None:
-        self.distributions.setdefault(figure, Distribution()).add(figures)
-
-    def merge(self, other: _Tally) -> None:
-        for figure in self.asked:
-            self.asked[figure] += other.asked[figure]
-            self.violated[figure] += other.violated[figure]
-        for figure, distribution in other.distributions.items():
-            # Where it is not asked a figure means something else: the attitude of a platform that is turned on purpose.
-            if other.asked[figure]:
-                self.distributions.setdefault(figure, Distribution()).merge(distribution)
-
-
-class _Worst:
-    """The `keep` largest ratios seen so far, ties to the lower run."""
-
-    def __init__(self, keep: int) -> None:
-        self.keep = keep
-        self.found: list[RunFigure] = []
-
-    def see(self, ratio: Array, made: Sequence[Array], figure: Array, endings: Array, names: Sequence[str]) -> None:
-        run, value_, limit = made
-        asked = np.flatnonzero(~np.isnan(ratio))
-        if len(self.found) == self.keep and asked.size:
-            asked = asked[ratio[asked] >= self.found[-1].ratio] if self.keep else asked[:0]
-        best = asked[np.lexsort((run[asked], -ratio[asked]))[: self.keep]]
-        self.found += [
-            RunFigure(
-                run=int(run[k]),
-                manoeuvre=names[k],
-                figure=str(figure[k]),
-                value=float(value_[k]),
-                limit=float(limit[k]),
-                ratio=float(ratio[k]),
-                ended=str(endings[k]),
-            )
-            for k in best
-        ]
-        self.found = sorted(self.found, key=lambda one: (-one.ratio, one.run))[: self.keep]
-
-
 def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, worst: int = 10) -> CampaignStatistics:
     """Return what a campaign's table says about each requirement.
 
@@ -289,159 +151,126 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
     present = column_names(table)
     figures = [name for name in FIGURES if name in present]
     answers = [name for name in (f"{figure}_passed" for figure in figures) if name in present]
-    known: dict[str, int] = {}
-    tallies: list[_Tally] = []
-    worsts: dict[tuple[str, str | None], _Worst] = {}
-    endings: dict[str, int] = {}
-    runs = flown_runs = diverged = 0
+    counted = _Counted(worst)
     for batch in batches(table, (RUN, MANOEUVRE, *figures, *answers, PASSED, ENDED)):
-        ended = batch[ENDED]
-        kinds, kind = _endings(ended, endings)
-        runs += len(ended)
-        missing = np.array([one.startswith("not flown") for one in kinds])[kind]
-        diverged += int(np.array([one == "diverged" for one in kinds])[kind].sum())
-        flown_runs += int((~missing).sum())
-        batch = {name: column[~missing] for name, column in batch.items()}
-        place = codes(batch[MANOEUVRE], known)
-        tallies += [_Tally() for _ in range(len(known) - len(tallies))]
-        names = list(known)
-        asked = _asked(batch, figures, names, place, limits)
-        for k in range(len(names)):
+        counted.see(batch, figures, limits)
+    return counted.summed(limits, confidence)
+
+
+def limits_of(names: Iterable[str], figure: str, limits: Limits) -> FloatArray:
+    """Return what each manoeuvre asks of a figure at most; NaN where it asks nothing."""
+    return np.array([limits.get(name, {}).get(figure, np.nan) for name in names])
+
+
+class _Tally:
+    """Counts of some runs."""
+
+    def __init__(self) -> None:
+        self.asked = dict.fromkeys((*FIGURES, PASSED), 0)
+        self.violated = dict.fromkeys((*FIGURES, PASSED), 0)
+        self.distributions: dict[str, Distribution] = {}
+
+    def answer(self, figure: str, answers: Array) -> None:
+        self.asked[figure] += int((answers >= 0).sum())
+        self.violated[figure] += int((answers == 0).sum())
+
+    def spread(self, figure: str, figures: Array) -> None:
+        self.distributions.setdefault(figure, Distribution()).add(figures)
+
+    def requirement(
+        self, figure: str, manoeuvre: str | None, limit: float | None, confidence: float, worst: tuple[RunFigure, ...]
+    ) -> RequirementStatistics:
+        spread = self.distributions.get(figure)
+        return RequirementStatistics(
+            figure=figure,
+            manoeuvre=manoeuvre,
+            limit=limit,
+            violation=clopper_pearson(self.violated[figure], self.asked[figure], confidence),
+            quantiles={} if spread is None else {share: spread.quantile(share) for share in QUANTILES},
+            largest=float("nan") if spread is None else spread.largest,
+            distribution=spread,
+            worst=worst,
+        )
+
+
+class _Counted:
+    """Everything that is counted of a table, a piece after the other."""
+
+    def __init__(self, keep: int) -> None:
+        self.runs = self.flown = self.diverged = 0
+        self.endings: dict[str, int] = {}
+        self.known: dict[str, int] = {}
+        self.tallies: list[_Tally] = []
+        self.whole = _Tally()
+        self.worst = WorstRuns(keep)
+
+    def see(self, batch: Mapping[str, Array], figures: Sequence[str], limits: Limits) -> None:
+        """Count some runs."""
+        flown = self._endings(batch[ENDED])
+        batch = {name: column[flown] for name, column in batch.items()}
+        place = codes(batch[MANOEUVRE], self.known)
+        self.tallies += [_Tally() for _ in range(len(self.known) - len(self.tallies))]
+        names = list(self.known)
+        asked = {figure: limits_of(names, figure, limits)[place] for figure in figures} if names else {}
+        self.whole.answer(PASSED, batch[PASSED])
+        for figure, limit in asked.items():
+            # Where it is not asked a figure means something else: the attitude of a platform that is turned on purpose.
+            own = ~np.isnan(limit)
+            self.whole.spread(figure, batch[figure][own] / limit[own])
+            if f"{figure}_passed" in batch:
+                self.whole.answer(figure, batch[f"{figure}_passed"])
+        for k, tally in enumerate(self.tallies):
             here = place == k
             if not here.any():
                 continue
-            tallies[k].count(PASSED, batch[PASSED][here])
+            tally.answer(PASSED, batch[PASSED][here])
             for figure in figures:
-                tallies[k].spread(figure, batch[figure][here])
+                tally.spread(figure, batch[figure][here])
                 if f"{figure}_passed" in batch:
-                    tallies[k].count(figure, batch[f"{figure}_passed"][here])
-        _see_worst(worsts, batch, figures, asked, place, names, worst)
-    return _summed(
-        dict(zip(known, tallies, strict=True)),
-        worsts,
-        limits,
-        figures,
-        confidence,
-        (runs, flown_runs, diverged),
-        endings,
-    )
+                    tally.answer(figure, batch[f"{figure}_passed"][here])
+        self.worst.see(batch, asked, place, names)
 
+    def _endings(self, ended: Array) -> NDArray[np.bool_]:
+        """Count how runs ended; return which of them were flown."""
+        known: dict[str, int] = {}
+        exact = codes(ended, known)
+        numbers = np.bincount(exact, minlength=len(known))
+        for text, number in zip(known, numbers, strict=True):
+            kind = DIVERGED if text.startswith(DIVERGED) else text
+            kind = kind if kind in self.endings or len(self.endings) < _MOST_ENDINGS else "other reasons"
+            self.endings[kind] = self.endings.get(kind, 0) + int(number)
+        flown = ~np.array([text.startswith(NOT_FLOWN) for text in known], dtype=bool)[exact]
+        self.runs += len(ended)
+        self.flown += int(flown.sum())
+        self.diverged += int(np.array([text.startswith(DIVERGED) for text in known], dtype=bool)[exact].sum())
+        return np.asarray(flown)
 
-def _endings(ended: Array, counted: dict[str, int]) -> tuple[list[str], Array]:
-    """Count how runs ended; return the kinds in this piece, and which of them each run is."""
-    known: dict[str, int] = {}
-    exact = codes(ended, known)
-    kinds = ["diverged" if text.startswith("diverged") else text for text in known]
-    for kind, number in zip(kinds, np.bincount(exact, minlength=len(kinds)), strict=True):
-        key = kind if kind in counted or len(counted) < _MOST_ENDINGS else "other reasons"
-        counted[key] = counted.get(key, 0) + int(number)
-    return kinds, exact
-
-
-def _asked(
-    batch: Mapping[str, Array], figures: Sequence[str], names: Sequence[str], place: Array, limits: Limits
-) -> dict[str, Array]:
-    """Return for each figure every run's limit; NaN where its manoeuvre asks nothing."""
-    out = {}
-    for figure in figures:
-        by_name = np.array([limits.get(name, {}).get(figure, np.nan) for name in names] or [np.nan])
-        out[figure] = by_name[place]
-    return out
-
-
-def _see_worst(
-    worsts: dict[tuple[str, str | None], _Worst],
-    batch: Mapping[str, Array],
-    figures: Sequence[str],
-    asked: Mapping[str, Array],
-    place: Array,
-    names: Sequence[str],
-    keep: int,
-) -> None:
-    if not place.size or not figures:
-        return
-    run, ended = batch[RUN], batch[ENDED]
-    manoeuvres = [names[k] for k in place]
-    values = np.array([batch[figure] for figure in figures])
-    bounds = np.array([asked[figure] for figure in figures])
-    values = np.where(np.isfinite(values), values, np.inf)
-    ratios = values / bounds
-    for k, figure in enumerate(figures):
-        if np.isnan(ratios[k]).all():
-            continue
-        same = np.full(len(run), figure, dtype=object)
-        worsts.setdefault((figure, None), _Worst(keep)).see(
-            ratios[k], (run, values[k], bounds[k]), same, ended, manoeuvres
+    def summed(self, limits: Limits, confidence: float) -> CampaignStatistics:
+        """Return what was counted."""
+        requirements = [
+            self.whole.requirement(
+                figure, None, None if figure == PASSED else 1.0, confidence, self.worst.of(figure, None)
+            )
+            for figure in (*FIGURES, PASSED)
+            if self.whole.asked[figure]
+        ]
+        # In the order of the job file, whatever was drawn first.
+        for name in sorted(self.known, key=lambda name: list(limits).index(name) if name in limits else len(limits)):
+            tally = self.tallies[self.known[name]]
+            requirements += [
+                tally.requirement(
+                    figure, name, limits.get(name, {}).get(figure), confidence, self.worst.of(figure, name)
+                )
+                for figure in (*FIGURES, PASSED)
+                if tally.asked[figure]
+            ]
+        return CampaignStatistics(
+            runs=self.runs,
+            flown=self.flown,
+            diverged=self.diverged,
+            endings=dict(sorted(self.endings.items(), key=lambda item: -item[1])),
+            violation=clopper_pearson(self.whole.violated[PASSED], self.whole.asked[PASSED], confidence),
+            requirements=tuple(requirements),
+            worst=self.worst.of(PASSED, None),
+            confidence=confidence,
         )
-        for m, name in enumerate(names):
-            here = np.where(place == m, ratios[k], np.nan)
-            if not np.isnan(here).all():
-                worsts.setdefault((figure, name), _Worst(keep)).see(
-                    here, (run, values[k], bounds[k]), same, ended, manoeuvres
-                )
-    largest = np.where(np.isnan(ratios), -np.inf, ratios).argmax(axis=0)
-    rows = np.arange(len(run))
-    chosen = np.array(figures, dtype=object)[largest]
-    made = (run, values[largest, rows], bounds[largest, rows])
-    worsts.setdefault((PASSED, None), _Worst(keep)).see(ratios[largest, rows], made, chosen, ended, manoeuvres)
-
-
-def _summed(
-    tallies: Mapping[str, _Tally],
-    worsts: Mapping[tuple[str, str | None], _Worst],
-    limits: Limits,
-    figures: Sequence[str],
-    confidence: float,
-    counted: tuple[int, int, int],
-    endings: dict[str, int],
-) -> CampaignStatistics:
-    whole = _Tally()
-    for tally in tallies.values():
-        whole.merge(tally)
-    # In the order of the job file, whatever was drawn first.
-    order = [name for name in limits if name in tallies] + [name for name in tallies if name not in limits]
-    requirements = []
-    for manoeuvre, tally in ((None, whole), *((name, tallies[name]) for name in order)):
-        for figure in (*figures, PASSED):
-            if tally.asked[figure]:
-                found = worsts.get((figure, manoeuvre))
-                bounds = {limits[name][figure] for name in order if figure in limits.get(name, {})}
-                limit = limits.get(manoeuvre, {}).get(figure) if manoeuvre is not None else None
-                if manoeuvre is None and len(bounds) == 1:
-                    limit = bounds.pop()
-                requirements.append(
-                    _requirement(figure, manoeuvre, limit, tally, confidence, tuple(found.found) if found else ())
-                )
-    runs, flown, diverged = counted
-    overall = worsts.get((PASSED, None))
-    return CampaignStatistics(
-        runs=runs,
-        flown=flown,
-        diverged=diverged,
-        endings=dict(sorted(endings.items(), key=lambda item: -item[1])),
-        violation=clopper_pearson(whole.violated[PASSED], whole.asked[PASSED], confidence),
-        requirements=tuple(requirements),
-        worst=tuple(overall.found) if overall else (),
-        confidence=confidence,
-    )
-
-
-def _requirement(
-    figure: str,
-    manoeuvre: str | None,
-    limit: float | None,
-    tally: _Tally,
-    confidence: float,
-    worst: tuple[RunFigure, ...],
-) -> RequirementStatistics:
-    spread = tally.distributions.get(figure)
-    return RequirementStatistics(
-        figure=figure,
-        manoeuvre=manoeuvre,
-        limit=limit,
-        violation=clopper_pearson(tally.violated[figure], tally.asked[figure], confidence),
-        quantiles={} if spread is None else {share: spread.quantile(share) for share in QUANTILES},
-        largest=float("nan") if spread is None else spread.largest,
-        distribution=spread,
-        worst=worst,
-    )

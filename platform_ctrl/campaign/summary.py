@@ -1,0 +1,199 @@
+"""What a campaign came to, in one value: what its page, its terminal tables and campaign.json are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.probability import CONFIDENCE, Probability
+from platform_ctrl.campaign.rare_events import RareResult
+from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
+from platform_ctrl.campaign.table import Table
+from platform_ctrl.campaign.worst import RunFigure
+from platform_ctrl.frozen import value
+
+Record = dict[str, Any]
+
+
+@value
+class Summary:
+    """What a campaign came to.
+
+    Attributes
+    ----------
+    plan
+        What was flown.
+    statistics
+        How often each requirement is violated.
+    sensitivities
+        What drives them.
+    rare
+        Probabilities too small to be counted, where they were asked for.
+    """
+
+    plan: Plan
+    statistics: CampaignStatistics
+    sensitivities: tuple[Sensitivity, ...]
+    rare: tuple[RareResult, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run was flown and met whatever was asked of it."""
+        return self.statistics.passed
+
+    def inputs_of(self, run: int) -> dict[str, float | bool | str]:
+        """Return the inputs of one run by their names, in plain types."""
+        return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
+
+
+def summarised(
+    plan: Plan, table: Table, *, confidence: float = CONFIDENCE, rare: tuple[RareResult, ...] = ()
+) -> Summary:
+    """Return what a campaign's table says.
+
+    Parameters
+    ----------
+    plan
+        What was flown.
+    table
+        The runs: Parquet files or columns.
+    confidence
+        Of the bounds.
+    rare
+        Rare events to go with it.
+
+    Raises
+    ------
+    ArgumentError
+        A column is missing.
+    InputError
+        The files cannot be read.
+    """
+    limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.flown}
+    return Summary(
+        plan=plan,
+        statistics=statistics(table, limits, confidence=confidence),
+        sensitivities=sensitivities(table, limits, inputs=plan.input_names),
+        rare=rare,
+    )
+
+
+def summary_record(summary: Summary) -> Record:
+    """Return `statistics`, `sensitivity` and `rare` for campaign.json; None where a number is not finite."""
+    found = summary.statistics
+    record = {
+        "statistics": {
+            "runs": found.runs,
+            "flown": found.flown,
+            "diverged": found.diverged,
+            "endings": found.endings,
+            "passed": found.passed,
+            "confidence": found.confidence,
+            "violation": _probability(found.violation),
+            "requirements": [_requirement(one) for one in found.requirements],
+            "worst": [_run(one) for one in found.worst],
+        },
+        "sensitivity": [
+            {
+                "requirement": one.figure,
+                "manoeuvre": one.manoeuvre,
+                "runs": one.runs,
+                "ranked": one.ranked,
+                "influences": [
+                    {
+                        "parameter": single.parameter,
+                        "index": single.index,
+                        "low": single.low,
+                        "high": single.high,
+                        "rank_correlation": single.rank_correlation,
+                        "p_value": single.p_value,
+                        "driver": single.driver,
+                    }
+                    for single in one.influences
+                ],
+            }
+            for one in summary.sensitivities
+        ],
+        "rare": [rare_record(summary.plan, one) for one in summary.rare],
+    }
+    plain: Record = _plain(record)
+    return plain
+
+
+def rare_record(plan: Plan, rare: RareResult) -> Record:
+    """Return a rare event in plain types, with the inputs of its violations by their names."""
+    record = {
+        "requirement": rare.requirement or "any",
+        "method": rare.method,
+        "probability": rare.probability,
+        "low": rare.low,
+        "high": rare.high,
+        "confidence": rare.confidence,
+        "variation": rare.variation,
+        "runs": rare.evaluations,
+        "repetitions": [
+            {"probability": one.probability, "variation": one.variation, "levels": one.levels, "runs": one.evaluations}
+            for one in rare.repetitions
+        ],
+        "shift": dict(zip(plan.input_names, rare.shift, strict=True)),
+        "violations": [
+            {
+                "inputs": {name: column[0] for name, column in plan.inputs_at(one.u[None, :]).items()},
+                "point": one.u,
+                "noise_run": one.run,
+                "ratio": one.ratio,
+                "distance": one.distance,
+            }
+            for one in rare.violations
+        ],
+    }
+    plain: Record = _plain(record)
+    return plain
+
+
+def _requirement(one: RequirementStatistics) -> Record:
+    return {
+        "requirement": one.figure,
+        "manoeuvre": one.manoeuvre,
+        "limit": one.limit,
+        **_probability(one.violation),
+        "quantiles": {f"{share:g}": figure for share, figure in one.quantiles.items()},
+        "largest": one.largest,
+        "worst": [_run(single) for single in one.worst],
+    }
+
+
+def _probability(one: Probability) -> Record:
+    return {"violations": one.events, "runs": one.runs, "probability": one.estimate, "low": one.low, "high": one.high}
+
+
+def _run(one: RunFigure) -> Record:
+    return {
+        "run": one.run,
+        "manoeuvre": one.manoeuvre,
+        "requirement": one.figure,
+        "value": one.value,
+        "limit": one.limit,
+        "ratio": one.ratio,
+        "ended": one.ended,
+    }
+
+
+def _plain(item: Any) -> Any:
+    match item:
+        case Mapping():
+            return {str(key): _plain(entry) for key, entry in item.items()}
+        case np.ndarray():
+            return _plain(item.tolist())
+        case list() | tuple():
+            return [_plain(entry) for entry in item]
+        case np.generic():
+            return _plain(item.item())
+        case float():
+            return item if math.isfinite(item) else None
+    return item
