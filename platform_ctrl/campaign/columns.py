@@ -1,0 +1,94 @@
+"""The columns of a campaign's table: their kinds, rows of runs that were not flown, and columns as Arrow tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from platform_ctrl.campaign.flight import inputs_of
+from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array
+from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.reading.mistakes import one_line
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.plan import Plan
+
+Columns = dict[str, Array]
+Kind = Literal["whole", "number", "answer", "word"]
+# Flies runs of a plan as `flight.fly` does.
+Fly = Callable[..., Columns]
+
+NOT_FLOWN = "not flown: "
+_LONGEST = 200
+_KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
+
+
+def kinds_of(plan: Plan) -> dict[str, Kind]:
+    """Return the kinds of all columns by their names, in the table's order."""
+    inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
+    figures: dict[str, Kind] = dict.fromkeys(FIGURES, "number")
+    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in FIGURES}
+    rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
+    return {RUN: "whole", **inputs, **figures, **rest, ENDED: "word"}
+
+
+def flown(plan: Plan, runs: Sequence[int], fly: Fly, threads: int = 1, device: str = "cpu") -> Columns:
+    """Fly runs; those that cannot be flown become rows that say why, the others are flown all the same."""
+    try:
+        return fly(plan, runs, threads=threads, device=device)
+    except Exception as error:
+        if len(runs) > 1:
+            middle = len(runs) // 2
+            halves = [flown(plan, part, fly, threads, device) for part in (runs[:middle], runs[middle:])]
+            return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
+        return not_flown(plan, runs[0], _reason(error))
+
+
+def not_flown(plan: Plan, run: int, why: str) -> Columns:
+    """Return the row of a run that has its inputs, as far as they are known, and no outcome."""
+    nothing = np.array([None], dtype=object)
+    columns = dict.fromkeys(kinds_of(plan), nothing) | {RUN: np.array([run], dtype=np.int64)}
+    with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
+        columns |= inputs_of(plan, [run])
+    return columns | {ENDED: np.array([NOT_FLOWN + why], dtype=object)}
+
+
+def _reason(error: Exception) -> str:
+    text = one_line(" ".join(str(error).split()))
+    title = "" if isinstance(error, PlatformCtrlError) else type(error).__name__ + (": " if text else "")
+    return (title + text)[:_LONGEST]
+
+
+def arrow() -> Any:
+    """Return the module pyarrow.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            "a campaign's table is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]'"
+        ) from None
+    return pyarrow
+
+
+def schema_of(kinds: Mapping[str, Kind], metadata: Mapping[str, str]) -> Any:
+    """Return the Arrow schema; every column may hold nulls."""
+    pa = arrow()
+    types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}
+    return pa.schema([(name, types[kind]) for name, kind in kinds.items()], metadata=dict(metadata))
+
+
+def table_of(columns: Columns, schema: Any) -> Any:
+    """Return columns as an Arrow table; a number that is no number is null."""
+    pa = arrow()
+    arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)

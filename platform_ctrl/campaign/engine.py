@@ -1,0 +1,131 @@
+"""Flying a whole campaign: what is there already is kept, the rest is flown, and the table is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from platform_ctrl.arguments import one_of
+from platform_ctrl.campaign import flight
+from platform_ctrl.campaign.columns import NOT_FLOWN, Fly, arrow, kinds_of
+from platform_ctrl.campaign.identity import identity, versions
+from platform_ctrl.campaign.pieces import SIZES, Pieces
+from platform_ctrl.campaign.store import Record, opened
+from platform_ctrl.campaign.table import ENDED
+from platform_ctrl.campaign.workers import available, flown_by_processes
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import value
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.plan import Plan
+
+# Called with the number of runs that are kept, and of those that were not flown or diverged since the start.
+Progress = Callable[[int, int], None]
+
+
+@value
+class Campaigned:
+    """What a campaign came to.
+
+    Attributes
+    ----------
+    table
+        Path of the Parquet file: one row a run, in their order.
+    record
+        What ``campaign.json`` holds.
+    """
+
+    table: Path
+    record: Record
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Runs that ``completed``, ``diverged``, were ``not flown``; that ``passed``, and flown ones that did not."""
+        return dict(self.record["counts"])
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run was flown and met all its limits."""
+        return bool(self.counts["passed"] == self.record["runs"])
+
+
+def run_campaign(
+    plan: Plan,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    device: str = "cpu",
+    restart: bool = False,
+    progress: Progress | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    fly: Fly = flight.fly,
+) -> Campaigned:
+    """Fly all runs of a plan that are not in `folder` yet, and make the table of all.
+
+    Killed at any moment and started again it goes on; the table is that of a campaign that nobody disturbed, whatever
+    the number of workers. Runs that cannot be flown have a row that says why.
+
+    Parameters
+    ----------
+    plan
+        What is flown.
+    folder
+        Of ``campaign.parquet`` and ``campaign.json``; made if needed.
+    workers
+        Processes on this machine; default: as many as there are processors, one for a GPU.
+    scheduler
+        Address of a Dask scheduler, whose workers fly instead.
+    device
+        ``"cpu"`` or ``"cuda"``.
+    restart
+        Forget what is in `folder`.
+    progress, say
+        Called after each piece of runs, and with a line where something should be known.
+    fly
+        Flies runs as `flight.fly` does, its default; a function that worker processes can import.
+
+    Returns
+    -------
+    Campaigned
+        Where the table is, and the counts.
+
+    Raises
+    ------
+    InputError
+        `folder` holds another campaign or is in use, a file cannot be written, a package is missing, no scheduler.
+    SimulationError
+        Workers die again and again; what was flown is kept.
+    ArgumentError
+        `workers` or `device` make no sense.
+    """
+    one_of("device", device, tuple(SIZES))
+    if workers is not None and workers < 1:
+        raise ArgumentError(f"workers: given {workers}; expected at least one")
+    arrow()
+    crew = workers or (available() if device == "cpu" else 1)
+    about = {"job": plan.job.name, "platform": plan.job.platform.name}
+    kinds = kinds_of(plan)
+    with opened(folder, identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:
+        pieces = Pieces(store.gaps, crew, device)
+        amiss = 0
+        if progress is not None:
+            progress(store.done, amiss)
+        if pieces.waiting:
+            if scheduler is None:
+                flying = flown_by_processes(plan, pieces, fly, workers=crew, device=device)
+            else:
+                from platform_ctrl.campaign.cluster import flown_by_cluster
+
+                flying = flown_by_cluster(plan, pieces, fly, address=scheduler, device=device, say=say)
+            with closing(flying):  # type: ignore[type-var]
+                for runs, columns in flying:
+                    store.write(runs, columns)
+                    amiss += sum(str(one).startswith((NOT_FLOWN, "diverged")) for one in columns[ENDED])
+                    if progress is not None:
+                        progress(store.done, amiss)
+        say("putting the runs in order")
+        store.finish()
+        return Campaigned(table=store.table, record=store.record)

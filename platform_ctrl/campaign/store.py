@@ -1,0 +1,374 @@
+"""A campaign on disk: parts while it runs, one table in run order when it is done. Killed at any moment it is whole.
+
+``campaign.json`` says what is flown; ``campaign.parts/`` holds a Parquet file for each piece of runs, with the digest
+of its bytes in its name; ``campaign.parquet`` is put in place once it is complete, and the parts are removed after
+that.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.campaign.columns import NOT_FLOWN, Columns, Kind, arrow, schema_of, table_of
+from platform_ctrl.campaign.identity import Identity
+from platform_ctrl.campaign.lock import locked
+from platform_ctrl.campaign.table import ENDED, PASSED, RUN
+from platform_ctrl.errors import InputError
+from platform_ctrl.writing import write_whole
+
+RECORD, TABLE, PARTS = "campaign.json", "campaign.parquet", "campaign.parts"
+SCHEMA = 1
+# Rows that are written to the table at a time, and held in memory while it is made.
+ROWS = 1 << 14
+_PART = re.compile(r"(\d{12})-(\d{12})\.([0-9a-f]{32})\.parquet")
+# Under which key the table says what its runs follow from.
+_KEY = "platform_ctrl.campaign"
+
+Record = dict[str, Any]
+
+
+class Store:
+    """The folder of a campaign while it is flown; made by `opened`.
+
+    Attributes
+    ----------
+    folder
+        Where it lies.
+    runs
+        How many runs it will have.
+    """
+
+    def __init__(self, folder: Path, record: Record, kinds: Mapping[str, Kind]) -> None:
+        self.folder, self.record, self.runs = folder, record, int(record["runs"])
+        about = {"identity": record["identity"], "versions": record["versions"]}
+        self._stamp = json.dumps(about, sort_keys=True)
+        self._schema = schema_of(kinds, {_KEY: self._stamp})
+        self._parts: dict[range, Path] = {}
+        self._base = 0
+
+    @property
+    def table(self) -> Path:
+        """Path of the complete table."""
+        return self.folder / TABLE
+
+    @property
+    def done(self) -> int:
+        """How many runs are kept."""
+        return self._base + sum(map(len, self._parts))
+
+    @property
+    def gaps(self) -> list[range]:
+        """The runs that are missing, in order."""
+        out, reached = [], self._base
+        for part in sorted(self._parts, key=lambda part: part.start):
+            out.append(range(reached, part.start))
+            reached = part.stop
+        return [gap for gap in (*out, range(reached, self.runs)) if gap]
+
+    def load(self) -> None:
+        """Find what earlier processes left: a table, whole parts; whatever is damaged is removed and flown again."""
+        for unfinished in (*self.folder.glob(f".{TABLE}.*.tmp"), *self.folder.glob(f"{PARTS}/.*.tmp")):
+            unfinished.unlink(missing_ok=True)
+        self._base = self._whole_rows()
+        reached = self._base
+        for path in sorted((self.folder / PARTS).glob("*")):
+            named = _PART.fullmatch(path.name)
+            if named is None:
+                continue
+            runs = range(int(named[1]), int(named[2]))
+            fits = reached <= runs.start < runs.stop <= self.runs
+            if fits and _digest(path.read_bytes()) == named[3]:
+                self._parts[runs] = path
+                reached = runs.stop
+            else:
+                path.unlink()
+
+    def write(self, runs: range, columns: Columns) -> None:
+        """Keep the columns of a piece of runs.
+
+        Raises
+        ------
+        InputError
+            They cannot be written, for example because the disk is full.
+        """
+        pa = arrow()
+        out = pa.BufferOutputStream()
+        pa.parquet.write_table(table_of(columns, self._schema), out)
+        content = out.getvalue().to_pybytes()
+        folder = self.folder / PARTS
+        path = folder / f"{runs.start:012d}-{runs.stop:012d}.{_digest(content)}.parquet"
+        with self._kept(folder):
+            folder.mkdir(exist_ok=True)
+            with _replaced(path) as file:
+                file.write(content)
+        self._parts[runs] = path
+
+    def finish(self) -> None:
+        """Make the table of all runs, in their order, write the record, and remove the parts.
+
+        Raises
+        ------
+        InputError
+            A file cannot be written; everything is kept.
+        """
+        counts: Counter[str] = Counter()
+        if self._parts or self._base < self.runs:
+            with self._kept(self.table):
+                self._merge(counts)
+        else:
+            for table in self._base_tables():
+                _count(counts, table)
+        names = ("completed", "diverged", "not flown", "passed", "not passed")
+        self.record |= {"complete": True, "counts": {name: counts[name] for name in names}}
+        with self._kept(self.folder / RECORD):
+            write_record(self.folder, self.record)
+        with suppress(OSError):  # what cannot be removed is recognised next time
+            for path in self._parts.values():
+                path.unlink(missing_ok=True)
+            (self.folder / PARTS).rmdir()
+
+    def _merge(self, counts: Counter[str]) -> None:
+        pa = arrow()
+        with (
+            _replaced(self.table) as file,
+            pa.parquet.ParquetWriter(file, self._schema, write_page_checksum=True) as writer,
+        ):
+            waiting: list[Any] = []
+            for table in self._tables():
+                _count(counts, table)
+                waiting.append(table)
+                while sum(one.num_rows for one in waiting) >= ROWS:
+                    rows = pa.concat_tables(waiting).combine_chunks()
+                    writer.write_table(rows.slice(0, ROWS))
+                    waiting = [rows.slice(ROWS)]
+            rows = pa.concat_tables(waiting)
+            if rows.num_rows:
+                writer.write_table(rows)
+
+    def _tables(self) -> Iterator[Any]:
+        pa = arrow()
+        if self._base:
+            yield from self._base_tables()
+        for runs in sorted(self._parts, key=lambda part: part.start):
+            with pa.parquet.ParquetFile(pa.BufferReader(self._parts[runs].read_bytes())) as file:
+                yield file.read().cast(self._schema)
+
+    def _base_tables(self) -> Iterator[Any]:
+        pa = arrow()
+        with pa.parquet.ParquetFile(self.table, page_checksum_verification=True) as file:
+            for batch in file.iter_batches(batch_size=ROWS):
+                yield pa.Table.from_batches([batch]).cast(self._schema)
+
+    def _whole_rows(self) -> int:
+        """Return the rows of the table that is there, 0 if it is damaged or another campaign's."""
+        pa = arrow()
+        try:
+            rows, metadata = 0, pa.parquet.read_schema(self.table).metadata or {}
+            if metadata.get(_KEY.encode(), b"").decode() != self._stamp:
+                return 0
+            for table in self._base_tables():
+                numbers = table.column(RUN).to_numpy()
+                if not np.array_equal(numbers, np.arange(rows, rows + len(numbers))):
+                    return 0
+                rows += len(numbers)
+        except (OSError, ValueError, pa.ArrowException):
+            return 0
+        return rows if rows <= self.runs else 0
+
+    @contextmanager
+    def _kept(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(
+                f"{path}: cannot be written: {error.strerror or error}; the {self.done} runs flown so far are kept: "
+                "make room, and the same command goes on"
+            ) from None
+
+
+@contextmanager
+def opened(
+    folder: Path,
+    identity: Identity,
+    about: Mapping[str, Any],
+    runs: int,
+    versions: dict[str, str],
+    kinds: Mapping[str, Kind],
+    restart: bool = False,
+) -> Iterator[Store]:
+    """Lock a campaign's folder and open what is there, or begin.
+
+    Parameters
+    ----------
+    folder
+        Made if needed.
+    identity, versions
+        What the runs follow from: those that are there must follow from the same.
+    about
+        What else the record says.
+    runs
+        How many runs the campaign will have: at least as many as it has.
+    kinds
+        Columns of the table.
+    restart
+        Forget what is there.
+
+    Raises
+    ------
+    InputError
+        Another process is at work there, what is there belongs to another campaign, or nothing can be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made a folder: {error.strerror or error}") from None
+    with locked(folder):
+        if restart:
+            _forget(folder)
+        record = {
+            "schema": SCHEMA,
+            **about,
+            "runs": runs,
+            "identity": identity,
+            "versions": versions,
+            "complete": False,
+            "counts": {},
+        }
+        _judge(folder, record)
+        store = Store(folder, record, kinds)
+        try:
+            store.load()
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from None
+        if store.gaps or not (folder / RECORD).exists():
+            write_record(folder, record)
+        yield store
+
+
+def read_record(folder: Path) -> Record | None:
+    """Return the record of the campaign in a folder, None where there is none.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    path = folder / RECORD
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}; expected the record of a campaign") from None
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA or not isinstance(record.get("identity"), dict):
+        raise InputError(f"{path}: is no record of a campaign that this version reads; name another folder with -o")
+    return record
+
+
+def write_record(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write ``campaign.json``, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    write_whole(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
+
+
+def _judge(folder: Path, new: Record) -> None:
+    """Refuse what is there already if it is another campaign's."""
+    cure = "name another folder with -o, or begin anew with --restart"
+    there = read_record(folder)
+    if there is None:
+        taken = [name for name in (TABLE, PARTS) if (folder / name).exists()]
+        if taken:
+            raise InputError(f"{folder}: has {taken[0]} but no {RECORD} that says what it belongs to; {cure}")
+        return
+    found = differences(there, new)
+    if found:
+        raise InputError(f"{folder / RECORD}: the campaign there was begun with {'; '.join(found)}; {cure}")
+    if there["runs"] > new["runs"]:
+        raise InputError(
+            f"{folder / RECORD}: the campaign there has {there['runs']} runs, given {new['runs']}; expected at least "
+            f"as many, or {cure}"
+        )
+
+
+def differences(there: Record, new: Record) -> list[str]:
+    """Return in words what two campaigns' runs follow from and is not the same."""
+    out = []
+    for name in {**there["identity"], **new["identity"]}:
+        before, now = there["identity"].get(name), new["identity"].get(name)
+        if before == now:
+            continue
+        if name == "runs" and before and now:
+            out.append(
+                f"{before} runs instead of {now} (a Latin hypercube is made for one number of runs; sobol and random "
+                "go on)"
+            )
+        elif name in ("seed", "sampling", "step", "device"):
+            out.append(f"{name} {before} instead of {now}")
+        elif name != "runs":
+            out.append(f"another {name}" if name == "plant" else f"other {name}")
+    for name, now in new["versions"].items():
+        before = there.get("versions", {}).get(name)
+        if before != now:
+            out.append(f"{name} {before} instead of {now}")
+    return out
+
+
+def _forget(folder: Path) -> None:
+    # The record last: what is left without it would be nobody's.
+    try:
+        (folder / TABLE).unlink(missing_ok=True)
+        for path in (folder / PARTS).glob("*"):
+            path.unlink()
+        with suppress(FileNotFoundError):
+            (folder / PARTS).rmdir()
+        (folder / RECORD).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be emptied: {error.strerror or error}") from None
+
+
+def _count(counts: Counter[str], table: Any) -> None:
+    endings = [str(ended) for ended in table.column(ENDED).to_pylist()]
+    for ended in endings:
+        counts["not flown" if ended.startswith(NOT_FLOWN) else "diverged" if ended != "completed" else ended] += 1
+    passed = table.column(PASSED).to_pylist().count(True)
+    counts["passed"] += passed
+    counts["not passed"] += len(endings) - passed - sum(ended.startswith(NOT_FLOWN) for ended in endings)
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+@contextmanager
+def _replaced(path: Path) -> Iterator[Any]:
+    """Yield a file that takes the place of `path` when it is complete and on the disk."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(unfinished, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    if os.name == "posix":
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,166 @@
+"""Flying pieces of a campaign on processes of this machine: each has a pipe of its own, so that it may die alone."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from typing import TYPE_CHECKING
+
+from platform_ctrl.campaign.columns import Columns, Fly, flown, not_flown
+from platform_ctrl.campaign.parcel import packed, unpacked
+from platform_ctrl.campaign.pieces import Pieces
+from platform_ctrl.errors import SimulationError
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.plan import Plan
+
+DIED = "worker died"
+# Deaths without a run finished in between: not the runs' fault.
+_DEATHS = 24
+
+
+def available() -> int:
+    """Return the number of processors that this process may use."""
+    with suppress(AttributeError):  # not on every system
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def flown_by_processes(
+    plan: Plan, pieces: Pieces, fly: Fly, *, workers: int, device: str = "cpu"
+) -> Iterator[tuple[range, Columns]]:
+    """Fly all pieces on `workers` processes and yield them with their columns as they are done, in any order.
+
+    The first piece is flown alone: a kernel that has to be compiled is compiled once. A worker that dies is replaced,
+    its piece is flown again in parts; a run that workers die of is given up and recorded as not flown.
+
+    Raises
+    ------
+    SimulationError
+        Workers die before they begin, or again and again.
+    """
+    parcel = packed(plan)
+    context = multiprocessing.get_context("spawn")
+    crew: dict[Connection, _Worker] = {}
+    deaths, warm = 0, False
+    threads = available() if device == "cuda" else 1
+
+    try:
+        while True:
+            for worker in crew.values():
+                piece = pieces.next() if worker.idle else None
+                if piece is not None:
+                    worker.send(piece)
+            busy = sum(worker.piece is not None for worker in crew.values())
+            if not pieces.waiting and not busy:
+                return
+            while len(crew) < min(workers if warm else 1, busy + pieces.most):
+                worker = _Worker(context, parcel, fly, threads, device)
+                crew[worker.connection] = worker
+            for connection in wait(list(crew)):
+                worker = crew[connection]  # type: ignore[index]
+                try:
+                    message = worker.connection.recv()
+                except (EOFError, OSError):
+                    del crew[worker.connection]
+                    worker.kill()
+                    if not worker.ready and not warm:
+                        raise SimulationError(
+                            f"a worker process ended before it began (exit code {worker.process.exitcode}); a script "
+                            'that starts a campaign must do so under if __name__ == "__main__"'
+                        ) from None
+                    deaths += 1
+                    if deaths >= _DEATHS:
+                        raise SimulationError(
+                            f"{deaths} worker processes died without a run finished in between (exit code "
+                            f"{worker.process.exitcode}); is there memory enough? Fewer --workers need less. The runs "
+                            "so far are kept, the same command goes on"
+                        ) from None
+                    if worker.piece is not None:
+                        run = pieces.died(worker.piece)
+                        if run is not None:
+                            yield range(run, run + 1), not_flown(plan, run, DIED)
+                    continue
+                if message is None:
+                    worker.ready = True
+                    continue
+                piece, worker.piece = worker.piece, None
+                if piece is None:
+                    continue
+                columns, seconds = message
+                if warm:
+                    pieces.finished(piece, seconds)
+                deaths, warm = 0, True
+                yield piece, columns
+    finally:
+        for worker in crew.values():
+            worker.kill()
+
+
+class _Worker:
+    """A process, the pipe to it, and the piece that it flies."""
+
+    def __init__(
+        self, context: multiprocessing.context.SpawnContext, parcel: bytes, fly: Fly, threads: int, device: str
+    ) -> None:
+        self.connection, its = context.Pipe()
+        self.process = context.Process(target=_work, args=(its, parcel, fly, threads, device), daemon=True)
+        with _no_interrupt():
+            self.process.start()
+        its.close()
+        self.ready = False
+        self.piece: range | None = None
+
+    @property
+    def idle(self) -> bool:
+        return self.ready and self.piece is None
+
+    def send(self, piece: range) -> None:
+        self.piece = piece
+        with suppress(OSError):  # that it has gone is seen when it is listened to
+            self.connection.send(piece)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+
+
+@contextmanager
+def _no_interrupt() -> Iterator[None]:
+    """Start a process that never sees a Ctrl-C, meant for this one: the mask of signals is inherited."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _work(connection: Connection, parcel: bytes, fly: Fly, threads: int, device: str) -> None:
+    """Fly pieces until the campaign's process has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    plan = unpacked(parcel)
+    with suppress(EOFError, OSError):
+        connection.send(None)
+        while True:
+            piece = connection.recv()
+            began = time.perf_counter()
+            columns = flown(plan, piece, fly, threads, device)
+            connection.send((columns, time.perf_counter() - began))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
