@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kernel_entries import derivatives, whole_state
 from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, Torquer
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.mechanics import element_forces, forward_dynamics, kinematics, matrices
 from platform_ctrl.simulation import HalfCosine, rollout, simulate
-from platform_ctrl.simulation.plant import pack
 from tree_cases import platforms
 
 J, L, GRAVITY = 2e-3, 0.15, 9.81
@@ -57,13 +57,8 @@ def furnished(platform: Platform, seed: int) -> Platform:
 
 def state_derivative(platform, q, v, force, free):
     """[q', v'] of the kernel."""
-    from platform_ctrl.simulation import old_kernel as kernel
-
     n = len(platform.gimbals)
-    y = np.concatenate([q, v, [1.0, 0.0, 0.0, 0.0]])
-    dy = np.zeros_like(y)
-    locked = np.zeros(n, dtype=bool)
-    kernel.derivative(*pack(platform), free, locked, y, np.array([force]), 0, *kernel.workspace(n), dy)
+    dy = derivatives(platform, whole_state(platform, q, v), force, free=free)[0]
     return dy[:n], dy[n : 2 * n + 3]
 
 

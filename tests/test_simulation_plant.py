@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kernel_entries import derivatives, momenta, whole_state
 from platform_ctrl.description import Gimbal, Platform, Rotor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics import inverse_dynamics, matrices
 from platform_ctrl.simulation import rollout
-from platform_ctrl.simulation.plant import pack
 
 CASES = json.loads((Path(__file__).parent / "data" / "dynamics-cases.json").read_text())["groups"]
 
@@ -60,38 +60,26 @@ def some_free(platform: Platform) -> Platform:
 
 
 def derivative(platform, q, velocity, force, free=True, held=()):
-    from platform_ctrl.simulation import old_kernel as kernel
-
     n = len(platform.gimbals)
-    y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
-    dy = np.zeros_like(y)
-    locked = np.isin(np.arange(n), held)
-    forces = np.array([force], dtype=float)
-    kernel.derivative(*pack(platform), free, locked, y, forces, 0, *kernel.workspace(n), dy)
+    dy = derivatives(platform, whole_state(platform, q, velocity), force, free=free, held=held)[0]
     return dy[:n], dy[n : 2 * n + 3]
 
 
-def mass_and_momentum(platform, q):
-    """A* and B'L from the kernel's workspace, the latter through the joint momenta and the root's sum at rest."""
-    from platform_ctrl.simulation import old_kernel as kernel
+def momentum(platform, q, velocity):
+    """[H, p] = A* u + BᵀL."""
+    return momenta(platform, whole_state(platform, q, velocity))[0]
 
-    n = len(platform.gimbals)
-    work, matrix = kernel.workspace(n)
-    y = np.concatenate([q, np.zeros(n + 3), [1.0, 0.0, 0.0, 0.0]])
-    p = np.empty(n)
-    kernel.joint_momenta(*pack(platform), False, y, work, matrix, p)
-    mass = np.tril(matrix[:-1])
-    return mass + np.tril(mass, -1).T, np.concatenate([work[0, kernel.MOMENTUM : kernel.RATE], p])
+
+def mass_and_momentum(platform, q):
+    """A* and BᵀL, by momenta: those are linear in the rates."""
+    size = len(platform.gimbals) + 3
+    at_rest = momentum(platform, q, np.zeros(size))
+    unit = [momentum(platform, q, e) - at_rest for e in np.eye(size)]
+    return np.array(unit).T, at_rest
 
 
 def joint_momenta(platform, q, velocity):
-    from platform_ctrl.simulation import old_kernel as kernel
-
-    n = len(platform.gimbals)
-    p = np.empty(n)
-    y = np.concatenate([q, velocity, [1.0, 0.0, 0.0, 0.0]])
-    kernel.joint_momenta(*pack(platform), False, y, *kernel.workspace(n), p)
-    return p
+    return momentum(platform, q, velocity)[3:]
 
 
 def turn(axis, angle):
@@ -308,9 +296,9 @@ def test_gimbals_that_carry_each_other_in_a_ring_are_refused():
 
 
 def test_the_kernel_compiles_where_no_cache_can_be_kept():
-    from platform_ctrl.simulation import old_kernel as kernel
+    from platform_ctrl.simulation.kernel.lanes import compiled
 
     # numba finds no place for the cache of a function without a source file.
     scope: dict = {}
     exec("def half(x):\n    return x / 2", scope)
-    assert kernel._compiled(scope["half"])(3.0) == 1.5
+    assert compiled(scope["half"])(3.0) == 1.5

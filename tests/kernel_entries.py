@@ -1,0 +1,90 @@
+"""Single functions of the compiled kernel, called from Python on up to eight states side by side."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.description import Platform
+from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK
+from platform_ctrl.simulation.packing import Packed, pack
+
+
+@cache
+def entries() -> tuple[Any, Any]:
+    """Return the entries for `derivative` and `joint_momenta`, compiled at the first call."""
+    import numba
+
+    from platform_ctrl.simulation.kernel import dynamics
+
+    @numba.njit
+    def derivative(links, mem, lane, at, free, locking, bare, y, around, dy):
+        dynamics.derivative(links, mem, lane, at, free, locking, bare, y, around, dy)
+
+    @numba.njit
+    def joint_momenta(links, mem, lane, at, y, around, result):
+        dynamics.joint_momenta(links, mem, lane, at, y, around, result)
+
+    return derivative, joint_momenta
+
+
+def space(plant: Packed) -> np.ndarray:
+    """Return a memory that holds the plant and what is around it."""
+    from platform_ctrl.simulation.kernel.lanes import memory
+
+    mem = memory(plant.at.end)
+    mem[: len(plant.constants)] = plant.constants[:, None]
+    mem[plant.at.surroundings : plant.at.end] = np.tile(plant.around, 3)[:, None]
+    return mem
+
+
+def put(mem: np.ndarray, slot: int, rows: np.ndarray) -> None:
+    """Put rows, or one row for all columns, into the columns of the memory; the first one into what is left."""
+    rows = np.atleast_2d(rows)
+    columns = np.concatenate([rows, np.repeat(rows[:1], mem.shape[1] - len(rows), axis=0)])
+    mem[slot : slot + rows.shape[1]] = columns.T
+
+
+def run(entry: Any, plant: Packed, mem: np.ndarray, lane: int | None, *rest: Any) -> None:
+    """Call an entry for all columns at once (`lane` None), or for those before `lane` one by one."""
+    for column in [None] if lane is None else range(lane):
+        entry(plant.links, mem, column, plant.at, *rest)
+
+
+def whole_state(platform: Platform, q: np.ndarray, v: np.ndarray, rotors: np.ndarray | tuple[()] = ()) -> np.ndarray:
+    """Return the kernel's state; `rotors` are P and x of the servo rotors."""
+    return np.concatenate([q, v, [1.0, 0.0, 0.0, 0.0], rotors])
+
+
+def derivatives(
+    platform: Platform,
+    states: np.ndarray,
+    force: np.ndarray,
+    free: bool = True,
+    held: Any = (),
+    lane: int | None = None,
+    bare: bool = False,
+) -> np.ndarray:
+    """Derivatives of states (k, size), k <= 8, under [M, Q] = `force`; the gimbals `held` are locked."""
+    plant = pack(platform)
+    at, mem = plant.at, space(plant)
+    put(mem, at.state, states)
+    put(mem, at.surroundings, force)
+    for k in held:
+        mem[at.work + (k + 1) * WORK + LOCKED] = 1.0
+    locking = len(tuple(held)) > 0
+    run(entries()[0], plant, mem, lane, free, locking, bare, at.state, at.surroundings, at.stages)
+    return mem[at.stages : at.stages + at.size].T[: len(np.atleast_2d(states))].copy()
+
+
+def momenta(platform: Platform, states: np.ndarray, lane: int | None = None) -> np.ndarray:
+    """Angular momentum about the fixed point in root axes and joint momenta (k, 3 + n) of states whose v is rates."""
+    plant = pack(platform)
+    at, mem = plant.at, space(plant)
+    put(mem, at.state, states)
+    run(entries()[1], plant, mem, lane, at.state, at.surroundings, at.stages)
+    root = at.work + MOMENT
+    out = np.concatenate([mem[root : root + 3], mem[at.stages : at.stages + at.n]])
+    return out.T[: len(np.atleast_2d(states))].copy()
