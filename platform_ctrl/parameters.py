@@ -138,12 +138,12 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
         yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1, allowed=ANY)
     for word, group, called, numbers in _PARTS:
         taken: dict[str, int] = {}
-        for k, part in enumerate(getattr(platform, group, ())):
+        for k, part in enumerate(getattr(platform, group)):
             name = getattr(part, called)
             taken[name] = taken.get(name, 0) + 1
             title = name if taken[name] == 1 else f"{name}#{taken[name]}"
             for key, allowed in numbers.items():
-                if key != "gain" and not hasattr(part, key):
+                if not _there(part, key):
                     continue
                 yield Parameter(
                     path=f"{word}.{title}.{key}",
@@ -152,7 +152,7 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
                     key=key,
                     index=k,
                     allowed=allowed,
-                    factor=key in ("inertia", "gain"),
+                    factor=key == "inertia" or (group, key) == ("torquers", "gain"),
                 )
     having = {one.body: k for k, one in reversed([*enumerate(platform.unbalances)])}
     for body in (platform.root_name, *platform.gimbal_names):
@@ -165,6 +165,17 @@ def _of_plant(platform: Platform) -> Iterator[Parameter]:
                 index=having.get(body, -1),
                 allowed=ANY,
             )
+
+
+def _there(part: Any, key: str) -> bool:
+    """Whether a part has what a number is about: a Stribeck curve, stops to bounce off."""
+    match key:
+        case "breakaway" | "stribeck_rate":
+            return math.isfinite(part.stribeck_rate)
+        case "restitution":
+            return part.stops is not None
+        case _:
+            return True
 
 
 def _initial(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
@@ -267,7 +278,8 @@ def misfits(
             line = _misfit(vary, known[path], scenarios, faults, drawn)
             if line is not None:
                 yield k, "relative" if line.startswith("relative") else "distribution", line
-    for one, other, line in _misfit_pairs(drawn, known, scenarios[0] if scenarios else None, faults):
+    by_path = {vary.parameter: vary for vary in varied}
+    for one, other, line in _misfit_pairs(by_path, drawn, known, scenarios[0] if scenarios else None, faults):
         yield place.get(one, place.get(other, 0)), "distribution", line
 
 
@@ -301,6 +313,7 @@ def _misfit(
 
 
 def _misfit_pairs(
+    varied: dict[str, Vary],
     drawn: dict[str, tuple[float, float]],
     known: dict[str, Parameter],
     scenario: Scenario | None,
@@ -324,6 +337,17 @@ def _misfit_pairs(
                 yield transverse, axial, f'"{transverse}" {line}; allowed is at least half of it'
         if f"{of}.spin" in drawn and f"{of}.angular_momentum" in drawn:
             yield f"{of}.angular_momentum", "", f'"{of}.angular_momentum": "{of}.spin" is varied already; expected one'
+    for friction in scenario.platform.frictions:
+        dry, breakaway = (f"friction.{friction.gimbal}.{key}" for key in ("coulomb", "breakaway"))
+        if breakaway in known and (dry in drawn or breakaway in drawn):
+            highest_dry, least_breakaway = friction.coulomb, friction.breakaway
+            if dry in drawn:
+                highest_dry = _new(friction, "coulomb", varied[dry].support[1], varied[dry].relative)
+            if breakaway in drawn:
+                least_breakaway = _new(friction, "breakaway", varied[breakaway].support[0], varied[breakaway].relative)
+            if any(low < high for low, high in zip(least_breakaway, highest_dry, strict=True)):
+                line = f"would be drawn up to {max(highest_dry):.6g} N m, above a breakaway torque"
+                yield dry, breakaway, f'"{dry}" {line} of {min(least_breakaway):.6g} N m; expected it below'
     for fault in faults:
         begin, end = f"fault.{fault.name}.at", f"fault.{fault.name}.until"
         if begin in drawn or end in drawn:

@@ -12,11 +12,20 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.check import records
-from platform_ctrl.description import PickOff, Platform, RateSensor, Rotor, Torquer
+from platform_ctrl.description import (
+    OMEGA_NAMES,
+    ROOT_TORQUE_NAMES,
+    PickOff,
+    Platform,
+    RateSensor,
+    Rotor,
+    Torquer,
+)
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.job import Job
+from platform_ctrl.job import Campaign, Job, Manoeuvre
+from platform_ctrl.scenario import FAULT_KEYS, Fault, Vibration
 
-Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection
+Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection | Vibration
 
 
 def job_data(job: Job) -> dict[str, Any]:
@@ -30,7 +39,6 @@ def job_data(job: Job) -> dict[str, Any]:
         "sampling": {"rate_hz": 1.0 / job.sampling.period, "delay": job.sampling.delay},
         "coupled": _given({"disk_margin": job.coupled.disk_margin, "coupling_cost": job.coupled.coupling_cost}),
         "loop": [],
-        "manoeuvre": [],
         "plant": plant_data(job.platform),
     }
     for spec in job.loops:
@@ -55,15 +63,63 @@ def job_data(job: Job) -> dict[str, Any]:
                 ],
             }
         )
-    for manoeuvre in job.manoeuvres:
-        own: dict[str, Any] = {"name": manoeuvre.name, "mode": manoeuvre.mode, "axis": manoeuvre.axis}
-        own["duration"] = manoeuvre.duration
-        if manoeuvre.mode == "caged":
-            own |= {"rate": manoeuvre.rate, "rise": manoeuvre.rise, "hold": manoeuvre.hold}
-        else:
-            own["torque"] = manoeuvre.torque
-        data["manoeuvre"].append(own | {"limits": dict(manoeuvre.limits)})
+    data["manoeuvre"] = [_manoeuvre_data(manoeuvre) for manoeuvre in job.manoeuvres]
+    if job.fault_events:
+        data["fault"] = [_fault_data(fault) for fault in job.fault_events]
+    if job.campaign is not None:
+        data["campaign"] = _campaign_data(job.campaign)
     return data
+
+
+def _manoeuvre_data(manoeuvre: Manoeuvre) -> dict[str, Any]:
+    own: dict[str, Any] = {"name": manoeuvre.name, "mode": manoeuvre.mode, "axis": manoeuvre.axis}
+    own["duration"] = manoeuvre.duration
+    if manoeuvre.rate:
+        own |= {"rate": manoeuvre.rate, "rise": manoeuvre.rise, "hold": manoeuvre.hold}
+    if manoeuvre.torque:
+        own["torque"] = manoeuvre.torque
+    if manoeuvre.faults:
+        own["faults"] = list(manoeuvre.faults)
+    for key, table, columns in (
+        ("Omega_table", manoeuvre.Omega_table, OMEGA_NAMES),
+        ("torque_table", manoeuvre.torque_table, ROOT_TORQUE_NAMES),
+    ):
+        if table is not None:
+            values = dict(zip(columns, table.values.T.tolist(), strict=True))
+            own[key] = {"t": table.t.tolist(), **values, "smooth": table.smooth}
+    if manoeuvre.initial:
+        own["initial"] = dict(manoeuvre.initial)
+    if manoeuvre.vibrations:
+        own["vibration"] = [_fields(one) for one in manoeuvre.vibrations]
+    return own | {"limits": dict(manoeuvre.limits)}
+
+
+def _fault_data(fault: Fault) -> dict[str, Any]:
+    keys = FAULT_KEYS[fault.kind]
+    own = {key: getattr(fault, key) for key in ("name", "kind", "part", "at", *keys.needed, *keys.optional)}
+    return {key: item for key, item in own.items() if item is not None and item != math.inf}
+
+
+def _campaign_data(campaign: Campaign) -> dict[str, Any]:
+    return {
+        "runs": campaign.runs,
+        "seed": campaign.seed,
+        "sampling": campaign.sampling,
+        "step": campaign.step,
+        "manoeuvre": [{"name": one.name, "weight": one.weight} for one in campaign.manoeuvres],
+        "vary": [
+            {
+                "parameter": one.parameter,
+                "distribution": one.distribution,
+                **one.numbers,
+                **({"values": list(one.values)} if one.values else {}),
+                **({"weights": list(one.weights)} if one.weights else {}),
+                "relative": one.relative,
+            }
+            for one in campaign.vary
+        ],
+        "fault": [{"fault": one.fault, "probability": one.probability} for one in campaign.faults],
+    }
 
 
 def plant_data(platform: Platform) -> dict[str, Any]:
