@@ -227,6 +227,11 @@ class Platform:
         return tuple(g.angle for g in self.gimbals)
 
     @property
+    def sensors(self) -> tuple[PickOff | RateSensor, ...]:
+        """All that measures: the pick-offs, then the rate sensors."""
+        return (*self.pickoffs, *self.rate_sensors)
+
+    @property
     def parents(self) -> NDArray[np.intp]:
         """Index of each gimbal's parent, (n,); −1 is the root."""
         return self._indices([g.parent for g in self.gimbals])
@@ -284,6 +289,11 @@ class Platform:
 def gimbal_rate(angle: str) -> str:
     """Return the signal name of a gimbal's rate, from that of its angle."""
     return f"{angle}_rate"
+
+
+def is_rate(signal: str) -> bool:
+    """Return whether a signal's name is that of a rate, of the root or of a gimbal."""
+    return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
 
 
 def expect_platform(given: object) -> None:

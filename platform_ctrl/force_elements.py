@@ -79,8 +79,8 @@ class Friction:
     def steepest_slope(self) -> float:
         """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: what a step of integration must stand.
 
-        The dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
-        falls it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.
+        Dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
+        falls, it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.
         """
         rising = self.viscous + max(self.breakaway) / self.coulomb_rate
         drop = max(self.breakaway[0] - self.coulomb[0], self.breakaway[1] - self.coulomb[1])

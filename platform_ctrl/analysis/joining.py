@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.description import is_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -19,14 +20,14 @@ if TYPE_CHECKING:
 def joined(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:
-    """Return one controller from `inputs` (pick-offs) to `outputs` (torquers): see `joined_arrays`."""
+    """Return one controller from `inputs` (sensors) to `outputs` (torquers): see `joined_arrays`."""
     return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, name="all loops")
 
 
 def joined_arrays(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> StateArrays:
-    """Return the arrays of one controller from `inputs` (pick-offs) to `outputs` (torquers).
+    """Return the arrays of one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
 
     The joining is exact: nothing non-linear stands between controllers, and later ones see this step's outputs.
 
@@ -48,7 +49,7 @@ def joined_arrays(
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
     states = sum(len(K.A) for K in parts)
     size = states + len(inputs)
-    # Every signal is a row over [all controllers' states, pick-offs].
+    # Every signal is a row over [all controllers' states, what is measured].
     rows: dict[str, FloatArray] = {name: np.eye(size)[states + k] for k, name in enumerate(inputs)}
     made: dict[str, str] = {}
     taken: set[str] = set()
@@ -59,6 +60,10 @@ def joined_arrays(
         if not math.isclose(K.dt, period, rel_tol=1e-9):
             raise ArgumentError(f"{where}: dt is {system.dt!r}; expected the sample period {period:.6g} s")
         unknown = [name for name in system.input_labels if name not in rows]
+        if unknown and is_rate(unknown[0]):
+            raise ArgumentError(
+                f"{where}: input {unknown[0]!r} is a rate that no sensor measures; expected a rate sensor in the plant"
+            )
         if unknown:
             raise ArgumentError(
                 f"{where}: input {unknown[0]!r} is neither a pick-off nor an output of an earlier controller; "

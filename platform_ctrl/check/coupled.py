@@ -2,7 +2,8 @@
 
 The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
 the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
-A job without a loop on the root has no coupled model of its own: its platform stays carried.
+A job without a loop on the root has no coupled model of its own: its platform stays carried, and a sensor of its rate
+reads what is given, to which no loop is closed.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.sampled import sampled
-from platform_ctrl.description import OMEGA_NAMES
+from platform_ctrl.description import OMEGA_NAMES, gimbal_rate
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel
@@ -38,8 +39,8 @@ class CoupledCheck:
     Attributes
     ----------
     plant, controller
-        The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs to
-        torquers.
+        The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs
+        and rate sensors to torquers.
     poles
         Of the closed loop, in z.
     free
@@ -114,6 +115,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
 def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
     """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to angles.
 
+    Outputs are besides the angles the rates that the controllers take in and a sensor of the plant measures.
     With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
     counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
     """
@@ -127,10 +129,31 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = linear_state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
-    part = system[angles, [t.signal for t in torquers]]
+    rates = [name for name in _rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
+    outputs = [*angles, *rates]
+    part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = state_space(arrays, [t.name for t in torquers], angles)
+    named = state_space(arrays, [t.name for t in torquers], outputs)
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.StateSpace:
+    """Return a linear model of the platform with `signals` as its outputs.
+
+    Angles and, of a free root, Omega are the model's outputs. A gimbal's rate is the derivative of its angle, on which
+    no torque acts directly. Where Omega is given it does not deviate: such an output is zero.
+    """
+    rows = dict.fromkeys(OMEGA_NAMES, np.zeros(system.nstates))
+    rows |= {gimbal_rate(name): system.A[k] for k, name in enumerate(system.output_labels) if name not in OMEGA_NAMES}
+    rows |= dict(zip(system.output_labels, system.C, strict=True))
+    C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
+    arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
+    return state_space(arrays, system.input_labels, signals)
+
+
+def _rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
+    used = {name for K in controllers for name in K.input_labels}
+    return [s.name for s in job.platform.rate_sensors if s.name in used]
 
 
 def _root_torquers(job: Job) -> set[str]:
@@ -146,7 +169,7 @@ def _one_controller(
 ) -> control.StateSpace:
     used = {name for K in controllers for name in K.output_labels}
     torquers = [name for name in plant.input_labels if name in used]
-    seen = [s.name for s in job.platform.pickoffs if s.name in plant.output_labels]
+    seen = [s.name for s in job.platform.sensors if s.name in plant.output_labels]
     return joined(controllers, seen, torquers, job.sampling.period)
 
 
@@ -161,14 +184,14 @@ def _decoupled_margins(
         K = _one_controller(job, caging, plant)
         margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
     if len(margins) < len(channels):
-        plant = _one_way_plant(job, model)
+        plant = _one_way_plant(job, model, _rates(job, controllers))
         K = _one_controller(job, controllers, plant)
         one_way = loop_margins(plant, K, at="input").alpha
         margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
     return np.array([margins[name] for name in channels])
 
 
-def _one_way_plant(job: Job, model: LinearModel) -> control.StateSpace:
+def _one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
     system = linear_state_space(model)
     n, torquers = system.nstates, job.platform.torquers
@@ -181,19 +204,20 @@ def _one_way_plant(job: Job, model: LinearModel) -> control.StateSpace:
             B[:n, column] = system.B[:, system.input_labels.index(torquer.name)]
         else:
             B[n:, column] = mobility[:, torquer.root_axis - 1]
-    C = np.hstack([system.C, np.zeros((system.noutputs, 3))])
+    C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
     arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
-    named = state_space(arrays, [t.name for t in torquers], list(model.angle_names))
+    named = state_space(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES])
+    named = measuring(named, [*model.angle_names, *rates])
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
 def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArray:
-    """Rms torque command in every channel from all pick-offs."""
+    """Rms torque command in every channel from all pick-offs and rate sensors."""
     arrays = state_arrays(loop, "coupled loop")
     noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
     names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
-    pickoffs = {s.name: s for s in job.platform.pickoffs}
-    rms = [pickoffs[name].sampled_noise(job.sampling.period) for name in names]
+    sensors = {s.name: s for s in job.platform.sensors}
+    rms = [sensors[name].sampled_noise(job.sampling.period) for name in names]
     return noise_rms_arrays(
         arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], np.array(rms, dtype=np.float64)
     )

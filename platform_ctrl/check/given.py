@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.check.records import SCHEMA
+from platform_ctrl.description import is_rate
 from platform_ctrl.design.caging_claims import with_caging_claims
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, remeasured
@@ -39,7 +40,7 @@ def read_controllers(
     source
         The path of a ``result.json``, or of a file with its keys ``schema`` and ``controllers`` alone; or a dict.
     job
-        What they have to fit: names of pick-offs and torquers, sample period and delay.
+        What they have to fit: names of pick-offs, rate sensors and torquers, sample period and delay.
     key
         ``"controllers"``, or ``"alternatives"``: there the same output may be set twice, and none need be there.
 
@@ -64,7 +65,7 @@ def read_controllers(
     if not isinstance(entries, list) or (not entries and key == "controllers"):
         shown = f"{key} = {given(entries)}" if key in data else f'missing key "{key}"'
         raise InputError(f"{label}: {shown}; expected a list of controllers")
-    known = [s.name for s in job.platform.pickoffs]
+    known = [s.name for s in job.platform.sensors]
     made_by: dict[str, str] = {}
     out = []
     for number, entry in enumerate(entries, 1):
@@ -118,6 +119,9 @@ class _Entry:
         inputs = self._names("inputs")
         outputs = self._names("outputs")
         for one in inputs:
+            if one not in known and is_rate(one):
+                wrong = f"{given(one)} is a rate that no sensor of the plant measures"
+                raise self._mistake("inputs", f"{wrong}; expected [[rate_sensor]] for it in the plant file")
             if one not in known:
                 wrong = f"{given(one)} is no pick-off of the plant and no output of a controller before it"
                 raise self._mistake("inputs", f"{wrong}; {suggestion(one, known)}")

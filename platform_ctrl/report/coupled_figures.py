@@ -12,7 +12,7 @@ from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import sampled
-from platform_ctrl.check.coupled import CoupledCheck
+from platform_ctrl.check.coupled import CoupledCheck, measuring
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.frozen import FloatArray
@@ -198,27 +198,28 @@ def platform_compliance(result: JobResult, frequency: FloatArray) -> tuple[Float
     sampled loop's sensitivity, which holds below the Nyquist frequency where the samples see it.
     """
     job, model = result.job, result.model
-    free = linear_state_space(model, root="free")
-    names = list(model.angle_names)
-    outputs = [*names, *OMEGA_NAMES]
+    check = result.coupled
+    shown = [*model.angle_names, *OMEGA_NAMES]
+    outputs = [*shown, *(name for name in check.controller.input_labels if name not in shown)]
+    free = measuring(linear_state_space(model, root="free"), outputs)
     signals = [t.signal for t in job.platform.torquers]
     direct = _response(free[outputs, list(ROOT_TORQUE_NAMES)], frequency)
     # The platform's rates become angles.
-    to_angle = np.ones((len(frequency), len(outputs), 1), dtype=np.complex128)
+    to_angle = np.ones((len(frequency), len(shown), 1), dtype=np.complex128)
     to_angle[:, -3:] = (1.0 / (1j * frequency))[:, None, None]
     driven = sampled(
         free[outputs, signals], job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
     )
     P = _response(driven, frequency)
-    check = result.coupled
     K = state_arrays(check.controller, "all loops")
-    rows = [names.index(name) for name in check.controller.input_labels]
+    rows = [outputs.index(name) for name in check.controller.input_labels]
     columns = [[t.name for t in job.platform.torquers].index(name) for name in check.controller.output_labels]
     K_response = frequency_response_arrays(*K, frequency)
     loop = P[:, rows][:, :, columns] @ K_response
     seen = np.linalg.solve(np.eye(len(rows)) - loop, direct[:, rows])
     closed = direct + P[:, :, columns] @ K_response @ seen
-    return np.abs(to_angle * direct), np.abs(to_angle * closed)
+    opened, closed = direct[:, : len(shown)], closed[:, : len(shown)]
+    return np.abs(to_angle * opened), np.abs(to_angle * closed)
 
 
 def _response(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
