@@ -8,18 +8,18 @@ diagonal perturbations; skew = 0 gives (S - T)/2 (Seiler, Packard and Gahinet, I
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays
-from platform_ctrl.analysis.diagonal_mu import mu_lower_bound, mu_upper_bound
+from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
+from platform_ctrl.analysis.diagonal_mu import perturbation
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import crossing_frequencies, gains, hinf_norm_arrays, resonances
+from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
+from platform_ctrl.analysis.norms import hinf_norm_arrays, largest_gains
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -36,16 +36,25 @@ class DiskMargin:
     alpha
         The guaranteed margin: `lower`. 0 if the closed loop is not stable.
     lower, upper
-        No perturbation smaller than `lower` makes the loop unstable; one of size `upper` does.
+        No perturbation smaller than `lower` makes the loop unstable; one of size `upper`, `perturbation`, does.
         They agree up to three channels.
     unstructured
         1/‖S + (skew - 1)/2 I‖: the margin against perturbations that couple the channels; not above `lower`.
     frequency
         Where the margin is reached, rad/s.
     proved
-        Whether `lower` holds between all frequencies, to 0.01 %: constant scalings cover the whole axis.
+        Whether `lower` holds between all frequencies, to 0.01 %: constant scalings cover the whole axis. Never for
+        data at given frequencies.
     skew
         0: gain may rise and fall alike; > 0: mostly rise; < 0: mostly fall.
+    reason
+        Why the margin is 0 although the loop has a response; else empty.
+    perturbation : complex (m,)
+        Factors of the channels' loop gains, of disk size `upper`, that put a closed-loop pole at `frequency` on the
+        stability boundary. A complex factor is gain |f| and phase arg f at that frequency; see `is_real` and
+        `destabilising`.
+    dt
+        Sample period of the loop, s; 0: continuous.
     frequencies : (N,)
         rad/s.
     lower_response, upper_response, unstructured_response : (N,)
@@ -59,6 +68,9 @@ class DiskMargin:
     frequency: float
     proved: bool
     skew: float
+    reason: str
+    perturbation: ComplexArray
+    dt: float
     frequencies: FloatArray
     lower_response: FloatArray
     upper_response: FloatArray
@@ -71,6 +83,25 @@ class DiskMargin:
     def gain_phase(self) -> tuple[float, float, float]:
         """Lowest and highest gain factor and the phase, rad, that `alpha` allows in every channel."""
         return disk_to_gain_phase(self.alpha, self.skew)
+
+    @property
+    def is_real(self) -> bool:
+        """Whether `perturbation` is pure gain: real factors, which an amplifier alone brings about."""
+        return bool(np.all(np.abs(self.perturbation.imag) <= 1e-9 * np.abs(self.perturbation)))
+
+    def destabilising(self) -> control.StateSpace:
+        """Return stable factors with real coefficients, one for each channel, that equal `perturbation` at `frequency`.
+
+        In series with the loop they put a pair of closed-loop poles on the stability boundary at `frequency`. Each
+        is a disk's rim run through by a first-order all-pass (a gain where `perturbation` is real).
+
+        Raises
+        ------
+        ArgumentError
+            If no finite factors destabilise the loop, or they are complex at frequency 0, infinity or the Nyquist
+            frequency, where every system with real coefficients has a real response.
+        """
+        return worst_factors(self.perturbation, self.frequency, self.skew, self.dt)
 
 
 @value
@@ -92,7 +123,11 @@ class LoopMargins:
     frequency: FloatArray
 
 
-def disk_margin(loop_transfer: control.StateSpace, skew: float = 0.0, frequency: ArrayLike | None = None) -> DiskMargin:
+def disk_margin(
+    loop_transfer: control.StateSpace | control.FrequencyResponseData,
+    skew: float = 0.0,
+    frequency: ArrayLike | None = None,
+) -> DiskMargin:
     """Return the disk margin of a loop in all channels simultaneously.
 
     The peak is searched over all frequencies, not only those of a grid, and a check with constant scalings between the
@@ -101,62 +136,132 @@ def disk_margin(loop_transfer: control.StateSpace, skew: float = 0.0, frequency:
     Parameters
     ----------
     loop_transfer
-        L with negative feedback, square, continuous or discrete: S = (I + L)^-1 (see `loop_transfer`).
+        L with negative feedback, square, continuous or discrete: S = (I + L)^-1 (see `loop_transfer`). Measured data
+        (`control.FrequencyResponseData`) give the smallest margin among their frequencies, provided that the closed
+        loop is stable: that, data cannot tell.
     skew
         Skew of the disk.
     frequency : (N,), optional
         Frequencies of the result's arrays, rad/s; default a grid that follows the closed loop's poles. The margin
-        does not depend on it.
+        does not depend on it. Data have their own.
 
     Raises
     ------
     ArgumentError
         If the loop transfer is not square, I + D is singular, or `skew` or `frequency` is not finite.
     """
+    if not math.isfinite(skew):
+        raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
+    if hasattr(loop_transfer, "frdata"):
+        return _margin_of_data(loop_transfer, skew, frequency)
     L = state_arrays(loop_transfer, "disk_margin")
     m = L.D.shape[0]
     if L.D.shape != (m, m) or m == 0:
         raise ArgumentError(
             f"disk_margin: the loop transfer has {m} outputs and {L.D.shape[1]} inputs, expected a square one"
         )
-    if not math.isfinite(skew):
-        raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
     disk = _disk_arrays(L, skew)
     s = continuous_poles(pole_arrays(disk.A), disk.dt)
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
-        return _unstable(skew, np.zeros(0) if given is None else given, s)
+        return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
     norm, at = hinf_norm_arrays(*disk)
-    grid = _grid(disk, s, at)
+    own = search_grid(disk, s, at)
+    grid = own if given is None else np.union1d(own, given)
+    peak = MuPeak(disk)
+    response = peak.response(grid)
+    bounds = peak.bounds(grid, response, 1e-6)
+    proved = True
     if m == 1:
-        lower = upper = _inverse(norm)
-        proved = True
+        peak.mu = peak.lower = norm
+        peak.frequency = at
+        peak.Q = np.ones(1, dtype=np.complex128)
     else:
-        peak = _Peak(disk)
-        # The grid only has to tell the hills apart: the peak itself is computed to seven digits.
-        peak.climb(grid, mu_upper_bound(peak.response(grid), 1e-3)[0])
+        peak.climb(grid, bounds.upper)
         proved = peak.prove()
-        at, lower = peak.frequency, _inverse(peak.mu)
-        upper = _inverse(float(mu_lower_bound(peak.response(np.array([at])), peak.D[None])[0]))
-    shown = grid if given is None else given
-    response = frequency_response_arrays(*disk, shown)
-    mu, D = mu_upper_bound(response, 1e-4)
+    shown = slice(None) if given is None else np.searchsorted(grid, given)
+    return _margin(
+        peak,
+        peak.response(np.array([peak.frequency]))[0],
+        norm,
+        skew=float(skew),
+        proved=proved,
+        dt=disk.dt,
+        frequencies=grid[shown],
+        response=response[shown],
+        mu=(bounds.upper[shown], bounds.lower[shown]),
+    )
+
+
+def _margin(
+    peak: MuPeak,
+    at_peak: ComplexArray,
+    norm: float,
+    *,
+    skew: float,
+    proved: bool,
+    dt: float,
+    frequencies: FloatArray,
+    response: ComplexArray,
+    mu: tuple[FloatArray, FloatArray],
+) -> DiskMargin:
+    """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
+    delta = perturbation(at_peak, peak.Q)
+    lower = _inverse(peak.mu)
     with np.errstate(divide="ignore"):
-        lower_response = 1.0 / mu
-        upper_response = 1.0 / np.minimum(mu_lower_bound(response, D, iterations=15), mu)
-        unstructured_response = 1.0 / np.linalg.norm(response, 2, axis=(-2, -1))
+        lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
+        unstructured_response = 1.0 / largest_gains(response)
     return DiskMargin(
         alpha=lower,
         lower=lower,
-        upper=max(lower, upper),
+        upper=max(lower, float(np.abs(delta).max())),
         unstructured=min(_inverse(norm), lower),
-        frequency=at,
+        frequency=peak.frequency,
         proved=proved,
-        skew=float(skew),
-        frequencies=shown,
+        skew=skew,
+        reason="",
+        perturbation=disk_factors(delta, skew),
+        dt=dt,
+        frequencies=frequencies,
         lower_response=lower_response,
-        upper_response=upper_response,
-        unstructured_response=unstructured_response,
+        upper_response=np.maximum(lower_response, upper_response),
+        unstructured_response=np.minimum(unstructured_response, lower_response),
+    )
+
+
+def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency: ArrayLike | None) -> DiskMargin:
+    """Return the smallest margin among the frequencies of measured data."""
+    if frequency is not None:
+        raise ArgumentError("disk_margin: frequency is given, but data have frequencies of their own; leave it out")
+    L = np.moveaxis(np.asarray(data.frdata, dtype=np.complex128), -1, 0)
+    grid = np.asarray(data.omega, dtype=np.float64)
+    N, p, m = L.shape
+    if p != m or N == 0 or not np.all(np.isfinite(L)):
+        raise ArgumentError(
+            f"disk_margin: the data have {p} outputs, {m} inputs and {N} frequencies, expected finite square matrices"
+        )
+    order = np.argsort(grid, kind="stable")
+    grid, L = grid[order], L[order]
+    eye = np.eye(m)
+    try:
+        response: ComplexArray = np.linalg.inv(eye + L).astype(np.complex128) + 0.5 * (skew - 1.0) * eye
+    except np.linalg.LinAlgError:
+        raise ArgumentError(
+            "disk_margin: I + L is singular at a frequency of the data: the closed loop has a pole there, and no margin"
+        ) from None
+    dt = float(data.dt) if data.dt else 0.0
+    peak = MuPeak(StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
+    bounds = peak.bounds(grid, response, 1e-6)
+    return _margin(
+        peak,
+        response[np.searchsorted(grid, peak.frequency)],
+        float(largest_gains(response).max()),
+        skew=float(skew),
+        proved=False,
+        dt=dt,
+        frequencies=grid,
+        response=response,
+        mu=(bounds.upper, bounds.lower),
     )
 
 
@@ -225,125 +330,22 @@ def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
     return StateArrays(L.A - L.B @ E @ L.C, L.B @ E, -E @ L.C, E + 0.5 * (skew - 1.0) * eye, L.dt)
 
 
-def _unstable(skew: float, shown: FloatArray, s: ComplexArray) -> DiskMargin:
+def _unstable(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays) -> DiskMargin:
     nothing = np.zeros(shown.shape)
+    worst = s[np.argmax(s.real)]
     return DiskMargin(
         alpha=0.0,
         lower=0.0,
         upper=0.0,
         unstructured=0.0,
-        frequency=float(abs(s[np.argmax(s.real)].imag)),
+        frequency=float(abs(worst.imag)),
         proved=True,
         skew=float(skew),
+        reason=f"the closed loop is not stable: pole at s = {worst:.6g}",
+        perturbation=np.ones(len(disk.D), dtype=np.complex128),
+        dt=disk.dt,
         frequencies=shown,
         lower_response=nothing,
         upper_response=nothing,
         unstructured_response=nothing,
     )
-
-
-def _grid(disk: StateArrays, s: ComplexArray, peak: float) -> FloatArray:
-    """Return frequencies that follow the closed loop's poles, and about 15 a decade between and beyond them."""
-    own = resonances(s)
-    own = own[own > 0.0]
-    if own.size == 0:
-        own = np.ones(1)
-    low, high = 0.1 * float(own.min()), 10.0 * float(own.max())
-    if disk.dt > 0.0:
-        high = math.pi / disk.dt
-        low = min(low, 1e-3 * high)
-    low = max(low, 1e-9 * high)
-    fill = np.geomspace(low, high, 2 + int(15 * math.log10(high / low)))
-    own = np.append(own, peak) if 0.0 < peak < math.inf else own
-    return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
-
-
-class _Peak:
-    """The largest mu over frequency: climbed, then proved."""
-
-    def __init__(self, disk: StateArrays) -> None:
-        self.disk = disk
-        self.edge = math.inf if disk.dt == 0.0 else math.pi / disk.dt
-        self.mu = self.frequency = 0.0
-        self.D = np.ones(disk.D.shape[0])
-
-    def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return S + (skew - 1)/2 I, (N, m, m); at infinite frequency its direct term."""
-        infinite = np.isinf(frequency)
-        out = np.array(frequency_response_arrays(*self.disk, np.where(infinite, 0.0, frequency)))
-        out[infinite] = self.disk.D
-        return out
-
-    def exact(self, frequency: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mu's upper bound and D at each frequency, and keep the largest."""
-        mu, D = mu_upper_bound(self.response(frequency), 1e-7)
-        i = int(np.argmax(mu))
-        if mu[i] > self.mu:
-            self.mu, self.frequency, self.D = float(mu[i]), float(frequency[i]), D[i]
-        return mu, D
-
-    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 2) -> None:
-        """Refine the highest local maxima of `mu` on `grid` side by side."""
-        padded = np.concatenate([[-np.inf], mu, [-np.inf]])
-        tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
-        tops = tops[mu[tops] >= 0.7 * mu.max()]
-        tops = tops[np.argsort(-mu[tops])][:hills]
-        left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
-        row = np.arange(len(tops))
-        self.exact(grid[tops])
-        for _ in range(6):
-            fan = np.linspace(left, right, 11, axis=1)
-            at = self.exact(fan.ravel())[0].reshape(fan.shape).argmax(axis=1)
-            left, right = fan[row, np.maximum(at - 1, 0)], fan[row, np.minimum(at + 1, 10)]
-
-    def prove(self, slack: float = 1e-4, most: int = 80) -> bool:
-        """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
-
-        With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
-        only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).
-        """
-        self.exact(np.array([self.edge]))
-        doubtful = [(0.0, self.edge)]
-        D = self.D
-        for _ in range(most):
-            doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + slack))
-            if not doubtful:
-                return True
-            low, high = max(doubtful, key=lambda part: math.inf if part[0] == 0.0 else part[1] / part[0])
-            middle = _middle(low, high)
-            before = self.mu
-            mu, scalings = self.exact(np.array([middle]))
-            D = scalings[0]
-            if mu[0] > before:
-                grid = np.array([max(low, 0.5 * middle), middle, min(high, 2.0 * middle)])
-                self.climb(grid, self.exact(grid)[0])
-        return False
-
-    def _exceeding(
-        self, intervals: list[tuple[float, float]], D: FloatArray, level: float
-    ) -> list[tuple[float, float]]:
-        """Return the parts of `intervals` where the gain of D (S + ...) D^-1 exceeds `level`."""
-        disk = self.disk
-        scaled = StateArrays(disk.A, disk.B / D, D[:, None] * disk.C, D[:, None] * disk.D / D, disk.dt)
-        crossings = crossing_frequencies(scaled, level)
-        parts: list[tuple[float, float]] = []
-        for low, high in intervals:
-            inner = crossings[(crossings > low) & (crossings < high)]
-            edges = [low, *inner.tolist(), high]
-            parts += list(pairwise(edges))
-        exceeds = gains(scaled, np.array([_middle(*part) for part in parts])) > level
-        kept: list[tuple[float, float]] = []
-        for part, bad in zip(parts, exceeds, strict=True):
-            if not bad:
-                continue
-            if kept and kept[-1][1] == part[0]:
-                kept[-1] = (kept[-1][0], part[1])
-            else:
-                kept.append(part)
-        return kept
-
-
-def _middle(low: float, high: float) -> float:
-    if math.isinf(high):
-        return 3.0 * low if low > 0.0 else 1.0
-    return math.sqrt(low * high) if low > 0.0 else 0.3 * high

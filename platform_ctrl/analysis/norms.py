@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.response import Resolvent, frequency_response_arrays
+from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -48,20 +49,15 @@ def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple
         If the system is unstable and `allow_unstable` is not set.
     """
     arrays = state_arrays(system, "hinf_norm")
-    s = continuous_poles(pole_arrays(scaled(*arrays[:3])[0]), arrays.dt)
-    if not allow_unstable and spectral_abscissa(s) > boundary_width(s):
-        worst = s[np.argmax(s.real)]
+    s, on_boundary = boundary_poles(scaled(*arrays[:3])[0], arrays.dt)
+    unstable = (s.real > 0.0) & ~on_boundary
+    if not allow_unstable and np.any(unstable):
+        worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
         raise ArgumentError(
             f"hinf_norm: the system is unstable (pole at s = {worst:.6g}), expected a stable one; "
             "allow_unstable=True gives the L-infinity norm"
         )
     return hinf_norm_arrays(*arrays)
-
-
-def boundary_width(s: ComplexArray) -> float:
-    """Return the distance from the stability boundary, 1/s, that rounding cannot tell from zero."""
-    finite = np.abs(s[np.isfinite(s)])
-    return 1e-14 * float(finite.max(initial=0.0)) * max(len(s), 1)
 
 
 def hinf_norm_arrays(
@@ -82,17 +78,14 @@ def hinf_norm_arrays(
     if A.shape[-1] == 0:
         return float(np.linalg.norm(D, 2)), 0.0
     A, B, C = scaled(A, B, C)
-    s = continuous_poles(pole_arrays(A), dt)
-    # A pole at z = 0 is infinitely fast, not on the boundary.
-    on_axis = np.flatnonzero(np.isfinite(s) & (np.abs(s.real) <= 1e-14 * np.abs(s)))
-    if on_axis.size:
-        return math.inf, float(np.abs(s[on_axis[0]].imag))
+    s, on_boundary = boundary_poles(A, dt)
+    if np.any(on_boundary):
+        return math.inf, float(np.abs(s[on_boundary].imag).min())
     system = StateArrays(A, B, C, D, dt)
-    response = _Response(system)
     candidates = [np.zeros(1), resonances(s)]
     if dt > 0.0:
         candidates.append(np.array([edge]))
-    best, frequency = _largest(response, np.concatenate(candidates))
+    best, frequency = _largest(system, np.concatenate(candidates))
     direct = float(np.linalg.norm(D, 2))
     if dt == 0.0 and direct > best:
         best, frequency = direct, math.inf
@@ -100,13 +93,13 @@ def hinf_norm_arrays(
         # Nothing comes through at any of the frequencies that its poles single out.
         return 0.0, 0.0
     for _ in range(60):
-        found, at = _largest(response, level_frequencies(system, best * (1.0 + tolerance)))
+        found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
         if found > best * (1.0 + tolerance):
             best, frequency = found, at
             continue
         # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
         before = best
-        best, frequency = _climbed(response, s, best, frequency)
+        best, frequency = _climbed(system, s, best, frequency)
         if best <= before * (1.0 + tolerance):
             break
     return best, frequency
@@ -131,28 +124,27 @@ def level_frequencies(system: StateArrays, level: float) -> FloatArray:
 
 
 def crossing_frequencies(system: StateArrays, level: float) -> FloatArray:
-    """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`.
-
-    The imaginary parts of the Hamiltonian's eigenvalues, whether or not they lie on the axis; empty if `level` is a
-    singular value of D.
-    """
-    if system.dt == 0.0:
-        return level_crossings(*system[:4], level=level)
+    """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`."""
+    A, B, C, D, dt = system
+    if dt == 0.0:
+        return level_crossings(A, B, C, D, level)
     try:
-        w = level_crossings(*to_w_plane(*system[:4], period=system.dt), level=level)
+        w = level_crossings(*to_w_plane(A, B, C, D, period=dt), level=level)
     except ArgumentError:
-        return np.zeros(0)
-    return np.asarray(2.0 / system.dt * np.arctan(0.5 * system.dt * w), dtype=np.float64)
+        # A pole next to z = -1, which the map would send to infinity.
+        return _pencil_crossings(*_unit_level(A, B, C, D, level), dt)
+    return np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
 
 
 def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
-    """Return |Im| of all eigenvalues of the Hamiltonian for `level`, sorted: every crossing is among them."""
-    # In units of the level: then the Hamiltonian for 1, its blocks equally large after balancing.
-    C, D = C / level, D / level
+    """Return |Im| of all eigenvalues of the Hamiltonian for `level`, sorted: every crossing is among them.
+
+    Where `level` is next to a singular value of D, of the matrix pencil that needs no inverse.
+    """
+    A, B, C, D = _unit_level(A, B, C, D, level)
     R = np.eye(D.shape[1]) - D.T @ D
-    if abs(np.linalg.det(R)) < 1e-14:
-        return np.zeros(0)
-    A, B, C = scaled(A, B, C)
+    if np.any(np.abs(np.linalg.eigvalsh(R)) < 1e-8):
+        return _pencil_crossings(A, B, C, D, 0.0)
     inverse = np.linalg.inv(R)
     F = A + B @ inverse @ D.T @ C
     S = np.eye(D.shape[0]) + D @ inverse @ D.T
@@ -163,55 +155,81 @@ def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     return out
 
 
+def _unit_level(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the system over `level`, in balanced states: the blocks of its Hamiltonian are equally large."""
+    root = math.sqrt(level)
+    A, B, C = scaled(A, B / root, C / root)
+    return A, B, C, D / level
+
+
+def _pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> FloatArray:
+    """Return sorted frequencies that contain all at which a singular value is 1: a pencil's generalised eigenvalues.
+
+    Its unknowns are states, costates, inputs and outputs; nothing is inverted.
+    """
+    from scipy.linalg import eigvals
+
+    n, m, p = len(A), B.shape[1], len(C)
+    size = 2 * n + m + p
+    x, q, u, y = np.split(np.arange(size), [n, 2 * n, 2 * n + m])
+    M, N = np.zeros((size, size)), np.zeros((size, size))
+    M[np.ix_(x, x)], M[np.ix_(x, u)] = A, B
+    M[np.ix_(u, q)], M[np.ix_(u, y)] = B.T, D.T
+    M[np.ix_(y, x)], M[np.ix_(y, u)] = C, D
+    M[u, u] = M[y, y] = -1.0
+    N[x, x] = 1.0
+    if dt == 0.0:
+        M[np.ix_(q, q)], M[np.ix_(q, y)] = -A.T, -C.T
+        N[q, q] = 1.0
+    else:
+        M[q, q] = 1.0
+        N[np.ix_(q, q)], N[np.ix_(q, y)] = A.T, C.T
+    with np.errstate(all="ignore"):
+        found = eigvals(M, N, check_finite=False)
+    found = found[np.isfinite(found)]
+    w = np.abs(found.imag) if dt == 0.0 else np.abs(np.angle(found)) / dt
+    return np.asarray(np.unique(w[np.isfinite(w)]), dtype=np.float64)
+
+
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-    return _sizes(frequency_response_arrays(*system, frequency))
+    return largest_gains(frequency_response_arrays(*system, frequency))
 
 
-def _sizes(H: ComplexArray) -> FloatArray:
+def largest_gains(H: ComplexArray) -> FloatArray:
     """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
-    fine = np.all(np.isfinite(H), axis=(-2, -1))
     out = np.full(len(H), np.inf)
+    if min(H.shape[1:]) <= 8:
+        from platform_ctrl.analysis.gain_kernel import largest_singular_values
+
+        largest_singular_values(np.ascontiguousarray(H), out)
+        return out
+    fine = np.all(np.isfinite(H), axis=(-2, -1))
     if np.any(fine):
         out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
     return out
 
 
-class _Response:
-    """The response of one balanced system with states, inputs and outputs, its Schur form made once."""
-
-    def __init__(self, system: StateArrays) -> None:
-        A, B, C, self._D, self.dt = system
-        self._resolvent = Resolvent(A - np.eye(len(A)) if self.dt else A, B, C)
-
-    def gains(self, frequency: FloatArray) -> FloatArray:
-        """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-        z = np.asarray(np.expm1(1j * frequency * self.dt) if self.dt else 1j * frequency, dtype=np.complex128)
-        p, m = self._D.shape
-        H = np.empty((p, m, len(z)), dtype=np.complex128)
-        H[...] = self._D[..., None]
-        self._resolvent.add(H.reshape(p, m * len(z)), z)
-        return _sizes(np.moveaxis(H, -1, 0))
-
-
-def _largest(response: _Response, frequency: FloatArray) -> tuple[float, float]:
-    if response.dt > 0.0:
-        frequency = frequency[frequency <= math.pi / response.dt * (1.0 + 1e-12)]
+def _largest(system: StateArrays, frequency: FloatArray) -> tuple[float, float]:
+    if system.dt > 0.0:
+        frequency = frequency[frequency <= math.pi / system.dt * (1.0 + 1e-12)]
     if frequency.size == 0:
         return 0.0, 0.0
-    sizes = response.gains(frequency)
+    sizes = gains(system, frequency)
     i = int(np.argmax(sizes))
     return float(sizes[i]), float(frequency[i])
 
 
-def _climbed(response: _Response, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
+def _climbed(system: StateArrays, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
     """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
     for _ in range(8):
-        found, at = _largest(response, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
+        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
         rise = found - best
         if rise > 0.0:
             best, frequency = found, at

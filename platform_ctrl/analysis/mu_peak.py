@@ -1,0 +1,139 @@
+"""The largest structured singular value of a system over all frequencies: climbed, then proved to be the largest."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.diagonal_mu import MuBounds, mu_bounds
+from platform_ctrl.analysis.norms import crossing_frequencies, gains, resonances
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.frozen import FloatArray
+
+
+def search_grid(system: StateArrays, s: ComplexArray, peak: float) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and about 15 a decade between and beyond them."""
+    own = resonances(s)
+    own = own[own > 0.0]
+    if own.size == 0:
+        own = np.ones(1)
+    low, high = 0.1 * float(own.min()), 10.0 * float(own.max())
+    if system.dt > 0.0:
+        high = math.pi / system.dt
+        low = min(low, 1e-3 * high)
+    low = max(low, 1e-9 * high)
+    fill = np.geomspace(low, high, 2 + int(15 * math.log10(high / low)))
+    own = np.append(own, peak) if 0.0 < peak < math.inf else own
+    return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
+
+
+class MuPeak:
+    """The largest mu of a square system over frequency: climbed, then proved.
+
+    Attributes
+    ----------
+    mu, frequency
+        Upper bound of mu at the highest frequency that was looked at.
+    D, Q : (m,)
+        The scalings of that bound, and the phases that reach the lower one.
+    lower
+        Lower bound of mu there.
+    """
+
+    def __init__(self, system: StateArrays) -> None:
+        m = len(system.D)
+        self.system = system
+        self.edge = math.inf if system.dt == 0.0 else math.pi / system.dt
+        self.mu = self.frequency = self.lower = 0.0
+        self.D = np.ones(m)
+        self.Q = np.ones(m, dtype=np.complex128)
+
+    def bounds(self, frequency: FloatArray, response: ComplexArray | None = None, tolerance: float = 1e-8) -> MuBounds:
+        """Return mu's bounds at each frequency, and keep the largest; its response may be known."""
+        found = mu_bounds(self.response(frequency) if response is None else response, tolerance)
+        i = int(np.argmax(found.upper))
+        if found.upper[i] > self.mu:
+            self.mu, self.frequency, self.lower = float(found.upper[i]), float(frequency[i]), float(found.lower[i])
+            self.D, self.Q = found.D[i], found.Q[i]
+        return found
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response, (N, m, m); at infinite frequency the direct term."""
+        infinite = np.isinf(frequency)
+        if not np.any(infinite):
+            return frequency_response_arrays(*self.system, frequency)
+        out = np.array(frequency_response_arrays(*self.system, np.where(infinite, 0.0, frequency)))
+        out[infinite] = self.system.D
+        return out
+
+    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 3) -> None:
+        """Refine the highest local maxima of `mu` on `grid` side by side, the hopeful ones to the end."""
+        padded = np.concatenate([[-np.inf], mu, [-np.inf]])
+        tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+        tops = tops[mu[tops] >= 0.7 * mu.max()]
+        tops = tops[np.argsort(-mu[tops])][:hills]
+        left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
+        for _ in range(6):
+            fan = np.linspace(left, right, 13, axis=1)
+            found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
+            hopeful = found.max(axis=1) >= 0.999 * self.mu
+            fan, at = fan[hopeful], found[hopeful].argmax(axis=1)
+            row = np.arange(len(fan))
+            left, right = fan[row, np.maximum(at - 1, 0)], fan[row, np.minimum(at + 1, 12)]
+            if not row.size:
+                break
+
+    def prove(self, slack: float = 1e-4, most: int = 80) -> bool:
+        """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
+
+        With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
+        only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).
+        """
+        self.bounds(np.array([self.edge]))
+        doubtful = [(0.0, self.edge)]
+        D = self.D
+        for _ in range(most):
+            doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + slack))
+            if not doubtful:
+                return True
+            low, high = max(doubtful, key=lambda part: math.inf if part[0] == 0.0 else part[1] / part[0])
+            middle = _middle(low, high)
+            before = self.mu
+            found = self.bounds(np.array([middle]))
+            D = found.D[0]
+            if found.upper[0] > before:
+                grid = np.array([max(low, 0.5 * middle), middle, min(high, 2.0 * middle)])
+                self.climb(grid, self.bounds(grid).upper)
+        return False
+
+    def _exceeding(
+        self, intervals: list[tuple[float, float]], D: FloatArray, level: float
+    ) -> list[tuple[float, float]]:
+        """Return the parts of `intervals` where the gain of D (S + ...) D^-1 exceeds `level`."""
+        system = self.system
+        scaled = StateArrays(system.A, system.B / D, D[:, None] * system.C, D[:, None] * system.D / D, system.dt)
+        crossings = crossing_frequencies(scaled, level)
+        parts: list[tuple[float, float]] = []
+        for low, high in intervals:
+            inner = crossings[(crossings > low) & (crossings < high)]
+            edges = [low, *inner.tolist(), high]
+            parts += list(pairwise(edges))
+        exceeds = gains(scaled, np.array([_middle(*part) for part in parts])) > level
+        kept: list[tuple[float, float]] = []
+        for part, bad in zip(parts, exceeds, strict=True):
+            if not bad:
+                continue
+            if kept and kept[-1][1] == part[0]:
+                kept[-1] = (kept[-1][0], part[1])
+            else:
+                kept.append(part)
+        return kept
+
+
+def _middle(low: float, high: float) -> float:
+    if math.isinf(high):
+        return 3.0 * low if low > 0.0 else 1.0
+    return math.sqrt(low * high) if low > 0.0 else 0.3 * high
