@@ -158,6 +158,97 @@ def test_friction_opposes_and_dry_friction_differs_by_side():
     assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-3)
 
 
+STRIBECK = {"gimbal": "arm", "coulomb": [0.2, 0.3], "breakaway": [0.5, 0.4], "stribeck_rate": 0.3, "coulomb_rate": 1e-4}
+
+
+def arm_friction(**numbers):
+    """The friction torque as a function of rates, alone on an arm."""
+    platform = pendulum(friction=[STRIBECK | numbers])
+    return lambda rates: np.array([element_forces(platform, [0.0], [0, 0, 0, r])[3] for r in np.atleast_1d(rates)])
+
+
+def test_friction_begins_with_breakaway_and_falls_to_coulomb():
+    torque = arm_friction()
+    begin = 0.3 * 0.01
+    np.testing.assert_allclose(torque([-begin, begin]), [0.5, -0.4], rtol=2e-4)
+    np.testing.assert_allclose(torque([-30.0, 30.0, -1e300, 1e300]), [0.2, -0.3] * 2, rtol=1e-14)
+    # At the Stribeck rate 1/e of the difference is left.
+    np.testing.assert_allclose(torque([-0.3, 0.3]), [0.2 + 0.3 / np.e, -0.3 - 0.1 / np.e], rtol=1e-14)
+
+
+def test_equal_breakaway_and_coulomb_are_friction_without_a_stribeck_curve():
+    rates = np.concatenate([-np.geomspace(1e-6, 1e3, 50), np.geomspace(1e-6, 1e3, 50)])
+    plain = pendulum(friction=[{"gimbal": "arm", "coulomb": [0.2, 0.3], "coulomb_rate": 1e-4}])
+    expected = [element_forces(plain, [0.0], [0, 0, 0, r])[3] for r in rates]
+    np.testing.assert_allclose(arm_friction(breakaway=[0.2, 0.3])(rates), expected, rtol=1e-14)
+
+
+@quick
+@given(
+    *(st.floats(0, 1e3) for _ in range(4)),
+    st.floats(1e-6, 1e3),
+    st.floats(1e-6, 1e3),
+    st.floats(-1e9, 1e9),
+)
+def test_friction_always_dissipates_and_never_exceeds_breakaway(low, high, more, viscous, sharp, stribeck, rate):
+    friction = Friction(
+        gimbal="arm",
+        viscous=viscous,
+        coulomb=(low, high),
+        breakaway=(low + more, high + 2 * more),
+        coulomb_rate=sharp,
+        stribeck_rate=stribeck,
+    )
+    dry = friction.dry(rate)
+    assert dry * rate >= 0.0
+    assert abs(dry) <= friction.breakaway[int(rate >= 0.0)] * (1 + 1e-12)
+
+
+@quick
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(-3, 3).map(lambda x: 10.0**x),
+    st.floats(-3, 3).map(lambda x: 10.0**x),
+)
+def test_no_slope_of_friction_is_steeper_than_the_steepest(viscous, coulomb, more, sharp, stribeck):
+    friction = Friction(
+        gimbal="arm",
+        viscous=viscous,
+        coulomb=(coulomb, 0.5 * coulomb),
+        breakaway=(coulomb + more, 0.5 * coulomb),
+        coulomb_rate=sharp,
+        stribeck_rate=stribeck,
+    )
+    scale = np.geomspace(1e-6, 30.0, 600)
+    rates = np.unique(np.concatenate([-scale * sharp, -scale * stribeck, scale * sharp, scale * stribeck]))
+    torque = np.array([viscous * r + friction.dry(float(r)) for r in rates])
+    steepest = np.abs(np.diff(torque) / np.diff(rates)).max()
+    assert steepest <= friction.steepest_slope * (1 + 1e-6) + 1e-9
+    # The bound is not idle either: at one end of the curve it is reached.
+    if friction.steepest_slope == viscous + max(friction.breakaway) / sharp:
+        assert steepest >= 0.99 * friction.steepest_slope
+
+
+def test_breakaway_follows_a_coulomb_torque_that_is_changed():
+    plain = dataclasses.replace(Friction(gimbal="arm", coulomb=(0.2, 0.3)), coulomb=(0.1, 0.1))
+    assert plain.breakaway == (0.1, 0.1)
+    curved = Friction(gimbal="arm", coulomb=(0.2, 0.3), breakaway=(0.5, 0.4), stribeck_rate=0.3)
+    assert dataclasses.replace(curved, coulomb=(0.1, 0.6)).breakaway == (0.5, 0.6)
+
+
+@pytest.mark.parametrize("amplitude", [1e-9, 0.05, 0.3, 2.0, 50.0])
+def test_the_describing_function_takes_what_a_stribeck_curve_takes(amplitude):
+    smooth = 1e-6 * amplitude
+    platform = pendulum(friction=[STRIBECK | {"viscous": 0.5, "coulomb_rate": smooth}])
+    equivalent = linearise(platform, rate_amplitude=[amplitude]).Q_rate[0, 0]
+    phase = (np.arange(20000) + 0.5) * 2 * np.pi / 20000
+    rates = amplitude * np.cos(phase)
+    lost = np.mean([element_forces(platform, [0.0], [0, 0, 0, r])[3] * r for r in rates])
+    assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-6)
+
+
 def test_a_cage_with_play_pushes_and_never_pulls():
     cage = {"gimbal": "arm", "stiffness": 100.0, "damping": 1.0, "clearance": 0.01, "angle": 0.1}
     platform = pendulum(cage=[cage])

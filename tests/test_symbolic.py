@@ -279,7 +279,10 @@ ELEMENTS = {
         )
     ],
     "spring": [{"gimbal": "1", "stiffness": 2.0, "rest": 0.1}, {"gimbal": "1", "stiffness": -0.5}],
-    "friction": [{"gimbal": "2", "viscous": 0.1, "coulomb": 0.2}],
+    "friction": [
+        {"gimbal": "2", "viscous": 0.1, "coulomb": 0.2},
+        {"gimbal": "12", "viscous": 0.3, "breakaway": 0.1, "stribeck_rate": 0.05},
+    ],
     "cage": [
         {"gimbal": "12", "stiffness": 5.0, "damping": 0.2, "angle": 0.01},
         {"gimbal": "2", "stiffness": 5.0, "clearance": 0.1},
@@ -310,8 +313,9 @@ def test_force_elements_enter_27_as_they_enter_the_linear_model(terms):
 
 def test_what_is_left_out_of_the_equations_is_said():
     notes = equations(read_platform(ELEMENTS), "sympy").notes
-    assert notes[:3] == (
+    assert notes[:4] == (
         "dry friction of gimbal 2 is left out: it has no slope at rest",
+        "dry friction of gimbal 12 is left out: it has no slope at rest",
         "cage of gimbal 2 is left out: within its clearance it does not act",
         "erection of gimbal 2 is at its limit at zero angles",
     )
