@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kernel_entries import derivatives, whole_state
+from kernel_entries import derivatives, momenta, whole_state
 from platform_ctrl.description import Gimbal, PickOff, Platform, Rotor, Torquer
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.mechanics import element_forces, forward_dynamics, kinematics, matrices
@@ -38,7 +38,14 @@ def furnished(platform: Platform, seed: int) -> Platform:
         platform,
         springs=tuple(Spring(gimbal=g, stiffness=rng.normal(), rest=rng.normal()) for g in some(names)),
         frictions=tuple(
-            Friction(gimbal=g, viscous=rng.uniform(), coulomb=tuple(rng.uniform(size=2)), coulomb_rate=0.3)
+            Friction(
+                gimbal=g,
+                viscous=rng.uniform(),
+                coulomb=tuple(rng.uniform(size=2)),
+                coulomb_rate=0.3,
+                breakaway=tuple(rng.uniform(1.0, 2.0, size=2)),
+                stribeck_rate=rng.choice([0.5, np.inf]),
+            )
             for g in names[::2]
         ),
         cages=tuple(
@@ -55,6 +62,17 @@ def furnished(platform: Platform, seed: int) -> Platform:
     )
 
 
+def along_coordinates(platform: Platform, seed: int) -> Platform:
+    """The platform with some of its gimbals' axes, possibly all or none, along coordinate axes of either sign."""
+    rng = np.random.default_rng(seed)
+    share = rng.choice([0.0, 0.7, 1.0])
+    gimbals = tuple(
+        dataclasses.replace(g, axis=rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]) if rng.random() < share else g
+        for g in platform.gimbals
+    )
+    return dataclasses.replace(platform, gimbals=gimbals)
+
+
 def state_derivative(platform, q, v, force, free):
     """[q', v'] of the kernel."""
     n = len(platform.gimbals)
@@ -68,8 +86,11 @@ def a_state(platform, seed):
     return rng.normal(size=n), rng.normal(size=n + 3), rng.normal(size=n + 3)
 
 
-@settings(max_examples=60, deadline=None)
-@given(platforms(), seeds)
+trees = st.builds(along_coordinates, platforms(), seeds)
+
+
+@settings(max_examples=80, deadline=None)
+@given(trees, seeds)
 def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, seed):
     platform = furnished(platform, seed)
     q, u, force = a_state(platform, seed + 1)
@@ -79,8 +100,8 @@ def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, s
     np.testing.assert_allclose(acceleration, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-@settings(max_examples=60, deadline=None)
-@given(platforms(), seeds)
+@settings(max_examples=80, deadline=None)
+@given(trees, seeds)
 def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
     bare, platform = platform, furnished(platform, seed)
     q, u, force = a_state(platform, seed + 1)
@@ -92,6 +113,43 @@ def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
     np.testing.assert_allclose(rates, u[3:], rtol=1e-9, atol=1e-9)
     expected = element_forces(platform, q, u)[3:]
     np.testing.assert_allclose((fed - without)[3:], expected, atol=1e-8 * (1 + np.abs(without).max()))
+
+
+@settings(max_examples=40, deadline=None)
+@given(trees, seeds, st.booleans())
+def test_servo_rotors_react_on_their_carriers_with_a_free_root_and_not_on_momenta(platform, seed, free):
+    rng = np.random.default_rng(seed)
+    P = 20.0 * rng.normal(size=len(platform.rotors))
+    servo = rng.random(len(P)) < 0.6
+    loops = tuple(
+        dataclasses.replace(
+            r, control="servo", speed_gain=1.7, speed_integral=3.0, torque_limit=rng.choice([None, 40.0])
+        )
+        if s
+        else r
+        for r, s in zip(platform.rotors, servo, strict=True)
+    )
+    passive = tuple(
+        dataclasses.replace(r, control="free", angular_momentum=h) if s else r
+        for r, s, h in zip(platform.rotors, servo, P, strict=True)
+    )
+    motors = dataclasses.replace(furnished(platform, seed), rotors=loops)
+    cyclic = dataclasses.replace(motors, rotors=passive)
+    q, u, force = a_state(platform, seed + 1)
+    B, x = matrices(platform, q).B[servo], rng.normal(size=servo.sum())
+    v = u if free else np.concatenate([u[:3], momenta(cyclic, whole_state(cyclic, q, u))[0, 3:]])
+    n = len(q)
+    dy = derivatives(motors, whole_state(motors, q, v, (*P[servo], *x)), force, free=free)[0]
+    error = np.array([h / r.axial_inertia - r.spin for h, r in zip(P, loops, strict=True)])[servo] - B @ u
+    wanted = -1.7 * error - 3.0 * x
+    limit = np.array([r.torque_limit or np.inf for r in loops], dtype=float)[servo]
+    torque = np.clip(wanted, -limit, limit)
+    further = (np.abs(wanted) >= limit) & (wanted * error < 0.0)
+    np.testing.assert_allclose(dy[2 * n + 7 :], [*torque, *np.where(further, 0.0, error)], rtol=1e-9, atol=1e-9)
+    reaction = B.T @ torque if free else np.zeros(n + 3)
+    expected = derivatives(cyclic, whole_state(cyclic, q, v), force - reaction, free=free)[0]
+    size = 1e-9 * (1.0 + np.abs(expected).max())
+    np.testing.assert_allclose(dy[: 2 * n + 7], expected, rtol=1e-9, atol=size)
 
 
 def test_forces_that_balance_the_elements_hold_every_body_at_rest():

@@ -9,9 +9,7 @@ from __future__ import annotations
 from platform_ctrl.simulation.kernel.lanes import (
     Number,
     choose,
-    greater,
     inlined,
-    lesser,
     mantissa_and_exponent,
     power_of_two,
     whole,
@@ -68,7 +66,7 @@ def cosine_and_sine(x: Number) -> tuple[Number, Number]:
 @inlined
 def exponential(x: Number) -> Number:
     """Return exp x, from exp(-700) to exp(700)."""
-    x = lesser(greater(x, -700.0), 700.0)
+    x = choose(x < -700.0, -700.0, choose(x > 700.0, 700.0, x))  # what is no number stays none
     k = whole(x * _PER_LN2 + 0.5)
     r = (x - k * _LN2[0]) - k * _LN2[1]
     series = 1.0 + r / 13.0
@@ -83,12 +81,14 @@ def logarithm(x: Number) -> Number:
     m, e = mantissa_and_exponent(x)
     high = m > _ROOT_HALF
     m, e = choose(high, 0.5 * m, m), choose(high, e + 1.0, e)
-    t = (m - 1.0) / (m + 1.0)
+    # With t = f/(2 + f), ln(1 + f) = 2 artanh t = f - t (f - series), where f is exact.
+    f = m - 1.0
+    t = f / (2.0 + f)
     z = t * t
-    series = 1.0 / 21.0 + 0.0 * z
-    for i in range(19, 0, -2):
-        series = series * z + 1.0 / i
-    return e * _LN2[0] + (2.0 * t * series + e * _LN2[1])
+    series = 2.0 / 21.0 + 0.0 * z
+    for i in range(19, 1, -2):
+        series = series * z + 2.0 / i
+    return e * _LN2[0] + (f - (t * (f - z * series) - e * _LN2[1]))
 
 
 @inlined
