@@ -273,6 +273,10 @@ def misfits(
             yield k, "parameter", f'parameter = "{path}": does not exist; {unknown_parameter(path, known)}'
         elif path in place:
             yield k, "parameter", f'parameter = "{path}": is varied already, in [[campaign.vary]] {place[path] + 1}'
+        elif lacking := [key for key in vary.needed if key not in vary.numbers]:
+            yield k, lacking[0], f'distribution = "{vary.distribution}": has no number "{lacking[0]}"; expected one'
+        elif vary.distribution == "choice" and not vary.values:
+            yield k, "values", 'distribution = "choice": has no values; expected at least one'
         else:
             place[path] = k
             line = _misfit(vary, known[path], scenarios, faults, drawn)

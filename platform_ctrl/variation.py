@@ -51,6 +51,11 @@ class Vary:
     relative: bool = False
 
     @property
+    def needed(self) -> tuple[str, ...]:
+        """Names of the numbers that the distribution is made of."""
+        return DISTRIBUTION_NUMBERS[self.distribution]
+
+    @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest number that can be drawn; infinite where there is none."""
         match self.distribution:

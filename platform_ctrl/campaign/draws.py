@@ -70,13 +70,15 @@ def quantiles(vary: Vary, points: FloatArray) -> FloatArray:
     n = vary.numbers
     match vary.distribution:
         case "uniform":
-            return np.asarray(n["low"] + (n["high"] - n["low"]) * points)
+            return np.asarray(n["low"] * (1.0 - points) + n["high"] * points)
         case "log-uniform":
-            return np.asarray(n["low"] * (n["high"] / n["low"]) ** points)
+            low, high = np.log(n["low"]), np.log(n["high"])
+            return np.asarray(np.clip(np.exp(low * (1.0 - points) + high * points), n["low"], n["high"]))
         case "normal":
             return np.asarray(stats.norm.ppf(points, n["mean"], n["deviation"]))
         case "log-normal":
-            return np.asarray(stats.lognorm.ppf(points, n["deviation"], scale=n["median"]))
+            with np.errstate(over="ignore"):
+                return np.asarray(stats.lognorm.ppf(points, n["deviation"], scale=n["median"]))
         case "truncated-normal":
             low, high = ((n[end] - n["mean"]) / n["deviation"] for end in ("low", "high"))
             drawn = stats.truncnorm.ppf(points, low, high, n["mean"], n["deviation"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import one_of, positive, short
+from platform_ctrl.arguments import known_name, one_of, positive, short
 from platform_ctrl.campaign.draws import MOST_RUNS, chosen, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -81,8 +81,8 @@ class Plan:
         ArgumentError
             The campaign has no such runs.
         """
-        if not 0 <= first <= last <= self.runs:
-            raise ArgumentError(f"runs: given {first} to {last}; expected a range within 0 to {self.runs}")
+        first = _whole("first run", first, 0, self.runs)
+        last = _whole("end of the runs", last, first, self.runs)
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
     def inputs_at(self, points: FloatArray) -> Columns:
@@ -142,6 +142,7 @@ class Plan:
         ArgumentError
             The campaign has no such run.
         """
+        run = _whole("run", run, 0, self.runs - 1)
         return self.scenarios(run, run + 1)[0]
 
 
@@ -175,6 +176,10 @@ def plan(
         raise ArgumentError(
             f"job {job.name!r}: given without a manoeuvre; expected [[manoeuvre]], which runs are made of"
         )
+    for one in campaign.manoeuvres:
+        known_name("manoeuvre of the campaign", one.name, [manoeuvre.name for manoeuvre in job.manoeuvres])
+    for failing in campaign.faults:
+        known_name("fault of the campaign", failing.fault, [fault.name for fault in job.fault_events])
     chosen_sampling = campaign.sampling if sampling is None else sampling
     one_of("sampling", chosen_sampling, get_args(Points))
     nominal = tuple(manoeuvre_scenario(job, manoeuvre) for manoeuvre, _ in job.flown)

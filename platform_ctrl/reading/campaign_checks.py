@@ -25,7 +25,7 @@ def campaign_mistakes(data: Data) -> Iterator[Mistake]:
     if not isinstance(campaign, dict):
         return
     if not data.get("manoeuvre"):
-        yield Mistake(("campaign",), "the job has no manoeuvre that could be flown; expected [[manoeuvre]]")
+        yield Mistake(("campaign",), "[campaign]: the job has no manoeuvre that could be flown; expected [[manoeuvre]]")
     for kind, key, of in (("manoeuvre", "name", "manoeuvre"), ("fault", "fault", "fault")):
         known = [name for _, table in tables(data, of) if (name := text_of(table, "name")) is not None]
         taken: dict[str, int] = {}
@@ -72,9 +72,12 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     if low is None or high is None:
         return
     if not low < high:
-        yield Mistake((*path, "high"), f"high = {given(high)}: not above low = {given(low)}; expected a larger number")
+        yield Mistake(
+            (*path, "high"),
+            f"high = {given(table['high'])}: not above low = {given(table['low'])}; expected a larger number",
+        )
     elif name == "log-uniform" and low <= 0.0:
-        yield Mistake((*path, "low"), f"low = {given(low)}: has no logarithm; expected a number > 0")
+        yield Mistake((*path, "low"), f"low = {given(table['low'])}: has no logarithm; expected a number > 0")
     elif name == "triangular" and not low <= n.get("peak", 1.0) <= high:
         wrong = f"peak = {given(n.get('peak', 1.0))}: not between low and high"
         yield Mistake((*path, "peak"), f"{wrong}; expected {low:.6g} to {high:.6g}")

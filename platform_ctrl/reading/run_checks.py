@@ -46,13 +46,13 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
 
 def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
     keys, instead = MOTION[mode], MOTION_TABLE[mode]
-    begun = any(key in table for key in keys)
-    if begun or not any(table.get(key) for key in (instead, *EVENTS)):
+    needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"
+    if any(key in table for key in keys):
         for key in (*keys, "axis"):
             if key not in table:
-                needed = ", ".join(keys)
-                wrong = f"a {mode} manoeuvre needs {needed} and axis, or {instead}"
-                yield Mistake((*path, key), f'missing key "{key}": {wrong}')
+                yield Mistake((*path, key), f'missing key "{key}": {needed}')
+    elif not any(table.get(key) for key in (instead, *EVENTS)):
+        yield Mistake((*path, keys[0]), f'missing key "{keys[0]}": {needed}')
     for other in MOTION:
         for key in (*MOTION[other], MOTION_TABLE[other]):
             if other != mode and key in table:
