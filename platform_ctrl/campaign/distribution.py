@@ -59,6 +59,12 @@ class Distribution:
         place = int(np.searchsorted(np.cumsum(self.counts), rank))
         return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
 
+    def exceedance(self) -> tuple[FloatArray, FloatArray]:
+        """Return levels, increasing, and the share of the runs above each."""
+        filled = np.flatnonzero(self.counts)
+        above = self.runs - np.cumsum(self.counts[filled])
+        return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
+
     def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
         """Return how many figures lie between each two of `edges`; what lies beyond the last is left out.
 

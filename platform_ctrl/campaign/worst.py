@@ -79,6 +79,9 @@ class WorstRuns:
                 here = np.where(place == m, ratio, -np.inf)
                 self._see((name, manoeuvre), batch, figures, (figure, limit, here), which, place, names)
         self._see((PASSED, None), batch, figures, (figure, limit, ratio), worst, place, names)
+        for m, manoeuvre in enumerate(names):
+            here = np.where(place == m, ratio, -np.inf)
+            self._see((PASSED, manoeuvre), batch, figures, (figure, limit, here), worst, place, names)
 
     def _see(
         self,

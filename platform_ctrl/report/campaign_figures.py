@@ -1,0 +1,162 @@
+"""The figures of a campaign: how its figures are distributed, and how far out its runs reach."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from platform_ctrl.campaign.distribution import Distribution
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
+from platform_ctrl.campaign.table import FIGURES
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.limit_lines import DASHED
+from platform_ctrl.report.quantities import handy_unit, plain
+from platform_ctrl.report.style import (
+    BEYOND,
+    LIMIT,
+    MUTED,
+    SERIES,
+    legend_above,
+    legend_rows,
+    line_style,
+    linear_axis,
+    log_axis,
+    panels,
+)
+
+_COLUMNS = 3
+_BINS = 48
+# A limit farther away than this many times the largest figure would squeeze the histogram: it is named instead.
+_FAR = 2.5
+# Figures beyond so many times the limit, or the 99.9 % quantile, are counted and not drawn.
+_WILD = 2.0
+# Share of a panel beyond the limit, at least: what is said of it stands there.
+_BEYOND_LIMIT = 0.3
+_CELL = 1.75
+
+
+def exceedance_figure(found: CampaignStatistics) -> Figure:
+    """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
+    figures = [name for name in FIGURES if _asked(found, name)]
+    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in _asked(found, name)))
+    labels = [str(name) for name in manoeuvres]
+    drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
+    handles = {}
+    for axes, name in zip(rows[0], figures, strict=True):
+        for one in _asked(found, name):
+            levels, shares = _exceedance(one)
+            style = line_style(manoeuvres.index(one.manoeuvre))
+            handles[str(one.manoeuvre)] = axes.plot(levels, shares, drawstyle="steps-post", **style)[0]
+        _exceedance_axes(axes, name, found)
+    rows[0][0].set_ylabel("share of the runs above")
+    legend_above(drawn, [handles[label] for label in labels], labels)
+    return drawn
+
+
+def _exceedance(one: RequirementStatistics) -> tuple[FloatArray, FloatArray]:
+    levels, shares = _spread(one).exceedance()
+    assert one.limit is not None
+    ratios, share = levels / one.limit, shares
+    finite = np.isfinite(ratios)
+    # Runs that diverged lie beyond every level: the line ends above zero.
+    return ratios[finite], np.where(share[finite] > 0.0, share[finite], np.nan)
+
+
+def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
+    axes.set_yscale("log")
+    least = 0.5 / max(one.violation.runs for one in _asked(found, name))
+    axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.3)
+    log_axis(axes.yaxis)
+    reach = [_exceedance(one)[0].max(initial=0.0) for one in _asked(found, name)]
+    axes.set_xlim(0.0, float(np.clip(1.08 * max(reach), 1.25, 4.0)))
+    linear_axis(axes.xaxis)
+    _shade(axes, 1.0)
+    axes.set_title(FIGURES[name][0])
+    axes.set_xlabel("over its limit")
+
+
+def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
+    """How one figure is distributed in each manoeuvre that asks for it, its limit in red."""
+    asked = _asked(found, name)
+    rows = -(-len(asked) // _COLUMNS)
+    drawn, grid = panels(rows, _COLUMNS, 0.85 + rows * _CELL + (rows - 1) * 0.55)
+    cells = [axes for row in grid for axes in row]
+    for axes, one in zip(cells, asked, strict=False):
+        _histogram(axes, one, name)
+    for axes in cells[len(asked) :]:
+        axes.set_visible(False)
+    for row in grid:
+        row[0].set_ylabel("runs")
+    return drawn
+
+
+def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
+    spread, limit = _spread(one), one.limit
+    assert limit is not None
+    factor, unit = handy_unit(FIGURES[name][1], limit)
+    usual = one.quantiles[0.999]
+    usual = usual if np.isfinite(usual) else one.quantiles[0.99]
+    top = spread.largest if np.isfinite(spread.largest) else max(usual, 1.2 * limit)
+    top = min(top, _WILD * max(limit, usual if np.isfinite(usual) else limit))
+    low = spread.smallest if np.isfinite(spread.smallest) and spread.smallest > 0.5 * top else 0.0
+    near = limit <= _FAR * max(top, 1e-300)
+    low, high = 0.98 * low, 1.04 * top
+    if near:
+        high = max(high, low + (limit - low) / (1.0 - _BEYOND_LIMIT))
+    edges = _edges(low, high, limit if near else None)
+    counts = spread.histogram(edges)
+    axes.stairs(counts, factor * edges, fill=True, color=SERIES[0], linewidth=0)
+    beyond = edges[:-1] >= limit * (1.0 - 1e-9)
+    if beyond.any():
+        axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=LIMIT, linewidth=0)
+        _shade(axes, factor * limit)
+    axes.set_xlim(factor * low, factor * high)
+    axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
+    linear_axis(axes.xaxis)
+    linear_axis(axes.yaxis, 4)
+    axes.set_title(str(one.manoeuvre))
+    axes.set_xlabel(", ".join(filter(None, [FIGURES[name][0], unit])))
+    _note(axes, one, near, factor, unit)
+
+
+def _note(axes: Axes, one: RequirementStatistics, near: bool, factor: float, unit: str) -> None:
+    assert one.limit is not None
+    text = f"{one.violation.events:,} beyond" if one.violation.events else "none beyond"
+    limit = f"{plain(factor * one.limit, 4)} {unit}".rstrip()
+    text += "" if near else f" the limit, {limit}"
+    axes.annotate(
+        text,
+        (1.0, 1.0),
+        (-3, -2),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=7,
+        color=LIMIT if one.violation.events else MUTED,
+    )
+
+
+def _edges(low: float, high: float, limit: float | None) -> FloatArray:
+    """Return equal bins, one edge of which is the limit."""
+    width = (high - low) / _BINS
+    if limit is None:
+        return np.linspace(low, high, _BINS + 1)
+    below = max(round((limit - low) / width), 1)
+    width = (limit - low) / below
+    return np.asarray(low + width * np.arange(below + int(np.ceil((high - limit) / width)) + 1))
+
+
+def _shade(axes: Axes, limit: float) -> None:
+    axes.axvspan(limit, 1e3 * limit, color=BEYOND, linewidth=0, zorder=0)
+    axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
+
+
+def _asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
+    return [one for one in found.requirements if one.figure == name and one.manoeuvre is not None and one.limit]
+
+
+def _spread(one: RequirementStatistics) -> Distribution:
+    assert one.distribution is not None
+    return one.distribution

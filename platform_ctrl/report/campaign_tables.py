@@ -1,0 +1,291 @@
+"""What a campaign says, as rows of text: for its page and for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from platform_ctrl.campaign.plan import Plan
+from platform_ctrl.campaign.probability import Probability
+from platform_ctrl.campaign.rare_events import RareResult
+from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
+from platform_ctrl.campaign.statistics import RequirementStatistics
+from platform_ctrl.campaign.summary import Summary
+from platform_ctrl.campaign.table import FIGURES, PASSED
+from platform_ctrl.campaign.worst import RunFigure
+from platform_ctrl.frozen import value
+from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity
+from platform_ctrl.variation import Vary
+
+ALL_MANOEUVRES = "all manoeuvres, figures relative to their limits"
+# Inputs that a table names for a figure.
+_MOST_DRIVERS = 8
+_DIVERGED = "diverged"
+
+
+@value
+class ProbabilityRow:
+    """One requirement of a campaign as the tables show it.
+
+    Attributes
+    ----------
+    group, requirement, limit
+        Whose it is, and what is asked.
+    violations, probability, bounds
+        How often it is violated.
+    median, high_quantile, largest
+        The figure in half of the runs, in 99 % of them, in all.
+    worst
+        Number of the worst run; None where none was flown.
+    numbers
+        Estimate and bounds as numbers.
+    """
+
+    group: str
+    requirement: str
+    limit: str
+    violations: str
+    probability: str
+    bounds: str
+    median: str
+    high_quantile: str
+    largest: str
+    worst: int | None
+    numbers: Probability
+
+
+def probability_rows(summary: Summary) -> tuple[ProbabilityRow, ...]:
+    """Return every requirement, over all manoeuvres first; with one manoeuvre there is no such group."""
+    found = summary.statistics.requirements
+    manoeuvres = {one.manoeuvre for one in found if one.manoeuvre is not None}
+    return tuple(_row(one) for one in found if one.manoeuvre is not None or len(manoeuvres) > 1)
+
+
+def _row(one: RequirementStatistics) -> ProbabilityRow:
+    unit = "" if one.manoeuvre is None else FIGURES.get(one.figure, ("", ""))[1]
+    shown = {share: figure_words(figure, unit, one.limit) for share, figure in one.quantiles.items()}
+    return ProbabilityRow(
+        group=one.manoeuvre or ALL_MANOEUVRES,
+        requirement=requirement_name(one.figure).removeprefix("largest "),
+        limit=DASH if one.limit is None else figure_words(one.limit, unit, one.limit),
+        violations=f"{one.violation.events:,} of {one.violation.runs:,}",
+        probability=chance(one.violation.estimate),
+        bounds=chances(one.violation.low, one.violation.high),
+        median=shown.get(0.5, ""),
+        high_quantile=shown.get(0.99, ""),
+        largest="" if one.distribution is None else figure_words(one.largest, unit, one.limit),
+        worst=one.worst[0].run if one.worst else None,
+        numbers=one.violation,
+    )
+
+
+def requirement_name(figure: str | None) -> str:
+    """Return what a figure is called."""
+    return "any requirement" if figure in (None, PASSED) else FIGURES[figure][0]
+
+
+def figure_words(figure: float, unit: str, like: float | None) -> str:
+    """Return a figure with its unit, in the unit that suits the limit."""
+    return _DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
+
+
+def chance(probability: float) -> str:
+    """Return a probability: in per cent down to a hundredth of one, below that as a power of ten."""
+    if not math.isfinite(probability):
+        return DASH
+    if probability == 0.0:
+        return "0"
+    return f"{_percent(probability)} %" if probability >= 1e-4 else plain(probability, 2)
+
+
+def chances(low: float, high: float) -> str:
+    """Return a range of probabilities."""
+    if low == 0.0:
+        return f"below {chance(high)}"
+    if high == 1.0:
+        return f"above {chance(low)}"
+    if high >= 1e-4 and low >= 1e-6:
+        return f"{_percent(low)} to {_percent(high)} %"
+    return f"{chance(low)} to {chance(high)}"
+
+
+def _percent(probability: float) -> str:
+    """Return per cent with two digits that matter; near 100 with those that tell it from 100."""
+    shown = 100.0 * probability
+    if shown > 99.0 and probability < 1.0:
+        return f"{min(shown, 99.9999):.{min(4, -math.floor(math.log10(100.0 - shown + 1e-9)))}f}"
+    return f"{shown:.{max(0, 1 - math.floor(math.log10(shown)))}f}" if shown < 99.5 else "100"
+
+
+def verdict(summary: Summary) -> str:
+    """Return the verdict in a few words."""
+    found = summary.statistics
+    flown = found.violation
+    if not flown.runs:
+        return "no run was flown"
+    if flown.events:
+        verb = "violates" if flown.events == 1 else "violate"
+        return f"{flown.events:,} of {count_words(flown.runs)} {verb} a requirement"
+    return f"none of {count_words(flown.runs)} violates a requirement"
+
+
+def verdict_lines(summary: Summary) -> list[str]:
+    """Return what goes with the verdict: the probability and its bounds, and runs that nothing is known of."""
+    found = summary.statistics
+    sure = f"with {plain(100.0 * found.confidence, 3)} % confidence"
+    lines = []
+    if found.violation.runs:
+        estimate = f"{chance(found.violation.estimate)}, " if found.violation.events else ""
+        bounds = chances(found.violation.low, found.violation.high)
+        lines.append(f"probability that a run violates a requirement: {estimate}{bounds} {sure}")
+    for rare in summary.rare:
+        lines.append(f"{rare_words(rare)}, from rare events")
+    if found.diverged:
+        lines.append(f"{count_words(found.diverged)} diverged, counted as violating whatever was asked")
+    if found.not_flown:
+        lines.append(f"{count_words(found.not_flown)} could not be flown, counted neither way")
+    return lines
+
+
+def count_words(runs: int) -> str:
+    """Return ``1 run``, ``10,000 runs``."""
+    return f"{runs:,} {'run' if runs == 1 else 'runs'}"
+
+
+def rare_words(rare: RareResult) -> str:
+    """Return a rare event's probability in words."""
+    name = requirement_name(rare.requirement)
+    if not rare.reached:
+        return f"{name} was never violated: probability below about {chance(rare.high)}"
+    return f"{name} is violated with probability {chance(rare.probability)}, {chances(rare.low, rare.high)}"
+
+
+def influence_rows(one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
+    """Return the drivers of a requirement with index, interval and rank correlation in words; and what is none."""
+    drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
+    rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
+    return rows, [single.parameter for single in one.influences if not single.driver]
+
+
+def share(index: float) -> str:
+    """Return a share of variance in whole per cent, or less."""
+    return f"{100.0 * index:.0f} %" if index >= 0.0095 or index == 0.0 else "< 1 %"
+
+
+def signed(one: Influence) -> str:
+    """Return a rank correlation with its sign; a dash for words."""
+    if math.isnan(one.rank_correlation):
+        return DASH
+    return f"{one.rank_correlation:+.2f}".replace("-", MINUS)
+
+
+def short_drivers(one: Sensitivity, most: int = 3) -> str:
+    """Return the strongest drivers in a line."""
+    drivers = [single for single in one.influences if single.driver and single.index >= 0.005][:most]
+    return ", ".join(f"{single.parameter} {share(single.index)}" for single in drivers) or "nothing that varies"
+
+
+def worst_rows(
+    summary: Summary, runs: Sequence[RunFigure], drivers: Sequence[str]
+) -> list[tuple[RunFigure, list[str]]]:
+    """Return runs with what they came to and the inputs that matter, in words."""
+    rows = []
+    for one in runs:
+        inputs = summary.inputs_of(one.run)
+        shown = [
+            f"{name} {input_words(inputs[name])}" for name in drivers if name in inputs and inputs[name] is not False
+        ]
+        unit = FIGURES[one.figure][1]
+        words = [
+            requirement_name(one.figure).removeprefix("largest "),
+            figure_words(one.value, unit, one.limit),
+            quantity(one.limit, unit, 4, one.limit),
+            _DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
+            ", ".join(shown),
+        ]
+        rows.append((one, words))
+    return rows
+
+
+def input_words(item: float | bool | str) -> str:
+    """Return one input of a run."""
+    if isinstance(item, bool):
+        return "yes" if item else "no"
+    return item if isinstance(item, str) else plain(item, 3)
+
+
+def all_drivers(summary: Summary) -> list[str]:
+    """Return the inputs that drive anything over all manoeuvres, the strongest first, the manoeuvre itself left out."""
+    strongest: dict[str, float] = {}
+    for one in summary.sensitivities:
+        for single in one.influences:
+            if one.manoeuvre is None and single.driver and single.parameter != "manoeuvre":
+                strongest[single.parameter] = max(strongest.get(single.parameter, 0.0), single.index)
+    return sorted(strongest, key=lambda name: -strongest[name])[:4]
+
+
+def input_rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return what differs from run to run, in words."""
+    plan = summary.plan
+    total = sum(plan.weights)
+    rows = [
+        (f"manoeuvre: {manoeuvre.name}", f"{chance(weight / total)} of the runs")
+        for manoeuvre, weight in plan.job.flown
+    ]
+    rows += [(one.parameter, distribution_words(one)) for one in plan.campaign.vary]
+    rows += [(f"fault: {one.fault}", f"in {chance(one.probability)} of the runs") for one in plan.campaign.faults]
+    return rows
+
+
+def distribution_words(one: Vary) -> str:
+    """Return a distribution in words."""
+    n = {name: plain(number, 6) for name, number in one.numbers.items()}
+    match one.distribution:
+        case "uniform" | "log-uniform":
+            words = f"{one.distribution}, {n['low']} to {n['high']}"
+        case "normal":
+            words = f"normal, {n['mean']} with deviation {n['deviation']}"
+        case "truncated-normal":
+            words = f"normal, {n['mean']} with deviation {n['deviation']}, within {n['low']} to {n['high']}"
+        case "log-normal":
+            words = f"log-normal, median {n['median']}, deviation of the logarithm {n['deviation']}"
+        case "triangular":
+            words = f"triangular, {n['low']} to {n['high']}, peak at {n['peak']}"
+        case _:
+            words = "one of " + ", ".join(plain(number, 6) for number in one.values)
+            if one.weights:
+                words += ", weights " + ", ".join(plain(number, 6) for number in one.weights)
+    return f"{words}, times the nominal value" if one.relative else words
+
+
+def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:
+    """Return how runs ended: words, number, share."""
+    found = summary.statistics
+    return [(words, f"{runs:,}", chance(runs / found.runs)) for words, runs in found.endings.items()]
+
+
+def moved(plan: Plan, rare: RareResult, most: int = 8) -> list[tuple[str, float]]:
+    """Return the inputs that violating runs have moved most, in standard deviations."""
+    named = zip(plan.input_names, rare.shift.tolist(), strict=True)
+    return sorted(named, key=lambda item: -abs(item[1]))[:most] if rare.violations else []
+
+
+def moved_words(plan: Plan, rare: RareResult) -> str:
+    """Return them in a line."""
+    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in moved(plan, rare, 4))
+
+
+def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
+    """Return a rare event's figures: name and words."""
+    rows = [
+        ("probability", chance(rare.probability) if rare.reached else "not reached"),
+        (f"{plain(100.0 * rare.confidence, 3)} % interval", chances(rare.low, rare.high)),
+    ]
+    if math.isfinite(rare.variation):
+        rows.append(("coefficient of variation", plain(rare.variation, 2)))
+    rows += [
+        ("method", "importance splitting" + (" and weighted runs" if rare.method == "cross-entropy" else "")),
+        ("repetitions", f"{count(len(rare.repetitions), 'repetition')}, {rare.reached} reached the limit"),
+        ("runs flown", f"{rare.evaluations:,}"),
+    ]
+    return rows
