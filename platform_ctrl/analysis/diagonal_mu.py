@@ -56,8 +56,19 @@ def mu_bounds(M: ComplexArray, tolerance: float = 1e-6) -> MuBounds:
 def perturbation(M: ComplexArray, Q: ComplexArray) -> ComplexArray:
     """Return delta (m,) with |delta_i| = 1/rho(Q M) or 0 for which I - M diag(delta) is singular; M (m, m), Q (m,).
 
-    Infinite where Q M has no eigenvalue but 0.
+    Real where M is and signs reach as much as the phases; infinite where Q M has no eigenvalue but 0.
     """
+    largest = _largest_eigenvalue(Q, M)
+    if largest == 0.0:
+        return np.full(len(Q), np.inf + 0j)
+    if np.abs(M.imag).max() <= 1e-13 * np.abs(M.real).max():
+        signs = np.sign(np.round((Q / largest * abs(largest)).real)) + 0j
+        real = _largest_eigenvalue(signs, M.real.astype(np.complex128))
+        if abs(real) >= (1.0 - 1e-9) * abs(largest) and real.imag == 0.0:
+            return signs / real
+    return Q / largest
+
+
+def _largest_eigenvalue(Q: ComplexArray, M: ComplexArray) -> complex:
     eigenvalues = np.linalg.eigvals(Q[:, None] * M)
-    largest = eigenvalues[np.argmax(np.abs(eigenvalues))]
-    return Q / largest if largest != 0.0 else np.full(len(Q), np.inf + 0j)
+    return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays
+from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
 from platform_ctrl.analysis.diagonal_mu import perturbation
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
-from platform_ctrl.analysis.norms import hinf_norm_arrays, largest_gains
+from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value

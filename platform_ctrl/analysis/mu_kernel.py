@@ -26,7 +26,7 @@ from platform_ctrl.frozen import FloatArray
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Steps of the power iteration from one start, and after how many it is looked at; Newton steps at most.
-STEPS, CHECKED, LOOKS, CENTRES = 48, 6, 6, 80
+STEPS, CHECKED, LOOKS, CENTRES = 48, 3, 6, 80
 
 
 def _compiled(function: F, **options: Any) -> F:
@@ -103,6 +103,12 @@ def mu_bounds(
             d[i] = D[k, i]
         upper[k] *= size
         lower[k] *= size
+
+
+@_internal
+def _modulus(x: complex) -> float:
+    # Without the care for overflow that abs takes: entries are of size 1.
+    return math.sqrt(x.real * x.real + x.imag * x.imag)
 
 
 @_internal
@@ -188,12 +194,12 @@ def _step(S: ComplexArray, vectors: ComplexArray) -> float:
     b, w, a, z = vectors[0], vectors[1], vectors[2], vectors[3]
     beta = _times(S, b, a)
     for i in range(len(b)):
-        size = abs(a[i])
-        z[i] = abs(w[i]) * (a[i] / size if size > 0.0 else 1.0)
+        size = _modulus(a[i])
+        z[i] = a[i] * (_modulus(w[i]) / size) if size > 0.0 else complex(_modulus(w[i]), 0.0)
     _star_times(S, z, w)
     for i in range(len(b)):
-        size = abs(w[i])
-        b[i] = abs(a[i]) * (w[i] / size if size > 0.0 else 1.0)
+        size = _modulus(w[i])
+        b[i] = w[i] * (_modulus(a[i]) / size) if size > 0.0 else complex(_modulus(a[i]), 0.0)
     return beta
 
 
@@ -222,7 +228,7 @@ def _climb(
                 Q[i] = _turn(vectors[0, i], vectors[2, i])
         # Channels that take no part keep the scaling that they came with.
         for i in range(m):
-            D[i] = math.sqrt((abs(vectors[3, i]) + 1e-7) / (abs(vectors[2, i]) + 1e-7))
+            D[i] = math.sqrt((_modulus(vectors[3, i]) + 1e-7) / (_modulus(vectors[2, i]) + 1e-7))
         if _below(S, W, D, beta * (1.0 + tolerance)):
             for i in range(m):
                 D[i] *= d[i]
@@ -235,8 +241,8 @@ def _climb(
 def _turn(x: complex, y: complex) -> complex:
     """Return the phase that takes y to x."""
     product = x * y.conjugate()
-    size = abs(product)
-    return product / size if size > 0.0 else 1.0 + 0j
+    size = _modulus(product)
+    return product * (1.0 / size) if size > 0.0 else 1.0 + 0j
 
 
 @_internal
@@ -258,10 +264,10 @@ def _reached(S: ComplexArray, vectors: ComplexArray) -> float:
         return 0.0
     rest = 0.0
     for i in range(m):
-        a[i] /= size
+        a[i] *= 1.0 / size
         q = _turn(b[i], a[i])
-        rest += abs(q * a[i] - b[i]) ** 2
-        vectors[3, i] = abs(w[i]) * _turn(a[i], 1.0 + 0j)
+        rest += _modulus(q * a[i] - b[i]) ** 2
+        vectors[3, i] = _modulus(w[i]) * _turn(a[i], 1.0 + 0j)
         top += w[i].conjugate() * q * a[i] * size
         bottom += w[i].conjugate() * b[i]
     back = 0.0
@@ -270,11 +276,11 @@ def _reached(S: ComplexArray, vectors: ComplexArray) -> float:
         total = 0j
         for j in range(m):
             total += S[j, i].conjugate() * vectors[3, j]
-        back += abs(total - size * w[i]) ** 2
-        length += abs(total) ** 2
-    if rest > 1e-10 or back > 1e-10 * length or abs(bottom) < 1e-6:
+        back += _modulus(total - size * w[i]) ** 2
+        length += _modulus(total) ** 2
+    if rest > 1e-10 or back > 1e-10 * length or _modulus(bottom) < 1e-6:
         return 0.0
-    return abs(top / bottom)
+    return _modulus(top / bottom)
 
 
 @_internal
@@ -282,9 +288,9 @@ def _restarted(S: ComplexArray, vectors: ComplexArray, Q: ComplexArray, best: fl
     """Return the best lower bound of longer power iterations from several starts; at least `best` and |S_ii|."""
     m = len(S)
     for i in range(m):
-        if abs(S[i, i]) > best:
+        if _modulus(S[i, i]) > best:
             # One channel alone.
-            best = abs(S[i, i])
+            best = _modulus(S[i, i])
             for j in range(m):
                 Q[j] = 0.0
             Q[i] = S[i, i].conjugate() / best
@@ -430,8 +436,8 @@ def _newton(
                 back += N[j, k] * RW[k, i]
             cross = (NR[i, j].conjugate() * ahead).real + (NR[j, i].conjugate() * back).real
             mixed = (NR[i, j] * N[i, j].conjugate()).real + (NR[j, i] * N[j, i].conjugate()).real
-            entry = 4.0 * abs(F[i, j]) ** 2 - 4.0 * cross - 4.0 * mixed
-            entry += abs(RW[i, j]) ** 2 + abs(RW[j, i]) ** 2
+            entry = 4.0 * _modulus(F[i, j]) ** 2 - 4.0 * cross - 4.0 * mixed
+            entry += _modulus(RW[i, j]) ** 2 + _modulus(RW[j, i]) ** 2
             entry += 2.0 * (R[i, j] * (WRW[i, j] + W[i, j]).conjugate()).real
             hessian[i, j] = entry
         hessian[i, i] += 4.0 * row + 2.0 * column
@@ -504,5 +510,5 @@ def _factored(W: ComplexArray) -> bool:
             total = W[i, j]
             for k in range(j):
                 total -= W[i, k] * W[j, k].conjugate()
-            W[i, j] = total / root
+            W[i, j] = total * (1.0 / root)
     return True

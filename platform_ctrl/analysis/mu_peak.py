@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.diagonal_mu import MuBounds, mu_bounds
-from platform_ctrl.analysis.norms import crossing_frequencies, gains, resonances
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.frozen import FloatArray
 
 
@@ -45,8 +45,7 @@ class MuPeak:
 
     def __init__(self, system: StateArrays) -> None:
         m = len(system.D)
-        self.system = system
-        self.edge = math.inf if system.dt == 0.0 else math.pi / system.dt
+        self.axis = FrequencyAxis(system)
         self.mu = self.frequency = self.lower = 0.0
         self.D = np.ones(m)
         self.Q = np.ones(m, dtype=np.complex128)
@@ -62,12 +61,7 @@ class MuPeak:
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response, (N, m, m); at infinite frequency the direct term."""
-        infinite = np.isinf(frequency)
-        if not np.any(infinite):
-            return frequency_response_arrays(*self.system, frequency)
-        out = np.array(frequency_response_arrays(*self.system, np.where(infinite, 0.0, frequency)))
-        out[infinite] = self.system.D
-        return out
+        return self.axis.response(frequency)
 
     def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 3) -> None:
         """Refine the highest local maxima of `mu` on `grid` side by side, the hopeful ones to the end."""
@@ -92,8 +86,8 @@ class MuPeak:
         With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
         only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).
         """
-        self.bounds(np.array([self.edge]))
-        doubtful = [(0.0, self.edge)]
+        self.bounds(np.array([self.axis.edge]))
+        doubtful = [(0.0, self.axis.edge)]
         D = self.D
         for _ in range(most):
             doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + slack))
@@ -113,15 +107,14 @@ class MuPeak:
         self, intervals: list[tuple[float, float]], D: FloatArray, level: float
     ) -> list[tuple[float, float]]:
         """Return the parts of `intervals` where the gain of D (S + ...) D^-1 exceeds `level`."""
-        system = self.system
-        scaled = StateArrays(system.A, system.B / D, D[:, None] * system.C, D[:, None] * system.D / D, system.dt)
-        crossings = crossing_frequencies(scaled, level)
+        crossings = self.axis.crossings(level, D)
         parts: list[tuple[float, float]] = []
         for low, high in intervals:
             inner = crossings[(crossings > low) & (crossings < high)]
             edges = [low, *inner.tolist(), high]
             parts += list(pairwise(edges))
-        exceeds = gains(scaled, np.array([_middle(*part) for part in parts])) > level
+        response = self.axis.response(np.array([_middle(*part) for part in parts]))
+        exceeds = largest_gains(D[:, None] * response / D) > level
         kept: list[tuple[float, float]] = []
         for part, bad in zip(parts, exceeds, strict=True):
             if not bad:

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -74,18 +74,17 @@ def hinf_norm_arrays(
     """
     if B.shape[-1] == 0 or C.shape[-2] == 0:
         return 0.0, 0.0
-    edge = math.inf if dt == 0.0 else math.pi / dt
     if A.shape[-1] == 0:
         return float(np.linalg.norm(D, 2)), 0.0
     A, B, C = scaled(A, B, C)
     s, on_boundary = boundary_poles(A, dt)
     if np.any(on_boundary):
         return math.inf, float(np.abs(s[on_boundary].imag).min())
-    system = StateArrays(A, B, C, D, dt)
+    axis = FrequencyAxis(StateArrays(A, B, C, D, dt))
     candidates = [np.zeros(1), resonances(s)]
     if dt > 0.0:
-        candidates.append(np.array([edge]))
-    best, frequency = _largest(system, np.concatenate(candidates))
+        candidates.append(np.array([axis.edge]))
+    best, frequency = axis.largest(np.concatenate(candidates))
     direct = float(np.linalg.norm(D, 2))
     if dt == 0.0 and direct > best:
         best, frequency = direct, math.inf
@@ -93,13 +92,13 @@ def hinf_norm_arrays(
         # Nothing comes through at any of the frequencies that its poles single out.
         return 0.0, 0.0
     for _ in range(60):
-        found, at = _largest(system, level_frequencies(system, best * (1.0 + tolerance)))
+        found, at = axis.largest(_between(axis.crossings(best * (1.0 + tolerance))))
         if found > best * (1.0 + tolerance):
             best, frequency = found, at
             continue
         # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
         before = best
-        best, frequency = _climbed(system, s, best, frequency)
+        best, frequency = _climbed(axis, s, best, frequency)
         if best <= before * (1.0 + tolerance):
             break
     return best, frequency
@@ -116,7 +115,11 @@ def resonances(s: ComplexArray) -> FloatArray:
 
 def level_frequencies(system: StateArrays, level: float) -> FloatArray:
     """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does."""
-    w = crossing_frequencies(system, level)
+    return _between(crossing_frequencies(system, level))
+
+
+def _between(w: FloatArray) -> FloatArray:
+    """Return sorted frequencies with others between, below and above them."""
     if w.size == 0:
         return w
     between = np.sqrt(w[1:] * w[:-1])
@@ -125,72 +128,12 @@ def level_frequencies(system: StateArrays, level: float) -> FloatArray:
 
 def crossing_frequencies(system: StateArrays, level: float) -> FloatArray:
     """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`."""
-    A, B, C, D, dt = system
-    if dt == 0.0:
-        return level_crossings(A, B, C, D, level)
-    try:
-        w = level_crossings(*to_w_plane(A, B, C, D, period=dt), level=level)
-    except ArgumentError:
-        # A pole next to z = -1, which the map would send to infinity.
-        return _pencil_crossings(*_unit_level(A, B, C, D, level), dt)
-    return np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
+    return FrequencyAxis(system).crossings(level)
 
 
 def level_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
-    """Return |Im| of all eigenvalues of the Hamiltonian for `level`, sorted: every crossing is among them.
-
-    Where `level` is next to a singular value of D, of the matrix pencil that needs no inverse.
-    """
-    A, B, C, D = _unit_level(A, B, C, D, level)
-    R = np.eye(D.shape[1]) - D.T @ D
-    if np.any(np.abs(np.linalg.eigvalsh(R)) < 1e-8):
-        return _pencil_crossings(A, B, C, D, 0.0)
-    inverse = np.linalg.inv(R)
-    F = A + B @ inverse @ D.T @ C
-    S = np.eye(D.shape[0]) + D @ inverse @ D.T
-    hamiltonian = np.block([[F, B @ inverse @ B.T], [-C.T @ S @ C, -F.T]])
-    if not np.all(np.isfinite(hamiltonian)):
-        return np.zeros(0)
-    out: FloatArray = np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag))
-    return out
-
-
-def _unit_level(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the system over `level`, in balanced states: the blocks of its Hamiltonian are equally large."""
-    root = math.sqrt(level)
-    A, B, C = scaled(A, B / root, C / root)
-    return A, B, C, D / level
-
-
-def _pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> FloatArray:
-    """Return sorted frequencies that contain all at which a singular value is 1: a pencil's generalised eigenvalues.
-
-    Its unknowns are states, costates, inputs and outputs; nothing is inverted.
-    """
-    from scipy.linalg import eigvals
-
-    n, m, p = len(A), B.shape[1], len(C)
-    size = 2 * n + m + p
-    x, q, u, y = np.split(np.arange(size), [n, 2 * n, 2 * n + m])
-    M, N = np.zeros((size, size)), np.zeros((size, size))
-    M[np.ix_(x, x)], M[np.ix_(x, u)] = A, B
-    M[np.ix_(u, q)], M[np.ix_(u, y)] = B.T, D.T
-    M[np.ix_(y, x)], M[np.ix_(y, u)] = C, D
-    M[u, u] = M[y, y] = -1.0
-    N[x, x] = 1.0
-    if dt == 0.0:
-        M[np.ix_(q, q)], M[np.ix_(q, y)] = -A.T, -C.T
-        N[q, q] = 1.0
-    else:
-        M[q, q] = 1.0
-        N[np.ix_(q, q)], N[np.ix_(q, y)] = A.T, C.T
-    with np.errstate(all="ignore"):
-        found = eigvals(M, N, check_finite=False)
-    found = found[np.isfinite(found)]
-    w = np.abs(found.imag) if dt == 0.0 else np.abs(np.angle(found)) / dt
-    return np.asarray(np.unique(w[np.isfinite(w)]), dtype=np.float64)
+    """Return `crossing_frequencies` of a continuous system."""
+    return crossing_frequencies(StateArrays(A, B, C, D, 0.0), level)
 
 
 def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
@@ -198,44 +141,24 @@ def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     return largest_gains(frequency_response_arrays(*system, frequency))
 
 
-def largest_gains(H: ComplexArray) -> FloatArray:
-    """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
-    out = np.full(len(H), np.inf)
-    if min(H.shape[1:]) <= 8:
-        from platform_ctrl.analysis.gain_kernel import largest_singular_values
-
-        largest_singular_values(np.ascontiguousarray(H), out)
-        return out
-    fine = np.all(np.isfinite(H), axis=(-2, -1))
-    if np.any(fine):
-        out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
-    return out
-
-
-def _largest(system: StateArrays, frequency: FloatArray) -> tuple[float, float]:
-    if system.dt > 0.0:
-        frequency = frequency[frequency <= math.pi / system.dt * (1.0 + 1e-12)]
-    if frequency.size == 0:
-        return 0.0, 0.0
-    sizes = gains(system, frequency)
-    i = int(np.argmax(sizes))
-    return float(sizes[i]), float(frequency[i])
-
-
-def _climbed(system: StateArrays, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
+def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
     """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
-    for _ in range(8):
-        found, at = _largest(system, np.abs(frequency + width * np.linspace(-1.0, 1.0, 21)))
-        rise = found - best
-        if rise > 0.0:
-            best, frequency = found, at
-        width *= 0.15
-        if width < 1e-10 * frequency or (abs(rise) < 1e-13 * best and width < 1e-3 * frequency):
+    for _ in range(10):
+        fan = np.abs(frequency + width * np.linspace(-1.0, 1.0, 15))
+        fan = fan[fan <= axis.edge]
+        sizes = axis.gains(fan)
+        i = int(np.argmax(sizes))
+        if sizes[i] > best:
+            best, frequency = float(sizes[i]), float(fan[i])
+        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
+        drop = best - float(sizes[max(i - 1, 0) : i + 2].min())
+        if drop <= 1e-11 * best or width < 1e-15 * frequency:
             break
+        width *= 0.2
     return best, frequency
 
 

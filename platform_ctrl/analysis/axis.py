@@ -1,0 +1,165 @@
+"""One system along its frequency axis: response, gain, and the frequencies where the gain may cross a level.
+
+What does not depend on the frequency or the level (balancing, the recurrence, the map to the w-plane) is worked
+out once: norms and margins ask many times.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sampled import to_w_plane
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+class FrequencyAxis:
+    """One system on the imaginary axis or the unit circle.
+
+    Parameters
+    ----------
+    system
+        Any stability, any number of states.
+
+    Attributes
+    ----------
+    system
+        In balanced states.
+    edge
+        The highest frequency, rad/s: infinite, or the Nyquist frequency.
+    """
+
+    def __init__(self, system: StateArrays) -> None:
+        A, B, C, D, dt = system
+        self.edge = math.inf if dt == 0.0 else math.pi / dt
+        self.system = StateArrays(*scaled(A, B, C), D, dt)
+        self._w_plane: Matrices | None = None
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D."""
+        infinite = np.isinf(frequency)
+        if not np.any(infinite):
+            return frequency_response_arrays(*self.system, frequency)
+        out = np.array(frequency_response_arrays(*self.system, np.where(infinite, 0.0, frequency)))
+        out[infinite] = self.system.D
+        return out
+
+    def gains(self, frequency: FloatArray) -> FloatArray:
+        """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
+        return largest_gains(self.response(frequency))
+
+    def largest(self, frequency: FloatArray) -> tuple[float, float]:
+        """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""
+        frequency = frequency[frequency <= self.edge * (1.0 + 1e-12)]
+        if frequency.size == 0:
+            return 0.0, 0.0
+        sizes = self.gains(frequency)
+        i = int(np.argmax(sizes))
+        return float(sizes[i]), float(frequency[i])
+
+    def crossings(self, level: float, scaling: FloatArray | None = None) -> FloatArray:
+        """Return sorted frequencies, rad/s, that contain all at which a singular value crosses `level`.
+
+        Parameters
+        ----------
+        level
+            > 0.
+        scaling : (m,), optional
+            d: of diag(d) H diag(d)^-1 instead of the square system H itself.
+        """
+        dt = self.system.dt
+        system: Matrices = self.system[:4]
+        if dt > 0.0:
+            try:
+                if self._w_plane is None:
+                    self._w_plane = to_w_plane(*self.system[:4], period=dt)
+                system = self._w_plane
+            except ArgumentError:
+                # A pole next to z = -1, which the map would send to infinity.
+                return pencil_crossings(*_over(level, *_rescaled(*system, scaling)), dt)
+        w = hamiltonian_crossings(*_over(level, *_rescaled(*system, scaling)))
+        return w if dt == 0.0 else np.asarray(2.0 / dt * np.arctan(0.5 * dt * w), dtype=np.float64)
+
+
+def largest_gains(H: ComplexArray) -> FloatArray:
+    """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
+    out = np.full(len(H), np.inf)
+    if min(H.shape[1:]) <= 8:
+        from platform_ctrl.analysis.gain_kernel import largest_singular_values
+
+        largest_singular_values(np.ascontiguousarray(H), out)
+        return out
+    fine = np.all(np.isfinite(H), axis=(-2, -1))
+    if np.any(fine):
+        out[fine] = np.linalg.norm(H[fine], 2, axis=(-2, -1))
+    return out
+
+
+def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
+    """Return |Im| of all eigenvalues of the Hamiltonian for the level 1, sorted: every crossing is among them.
+
+    Where 1 is next to a singular value of D, of the matrix pencil that needs no inverse.
+    """
+    if not np.any(D):
+        hamiltonian = np.block([[A, B @ B.T], [-C.T @ C, -A.T]])
+    else:
+        R = np.eye(D.shape[1]) - D.T @ D
+        if np.any(np.abs(np.linalg.eigvalsh(R)) < 1e-8):
+            return pencil_crossings(A, B, C, D, 0.0)
+        inverse = np.linalg.inv(R)
+        F = A + B @ inverse @ D.T @ C
+        S = np.eye(D.shape[0]) + D @ inverse @ D.T
+        hamiltonian = np.block([[F, B @ inverse @ B.T], [-C.T @ S @ C, -F.T]])
+    if not np.all(np.isfinite(hamiltonian)):
+        return np.zeros(0)
+    out: FloatArray = np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag))
+    return out
+
+
+def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> FloatArray:
+    """Return sorted frequencies that contain all at which a singular value is 1: a pencil's generalised eigenvalues.
+
+    Its unknowns are states, costates, inputs and outputs; nothing is inverted.
+    """
+    from scipy.linalg import eigvals
+
+    n, m, p = len(A), B.shape[1], len(C)
+    size = 2 * n + m + p
+    x, q, u, y = np.split(np.arange(size), [n, 2 * n, 2 * n + m])
+    M, N = np.zeros((size, size)), np.zeros((size, size))
+    M[np.ix_(x, x)], M[np.ix_(x, u)] = A, B
+    M[np.ix_(u, q)], M[np.ix_(u, y)] = B.T, D.T
+    M[np.ix_(y, x)], M[np.ix_(y, u)] = C, D
+    M[u, u] = M[y, y] = -1.0
+    N[x, x] = 1.0
+    if dt == 0.0:
+        M[np.ix_(q, q)], M[np.ix_(q, y)] = -A.T, -C.T
+        N[q, q] = 1.0
+    else:
+        M[q, q] = 1.0
+        N[np.ix_(q, q)], N[np.ix_(q, y)] = A.T, C.T
+    if not (np.all(np.isfinite(M)) and np.all(np.isfinite(N))):
+        return np.zeros(0)
+    with np.errstate(all="ignore"):
+        found = eigvals(M, N, check_finite=False)
+    found = found[np.isfinite(found)]
+    w = np.abs(found.imag) if dt == 0.0 else np.abs(np.angle(found)) / dt
+    return np.asarray(np.unique(w[np.isfinite(w)]), dtype=np.float64)
+
+
+def _over(level: float, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
+    """Return the system over `level`, shared by input and output: both halves of its Hamiltonian are equally large."""
+    root = math.sqrt(level)
+    return A, B / root, C / root, D / level
+
+
+def _rescaled(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, scaling: FloatArray | None) -> Matrices:
+    if scaling is None:
+        return A, B, C, D
+    return A, B / scaling, scaling[:, None] * C, scaling[:, None] * D / scaling
