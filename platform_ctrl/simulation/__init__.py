@@ -3,7 +3,22 @@
 numba is loaded, and the kernel compiled or taken from its cache, with the first run.
 """
 
-from platform_ctrl.simulation.closed_loop import HalfCosine, Trajectory, simulate
+from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.simulation.batch import Figures, fly
+from platform_ctrl.simulation.closed_loop import Trajectory, flight, simulate
 from platform_ctrl.simulation.free_motion import Rollout, rollout
 
-__all__ = ["HalfCosine", "Rollout", "Trajectory", "rollout", "simulate"]
+__all__ = [
+    "Fault",
+    "Figures",
+    "HalfCosine",
+    "Rollout",
+    "Scenario",
+    "TimeTable",
+    "Trajectory",
+    "Vibration",
+    "flight",
+    "fly",
+    "rollout",
+    "simulate",
+]

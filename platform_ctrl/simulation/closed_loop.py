@@ -2,48 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.job import Mode
-from platform_ctrl.simulation import packing
-from platform_ctrl.simulation.plant import pack, unit_quaternions
-from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
-from platform_ctrl.simulation.step_limit import check_elements
+from platform_ctrl.scenario import HalfCosine, Mode, Scenario
+from platform_ctrl.simulation.batch import merged, recorded
+from platform_ctrl.simulation.flight_plan import prepared
+from platform_ctrl.simulation.plant import unit_quaternions
+from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
 
 if TYPE_CHECKING:
     import control
-
-Merged = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-@value
-class HalfCosine:
-    """A platform rate that rises to `rate` about a root axis along half a cosine, is held, and falls back.
-
-    Attributes
-    ----------
-    axis
-        Root axis, 1 to 3.
-    rate
-        Rate that is held, rad/s.
-    rise, hold
-        Length of the rise (and of the fall), and of the time between, s.
-    """
-
-    axis: int
-    rate: float
-    rise: float
-    hold: float
 
 
 @value
@@ -205,128 +181,84 @@ def simulate(
         raise ArgumentError(f"{given}: given in mode 'caged', where Omega is prescribed; expected Omega_profile")
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("rate", rate, (n,), 0.0)
-    state = np.concatenate([angles, real_array("Omega", Omega, (3,), 0.0), rates, unit_quaternions(attitude, (4,))])
     torque = real_array("root_torque", root_torque, (3,), 0.0)
-    profile = _packed_profile(Omega_profile)
-    stops = np.array([(-np.inf, np.inf) if g.stops is None else g.stops for g in platform.gimbals]).reshape(n, 2)
-    for k, gimbal in enumerate(platform.gimbals):
-        if not stops[k, 0] <= angles[k] <= stops[k, 1]:
-            raise ArgumentError(
-                f"q: {gimbal.angle} starts at {angles[k]:.6g} rad; expected it between its stops {gimbal.stops}"
-            )
-    servos = servo_rotors(platform)
-    spins = initial_spins(platform, spin, (len(servos),))
-    merged = _merged(platform, controllers, period, free)
-    samples = 1 + math.floor(duration / period + 1e-9)
-
-    # A delay that is a whole number of periods up to rounding leaves no first segment.
-    whole = math.floor(delay / period + 1e-9)
-    first = delay - whole * period
-    first = 0.0 if first < 1e-9 * period else first
-    lengths = (first, period - first)
-    count = np.array([math.ceil(length / longest - 1e-9) for length in lengths], dtype=np.int64)
-    steps = np.array([length / c if c else 0.0 for length, c in zip(lengths, count, strict=True)])
-    check_step(platform, float(steps.max()), free)
-    check_elements(platform, float(steps.max()), free)
-
-    sensed = np.array([platform.gimbal(s.gimbal) for s in platform.pickoffs], dtype=np.int64)
-    rms = np.array([s.sampled_noise(period) if noise else 0.0 for s in platform.pickoffs])
-    disturbance = np.random.default_rng(seed).standard_normal((samples, len(rms))) * rms
-    quantisation = np.array([s.quantisation for s in platform.pickoffs])
-    target = np.array(
-        [t.root_axis - 1 if t.root_axis is not None else 3 + platform.gimbal(str(t.gimbal)) for t in platform.torquers],
-        dtype=np.int64,
+    scenario = Scenario(
+        platform=platform,
+        mode=mode,
+        duration=duration,
+        delay=delay,
+        profile=Omega_profile,
+        torque=torque,
+        q=angles,
+        rate=rates,
+        Omega=real_array("Omega", Omega, (3,), 0.0),
+        attitude=unit_quaternions(attitude, (4,)),
+        spin=initial_spins(platform, spin, (len(servo_rotors(platform)),)),
+        seed=seed,
     )
-    limit = np.array([np.inf if t.limit is None else t.limit for t in platform.torquers])
-    decay = np.array(
-        [[math.exp(-0.5 * h / t.lag) if t.lag > 0.0 else 0.0 for t in platform.torquers] for h in steps]
-    ).reshape(2, len(limit))
+    return flight(scenario, controllers, period=period, step=longest, noise=noise)
 
-    from platform_ctrl.simulation import old_kernel as kernel
 
-    plant = pack(platform)
-    if not free:
-        kernel.half_cosine(0.0, profile, state[n : n + 3])
-    state = with_rotor_states(packing.pack(platform), state[None], spins[None])[0]
-    if not free:
-        momenta = np.empty(n)
-        kernel.joint_momenta(*plant, free, state, *kernel.workspace(n), momenta)
-        state[n + 3 : 2 * n + 3] = momenta
-    widths = (n, n + 3, n, 4 + len(rms), len(limit), len(limit), 2 * len(servos))
-    records = tuple(np.zeros((samples, width)) for width in widths)
-    saturated = np.zeros(len(limit), dtype=np.int64)
-    contacts = np.zeros(n, dtype=np.int64)
-    done = kernel.closed_loop(
-        *plant,
-        free,
-        state,
-        profile,
-        torque,
-        merged,
-        (sensed, disturbance, quantisation),
-        (target, limit, decay),
-        stops,
-        period,
-        whole,
-        (count, steps),
-        records,  # type: ignore[arg-type]
-        saturated,
-        contacts,
+def flight(
+    scenario: Scenario,
+    controllers: Sequence[control.StateSpace],
+    *,
+    period: float,
+    step: float = 1e-4,
+    noise: bool = True,
+) -> Trajectory:
+    """Fly one scenario and record it: `simulate` with all that a scenario may hold.
+
+    Parameters
+    ----------
+    scenario
+        What is flown.
+    controllers
+        As for `simulate`.
+    period
+        Sample period, s.
+    step
+        Longest substep, s.
+    noise
+        Whether the sensors' noise is there.
+
+    Raises
+    ------
+    ArgumentError
+        As `simulate`.
+    """
+    platform = scenario.platform
+    n, servos = len(platform.gimbals), servo_rotors(platform)
+    member = prepared(scenario, period, step)
+    record, figures = recorded(member, merged(platform, controllers, period, scenario.mode), period, noise)
+    counts = np.rint(figures[n + 3 + len(platform.torquers) :]).astype(np.int64)
+    saturated, contacts, done = counts[: len(platform.torquers)], counts[-1 - n : -1], int(counts[-1])
+    widths = (n, n, 3, n, 4, len(platform.sensors), len(platform.torquers), len(platform.torquers), len(servos))
+    angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor = np.split(
+        record[:done], np.cumsum(widths), axis=1
     )
-    angle, velocity, momentum, seen, command, applied, rotors = (record[:done] for record in records)
     return Trajectory(
         t=period * np.arange(done, dtype=np.float64),
         q=angle,
-        rate=velocity[:, 3:],
+        rate=rate,
         p=momentum,
-        reading=seen[:, 4:],
+        reading=reading,
         command=command,
-        torque=applied,
-        Omega=velocity[:, :3],
-        attitude=seen[:, :4],
-        rotor_spin=rotors[:, : len(servos)],
-        rotor_torque=rotors[:, len(servos) :],
+        torque=torque,
+        Omega=Omega,
+        attitude=attitude,
+        rotor_spin=spin,
+        rotor_torque=motor,
         angle_names=platform.angle_names,
-        pickoff_names=tuple(s.name for s in platform.pickoffs),
+        pickoff_names=tuple(s.name for s in platform.sensors),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
         saturated=saturated,
         stop_contacts=contacts,
-        ended="completed" if done == samples else f"diverged at t = {done * period:.6g} s",
-        mode=mode,
+        ended="completed" if done == len(record) else f"diverged at t = {done * period:.6g} s",
+        mode=scenario.mode,
         period=period,
-        delay=delay,
-        step=longest,
-        seed=seed,
+        delay=scenario.delay,
+        step=step,
+        seed=scenario.seed,
     )
-
-
-def _packed_profile(profile: HalfCosine | None) -> FloatArray:
-    packed = np.zeros(5)
-    if profile is None:
-        return packed
-    if not isinstance(profile, HalfCosine):
-        raise ArgumentError(f"Omega_profile: given {profile!r}; expected a HalfCosine")
-    if profile.axis not in (1, 2, 3):
-        raise ArgumentError(f"Omega_profile: axis is {profile.axis!r}; expected 1, 2 or 3")
-    if not math.isfinite(profile.rate):
-        raise ArgumentError(f"Omega_profile: rate is {profile.rate!r}; expected a finite number")
-    packed[profile.axis - 1] = profile.rate
-    packed[3] = positive("Omega_profile: rise", profile.rise, zero=True)
-    packed[4] = positive("Omega_profile: hold", profile.hold, zero=True)
-    return packed
-
-
-def _merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, free: bool) -> Merged:
-    """One state space from all pick-offs to all torquers."""
-    K = joined_arrays(controllers, [s.name for s in platform.pickoffs], [t.name for t in platform.torquers], period)
-    roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    for k, system in enumerate(controllers):
-        acting = [name for name in system.output_labels if name in roots]
-        if acting and not free:
-            raise ArgumentError(
-                f"controller {k + 1} ({system.name!r}): output {acting[0]!r} acts on the root, whose rate is "
-                "prescribed in mode 'caged'; leave the controller out or use mode 'stabilised'"
-            )
-    A, B, C, D = (np.ascontiguousarray(part, dtype=np.float64) for part in (K.A, K.B, K.C, K.D))
-    return A, B, C, D

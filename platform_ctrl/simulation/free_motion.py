@@ -14,6 +14,7 @@ from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.simulation.device import Device, expect_device, roll_out
 from platform_ctrl.simulation.packing import pack
 from platform_ctrl.simulation.plant import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
@@ -59,6 +60,7 @@ def rollout(
     every: int | None = None,
     threads: int | None = None,
     spin: ArrayLike | None = None,
+    device: Device = "cpu",
 ) -> Rollout:
     """Integrate N runs of the exact non-linear coupled plant with a free root by the classical Runge-Kutta method.
 
@@ -85,12 +87,16 @@ def rollout(
     spin : (N, m), optional
         Initial spins of the m servo rotors against their carriers, rad/s; default the nominal ones. Their loops start
         in the steady state of the nominal spin: with no torque.
+    device
+        "cpu", or "cuda" for a GPU with numba-cuda: the same to rounding.
 
     Raises
     ------
     ArgumentError
         If an argument has the wrong shape, is not finite or is out of range; if the step is too long for a speed loop,
         a spring, a cage or friction.
+    SimulationError
+        If the device is not there.
     """
     expect_platform(platform)
     n = len(platform.gimbals)
@@ -109,6 +115,7 @@ def rollout(
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step(platform, step, free=True)
     check_elements(platform, step, free=True)
+    expect_device(device)
 
     from platform_ctrl.simulation.kernel.advance import advance
     from platform_ctrl.simulation.kernel.lanes import LANES, memory
@@ -116,18 +123,21 @@ def rollout(
     plant = pack(platform)
     states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)
     marks = [steps] if every is None else [*range(0, steps, every), steps]
-    along = np.empty((runs, len(marks), states.shape[1]))
-    # A thread takes whole groups of scenarios that the kernel moves side by side.
-    groups = math.ceil(runs / LANES)
-    share = LANES * math.ceil(groups / threads) or 1
-    parts = [slice(first, first + share) for first in range(0, runs, share)]
+    if device == "cuda":
+        along = roll_out(plant, states, held, step, marks)
+    else:
+        along = np.empty((runs, len(marks), states.shape[1]))
+        # A thread takes whole groups of scenarios that the kernel moves side by side.
+        groups = math.ceil(runs / LANES)
+        share = LANES * math.ceil(groups / threads) or 1
+        parts = [slice(first, first + share) for first in range(0, runs, share)]
 
-    def move(part: slice) -> None:
-        space = memory(plant.at.end)
-        advance(*plant, space, states[part], held[part], step, steps, every or 0, along[part])
+        def move(part: slice) -> None:
+            space = memory(plant.at.end)
+            advance(*plant, space, states[part], held[part], step, steps, every or 0, along[part])
 
-    with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
-        list(pool.map(move, parts))
+        with ThreadPoolExecutor(max_workers=max(len(parts), 1)) as pool:
+            list(pool.map(move, parts))
     spins_along = spins_of(plant, along)
     ends = along[:, -1]
     return Rollout(

@@ -35,7 +35,7 @@ def pack(platform: Platform) -> Packed:
     """Return a platform as the kernel wants it."""
     tree = topology(platform)
     n = len(tree.parents)
-    frames = np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
+    frames = frames_of(tree)
     links = _links(platform, tree, frames)
     at = _at(platform, n)
     constants = np.zeros(at.work)
@@ -63,6 +63,11 @@ def pack(platform: Platform) -> Packed:
     ):
         row[:] = (*(frames[platform.body(device.senses)] @ device.axis), device.gain, _or_infinite(device.limit))
     return Packed(links, at, constants, around)
+
+
+def frames_of(tree: Topology) -> FloatArray:
+    """Return the rotations (1 + n, 3, 3) from the bodies' axes in the file to those of the kernel."""
+    return np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
 
 
 def _frame(axis: FloatArray) -> FloatArray:

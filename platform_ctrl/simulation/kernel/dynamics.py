@@ -533,7 +533,7 @@ def derivative(
 
 @internal
 def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
-    """Joint momenta dT/dqdot of a state whose v holds the rates; the whole angular momentum stays in the root's MOMENT."""
+    """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
     _outward(links, mem, lane, at, True, False, y, around)
     _momenta(links, mem, lane, at, y, around)
     for k in range(at.n):

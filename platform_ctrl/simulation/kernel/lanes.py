@@ -78,6 +78,8 @@ def compiled(function: F, **options: Any) -> F:
         dispatcher = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
         return cast(F, njit(nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function))
+    if dispatcher is function:  # NUMBA_DISABLE_JIT: plain Python
+        return function
     # By itself numba looks at the function's own file alone and would go on with old code of the other files.
     dispatcher._cache._cache_file._source_stamp = _stamp()
     return cast(F, dispatcher)
@@ -219,6 +221,18 @@ def load(memory: FloatArray, slot: int, lane: int) -> Number:
 def store(memory: FloatArray, slot: int, lane: int, number: Number) -> None:
     """Put a number into a slot of the memory."""
     memory[slot, lane] = number
+
+
+def columns(lane: int) -> tuple[int, int]:
+    """Return the first column that `lane` stands for, and the one behind the last: for what goes one by one."""
+    return lane, lane + 1
+
+
+@overload(columns, strict=False)
+def _columns(lane: Any) -> Any:
+    if isinstance(lane, types.NoneType):
+        return lambda lane: (0, LANES)
+    return lambda lane: (lane, lane + 1)
 
 
 def _row(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
@@ -393,7 +407,7 @@ def _root(x: Any) -> Any:
 
 @overload(whole, strict=False)
 def _whole(x: Any) -> Any:
-    return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: np.floor(x))
+    return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: float(math.floor(x)))
 
 
 @overload(power_of_two, strict=False)

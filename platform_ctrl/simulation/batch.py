@@ -1,0 +1,238 @@
+"""Many scenarios at once: those that are alike fly side by side, and only their figures are kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.arguments import positive
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.scenario import Mode, Scenario
+from platform_ctrl.simulation.flight_plan import Batch, Controller, Prepared, batch, controller_rows, prepared
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class Figures:
+    """What came of N runs, all at their sample instants until they ended.
+
+    Attributes
+    ----------
+    angle : (N, n)
+        Largest |q| of every gimbal, rad.
+    attitude : (N, 3)
+        Largest component of the platform's rotation vector against inertial axes, rad.
+    torque_share : (N, torquers)
+        Largest commanded torque over the torquer's limit.
+    saturated : (N, torquers)
+        Number of samples whose command reached the limit.
+    stop_contacts : (N, n)
+        How often each gimbal came up against a stop.
+    samples : (N,), asked : (N,)
+        How many samples were flown before the run ended or diverged, and how many there should have been.
+    period
+        Sample period, s.
+    """
+
+    angle: FloatArray
+    attitude: FloatArray
+    torque_share: FloatArray
+    saturated: NDArray[np.int64]
+    stop_contacts: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    asked: NDArray[np.int64]
+    period: float
+
+    @property
+    def completed(self) -> NDArray[np.bool_]:
+        """Which runs reached their ends, (N,)."""
+        return self.samples == self.asked
+
+    @property
+    def ended(self) -> tuple[str, ...]:
+        """How each run ended."""
+        return tuple(
+            "completed" if done == asked else f"diverged at t = {done * self.period:.6g} s"
+            for done, asked in zip(self.samples.tolist(), self.asked.tolist(), strict=True)
+        )
+
+
+def fly(
+    scenarios: Sequence[Scenario],
+    controllers: Sequence[control.StateSpace],
+    *,
+    period: float,
+    step: float = 1e-4,
+    noise: bool = True,
+    threads: int = 1,
+    device: str = "cpu",
+) -> Figures:
+    """Fly many scenarios and return their figures.
+
+    A run's figures depend on its scenario alone, to the last bit: not on which others fly beside it, on their order or
+    on the number of threads.
+
+    Parameters
+    ----------
+    scenarios
+        What is flown; all plants have the same gimbals, torquers and sensors.
+    controllers
+        As for `simulate`. In mode ``"caged"`` controllers that act on the root are left out.
+    period
+        Sample period, s.
+    step
+        Longest substep, s.
+    noise
+        Whether the sensors' noise is there.
+    threads
+        Number of threads that share the scenarios.
+    device
+        ``"cpu"`` or ``"cuda"``.
+
+    Raises
+    ------
+    ArgumentError
+        As `simulate`; the plants differ in what they are made of.
+    """
+    period, longest = positive("period", period), positive("step", step)
+    if device not in ("cpu", "cuda"):
+        raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
+    groups: dict[tuple[object, ...], list[int]] = {}
+    members = [prepared(scenario, period, longest) for scenario in scenarios]
+    for place, member in enumerate(members):
+        groups.setdefault(member.key, []).append(place)
+    modes: dict[Mode, Controller] = {}
+    out: dict[int, FloatArray] = {}
+    asked = np.array([member.timing.samples for member in members], dtype=np.int64)
+    sizes = {(m.packed.at.n, len(m.scenario.platform.torquers)) for m in members}
+    if len(sizes) > 1:
+        raise ArgumentError("scenarios: their plants differ in gimbals or torquers; expected one kind of plant")
+    for places in groups.values():
+        own = [members[place] for place in places]
+        platform, mode = own[0].scenario.platform, own[0].scenario.mode
+        if mode not in modes:
+            modes[mode] = merged(platform, acting(controllers, platform, mode), period, mode)
+        together = batch(own, modes[mode], period, noise)
+        for place, row in zip(places, flown(together, threads, device), strict=True):
+            out[place] = row
+    n, nu = next(iter(sizes), (0, 0))
+    rows = np.array([out[place] for place in range(len(members))]).reshape(len(members), 2 * n + 4 + 2 * nu)
+    angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
+    return Figures(
+        angle=angle,
+        attitude=attitude,
+        torque_share=share,
+        saturated=np.rint(saturated).astype(np.int64),
+        stop_contacts=np.rint(contacts).astype(np.int64),
+        samples=np.rint(samples[:, 0]).astype(np.int64),
+        asked=asked,
+        period=period,
+    )
+
+
+def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: Mode) -> list[control.StateSpace]:
+    """Return the controllers that act in a mode: caged, those on the root do not."""
+    roots = {t.name for t in platform.torquers if t.root_axis is not None}
+    return [K for K in controllers if mode == "stabilised" or not (roots & set(K.output_labels))]
+
+
+def merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode) -> Controller:
+    """Return one state space from all sensors to all torquers, in the kernel's form.
+
+    Raises
+    ------
+    ArgumentError
+        They do not fit the plant, or one acts on the root in mode ``"caged"``.
+    """
+    K = joined_arrays(controllers, [s.name for s in platform.sensors], [t.name for t in platform.torquers], period)
+    roots = {t.name for t in platform.torquers if t.root_axis is not None}
+    for k, system in enumerate(controllers):
+        on_root = [name for name in system.output_labels if name in roots]
+        if on_root and mode == "caged":
+            raise ArgumentError(
+                f"controller {k + 1} ({system.name!r}): output {on_root[0]!r} acts on the root, whose rate is "
+                "prescribed in mode 'caged'; leave the controller out or use mode 'stabilised'"
+            )
+    return controller_rows(K.A, K.B, K.C, K.D)
+
+
+def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
+    """Return the figures (N, slots) of a batch."""
+    if device == "cuda":
+        from platform_ctrl.simulation.device import flown_on_cuda
+
+        return flown_on_cuda(together)
+    from platform_ctrl.simulation.kernel.lanes import LANES, memory
+    from platform_ctrl.simulation.kernel.loop import fly_groups
+
+    runs = len(together.given)
+    groups = math.ceil(runs / LANES)
+    # The last group is filled up with scenarios that are flown again.
+    padded = np.minimum(np.arange(groups * LANES), runs - 1)
+
+    def by_group(rows: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(rows[padded].reshape(groups, LANES, -1).transpose(0, 2, 1))
+
+    plants, given = by_group(together.plants), by_group(together.given)
+    keys = together.keys[padded].reshape(groups, LANES, 2)
+    slots = together.flight.end - together.flight.figures
+    figures = np.empty((groups, slots, LANES))
+    share = math.ceil(groups / threads)
+
+    def move(first: int) -> None:
+        part = slice(first, first + share)
+        fly_groups(
+            together.packed.links,
+            together.shared,
+            keys[part],
+            memory(together.flight.end),
+            None,  # type: ignore[arg-type]
+            together.packed.at,
+            together.flight,
+            together.free,
+            plants[part],
+            given[part],
+            figures[part],
+            np.zeros((0, 0)),
+        )
+
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        list(pool.map(move, range(0, groups, share)))
+    return figures.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
+
+
+def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
+    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
+    from platform_ctrl.simulation.kernel.lanes import LANES, memory
+    from platform_ctrl.simulation.kernel.loop import fly_groups
+
+    together = batch([member], controller, period, noise)
+    at, flight = together.packed.at, together.flight
+    columns = 3 * at.n + 7 + len(together.shared.sensors) + 2 * len(together.shared.targets) + 2 * at.servos
+    record = np.zeros((flight.samples, columns))
+    figures = np.empty((1, flight.end - flight.figures, LANES))
+    fly_groups(
+        together.packed.links,
+        together.shared,
+        np.repeat(together.keys[None], LANES, axis=1),
+        memory(flight.end),
+        None,  # type: ignore[arg-type]
+        at,
+        flight,
+        together.free,
+        np.repeat(together.plants[:, :, None], LANES, axis=2),
+        np.repeat(together.given[:, :, None], LANES, axis=2),
+        figures,
+        record,
+    )
+    return record, figures[0, :, 0]

@@ -1,0 +1,155 @@
+"""Where scenarios are computed: on the processor, or on a CUDA graphics processor with numba-cuda.
+
+Nothing of it is loaded before a run asks for it.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+
+from platform_ctrl.errors import ArgumentError, SimulationError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    from platform_ctrl.simulation.flight_plan import Batch
+    from platform_ctrl.simulation.packing import Packed
+
+Device = Literal["cpu", "cuda"]
+
+# Runs that are on the device at a time: far more than it works on at once, far less than its memory.
+_RUNS = 1 << 19
+
+
+def expect_device(device: object) -> None:
+    """Refuse a device that cannot be used here.
+
+    Raises
+    ------
+    ArgumentError
+        There is no device of this name.
+    SimulationError
+        "cuda" without numba-cuda or a CUDA GPU.
+    """
+    if device not in ("cpu", "cuda"):
+        raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
+    if device == "cuda":
+        _cuda()
+
+
+def _cuda() -> Any:
+    """Return numba.cuda with a GPU behind it, or its simulator."""
+    if not _simulated() and find_spec("numba_cuda") is None:
+        raise SimulationError("device 'cuda': numba-cuda is not installed: pip install 'platform_ctrl[cuda]'")
+    with _told():
+        cuda = import_module("numba.cuda")
+        if not cuda.is_available():
+            raise SimulationError("device 'cuda': no CUDA GPU with its driver was found here; expected one, or device 'cpu'")
+    return cuda
+
+
+def _simulated() -> bool:
+    """Whether numba's CUDA simulator is on (NUMBA_ENABLE_CUDASIM=1)."""
+    return bool(import_module("numba").config.ENABLE_CUDASIM)
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """What numba-cuda, the driver or the linker object to becomes an error of ours, in one line."""
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Grid size")  # few runs do not fill a GPU: they need not
+            yield
+    except SimulationError:
+        raise
+    except Exception as error:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        raise SimulationError(f"device 'cuda': {lines[0]}; run it with device 'cpu'") from error
+
+
+def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, marks: Sequence[int]) -> FloatArray:
+    """Return the states (N, S, size), after `marks` steps, of runs with a free root on the GPU.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    states : (N, size), force : (N, 3 + n)
+        Where the runs begin, and their [M, Q].
+    step, marks
+        Step, s; numbers of steps, not falling, after which the states are recorded.
+
+    Raises
+    ------
+    SimulationError
+        There is no GPU or no numba-cuda here, or they fail.
+    """
+    cuda = _cuda()
+    along = np.empty((len(states), len(marks), plant.at.size))
+    with _told():
+        from platform_ctrl.simulation.kernel.cuda import THREADS, advance_kernel
+
+        kernel = advance_kernel(plant.at)
+        links = _there(cuda, plant.links)
+        constants, around = cuda.to_device(plant.constants), cuda.to_device(plant.around)
+        for first in range(0, len(states), _RUNS):
+            part = slice(first, first + _RUNS)
+            here, acting = (cuda.to_device(np.ascontiguousarray(rows[part])) for rows in (states, force))
+            done = 0
+            for k, mark in enumerate(marks):
+                if mark > done:
+                    kernel[math.ceil(here.shape[0] / THREADS), THREADS](
+                        links, plant.at, constants, around, here, acting, step, mark - done
+                    )
+                    done = mark
+                along[part, k] = here.copy_to_host()
+    return along
+
+
+def flown_on_cuda(together: Batch) -> FloatArray:
+    """Return the figures (N, slots) of a batch, computed on the GPU.
+
+    Raises
+    ------
+    SimulationError
+        There is no GPU or no numba-cuda here, or they fail.
+    """
+    cuda = _cuda()
+    at, flight = together.packed.at, together.flight
+    figures = np.empty((len(together.given), flight.end - flight.figures))
+    with _told():
+        from platform_ctrl.simulation.kernel.cuda import THREADS, flight_kernel
+
+        kernel = flight_kernel(flight, together.free)
+        links, shared = _there(cuda, together.packed.links), _there(cuda, together.shared)
+        record = cuda.to_device(np.zeros((0, 0)))
+        for first in range(0, len(figures), _RUNS):
+            part = slice(first, first + _RUNS)
+            keys, plants, given = (
+                cuda.to_device(np.ascontiguousarray(rows[part]))
+                for rows in (together.keys, together.plants, together.given)
+            )
+            out = cuda.device_array(figures[part].shape)
+            kernel[math.ceil(out.shape[0] / THREADS), THREADS](
+                links, shared, at, flight, keys, plants, given, record, out
+            )
+            figures[part] = out.copy_to_host()
+    return figures
+
+
+_Named = TypeVar("_Named", bound=tuple[Any, ...])
+
+
+def _there(cuda: Any, named: _Named) -> _Named:
+    """A named tuple with its arrays on the GPU; in the simulator as it is, for that looks for arrays outside tuples."""
+    if _simulated():
+        return named
+    parts = [cuda.to_device(np.ascontiguousarray(part)) if isinstance(part, np.ndarray) else part for part in named]
+    return type(named)(*parts)

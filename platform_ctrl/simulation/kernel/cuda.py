@@ -1,0 +1,120 @@
+"""The kernel on a graphics processor: one thread a scenario, the very functions that the processor runs.
+
+numba compiles the functions of the other files for the device too, with a whole number for `lane`. Each thread copies
+its scenario into local memory of its own, works there with column 0, and copies back what has come out. The device
+keeps the local memories of neighbouring threads interleaved, so that what a group of threads reads together lies
+together, and in its first cache, writes included.
+
+Products and sums are fused where the device's compiler, not LLVM, sees fit: results agree with the processor's to
+rounding, not to the last bit.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.simulation.kernel.body import At, Links
+from platform_ctrl.simulation.kernel.dynamics import runge_kutta
+from platform_ctrl.simulation.kernel.flight import Flight, Shared
+from platform_ctrl.simulation.kernel.loop import fly
+
+cuda: Any = import_module("numba.cuda")
+
+# Threads of a block. One uses 160 to 255 registers, so that few blocks are at work on a multiprocessor at a time.
+THREADS = 128
+# Local memory has a size known when the kernel is compiled: sizes are rounded up to this, so that plants share kernels.
+_ROUNDING = 64
+
+
+def advance_kernel(at: At) -> Any:
+    """Return the kernel that moves runs of a plant with a free root on.
+
+    Its arguments: links, at, constants, around; `states` (N, size), moved in place; their `force` (N, 3 + n); step,
+    steps.
+    """
+    return _advance(_rounded(at.end))
+
+
+def flight_kernel(flight: Flight, free: bool) -> Any:
+    """Return the kernel that flies scenarios of a batch.
+
+    Its arguments: links, shared, at, flight; `keys` (N, 2); `plants` (N, at.work) and `given` (N, given), what the host
+    gives of each; a record without rows; `figures` (N, figures), what comes out.
+    """
+    return _flight(_rounded(flight.end), free)
+
+
+def _rounded(slots: int) -> int:
+    return -(-slots // _ROUNDING) * _ROUNDING
+
+
+@cache
+def _advance(slots: int) -> Any:
+    def advance(
+        links: Links,
+        at: At,
+        constants: FloatArray,
+        around: FloatArray,
+        states: FloatArray,
+        force: FloatArray,
+        step: float,
+        steps: int,
+    ) -> None:
+        run = cuda.grid(1)
+        if run >= states.shape[0]:
+            return
+        mem = cuda.local.array((slots, 1), np.float64)
+        for i in range(at.end):
+            mem[i, 0] = 0.0
+        for i in range(constants.shape[0]):
+            mem[i, 0] = constants[i]
+        for block in range(3):
+            row = at.surroundings + block * at.block
+            for i in range(around.shape[0]):
+                mem[row + i, 0] = around[i]
+            for i in range(force.shape[1]):
+                mem[row + i, 0] = force[run, i]
+        for i in range(at.size):
+            mem[at.state + i, 0] = states[run, i]
+        for _ in range(steps):
+            runge_kutta(links, mem, 0, at, True, False, at.state, step)
+        for i in range(at.size):
+            states[run, i] = mem[at.state + i, 0]
+
+    return cuda.jit(advance)
+
+
+@cache
+def _flight(slots: int, free: bool) -> Any:
+    def flight_of_one(
+        links: Links,
+        shared: Shared,
+        at: At,
+        flight: Flight,
+        keys: NDArray[np.uint64],
+        plants: FloatArray,
+        given: FloatArray,
+        record: FloatArray,
+        figures: FloatArray,
+    ) -> None:
+        run = cuda.grid(1)
+        if run >= keys.shape[0]:
+            return
+        mem = cuda.local.array((slots, 1), np.float64)
+        for i in range(flight.end):
+            mem[i, 0] = 0.0
+        for i in range(plants.shape[1]):
+            mem[i, 0] = plants[run, i]
+        for i in range(given.shape[1]):
+            mem[at.end + i, 0] = given[run, i]
+        fly(links, shared, keys[run : run + 1], mem, 0, at, flight, free, record)
+        for i in range(figures.shape[1]):
+            figures[run, i] = mem[flight.figures + i, 0]
+
+    return cuda.jit(flight_of_one)

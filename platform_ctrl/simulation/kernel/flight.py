@@ -1,0 +1,95 @@
+"""What the kernel knows of a scenario, and where in the memory it stands, behind the plant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.frozen import FloatArray
+
+# Kinds of sensors and of faults, in the order of `platform_ctrl.scenario.FaultKind`.
+ANGLE, GIMBAL_RATE, ROOT_RATE = range(3)
+(
+    RUN_DOWN,
+    RUN_UP,
+    RIPPLE,
+    TORQUER_DEAD,
+    TORQUER_STUCK,
+    TORQUER_WEAK,
+    PICKOFF_DEAD,
+    PICKOFF_STUCK,
+    PICKOFF_DRIFT,
+    PICKOFF_DROPOUT,
+    OVERRUN,
+    CONTACT,
+) = range(12)
+
+# Slots of a sensor: rms of a sample, quantisation; the last reading, and the last one delivered.
+RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3
+# Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
+# a substep of each segment; what it works towards, where it has slewed to, torque.
+LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9
+# Slots of a stop: low, high, restitution; whether the gimbal lies on it.
+LOW, HIGH, RESTITUTION, TOUCHING, STOP = 0, 1, 2, 3, 4
+# Slots of a fault: begin, end, its two numbers; what is stuck.
+BEGIN, UNTIL, FIRST, SECOND, STUCK, FAULT = 0, 1, 2, 3, 4, 5
+# Slots of a rotor whose speed is not steady: L s in the carrier's axes (servo: nominal spin); share of it that is
+# there, and how fast that changes.
+SHARE, SHARE_RATE, ROTOR = 3, 4, 5
+# Slots of a line of a vibration: amplitude; cosine and sine of its turn in half a substep of each segment; and of its
+# phase.
+AMPLITUDE, TURN, PHASE, LINE = 0, 1, 5, 7
+# Slots of the platform's commanded rate: half-cosine's rate vector, rise, hold; scale of the time table.
+RISE, HOLD, SCALE, PROFILE = 3, 4, 5, 6
+
+
+class Shared(NamedTuple):
+    """What is the same in every scenario of a batch."""
+
+    sensors: NDArray[np.int64]  # (ny, 2): kind, gimbal or root axis
+    targets: NDArray[np.int64]  # (nu,): index into [M, Q]
+    faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
+    rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
+    lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force
+    first: NDArray[np.int64]  # (nx + nu + 1,): rows of the controllers [A B; C D], stored without zeros
+    column: NDArray[np.int64]
+    number: FloatArray
+    knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M
+    pieces: FloatArray  # (k - 1, 3, 4)
+    period: float
+
+
+class Flight(NamedTuple):
+    """Counts, switches, and first slots behind the plant's."""
+
+    samples: int
+    whole: int  # full periods from a sample to its torque
+    before: int  # substeps of a period before and after the command changes
+    after: int
+    states: int  # of the controllers
+    stops: int  # whether any gimbal has stops
+    profile: int  # whether a half-cosine is flown
+    start: int  # state at t = 0, v holding the rates
+    steady: int  # block of surroundings: what does not change
+    rate: int
+    segments: int  # substeps of the two segments
+    sensor: int
+    torquer: int
+    stop: int
+    fault: int
+    rotor: int
+    line: int
+    given: int  # end of what the host gives
+    controller: int  # states, then next states
+    command: int  # the present one
+    ring: int  # limited commands of the last `whole` + 2 samples
+    velocity: int  # rates at the sample
+    table: int  # three rows of the time table's torque
+    alive: int
+    random: int
+    spare_state: int  # two of them
+    spare_block: int
+    figures: int  # largest |q| (n), |rotation vector| (3), share of limits (nu), saturated (nu), contacts (n), samples
+    end: int

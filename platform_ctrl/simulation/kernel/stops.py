@@ -1,0 +1,164 @@
+"""Gimbals at their stops: impacts with restitution, and joints that are held while they press against a stop."""
+
+from __future__ import annotations
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK, At, Links
+from platform_ctrl.simulation.kernel.dynamics import derivative, runge_kutta
+from platform_ctrl.simulation.kernel.flight import HIGH, LOW, RESTITUTION, STOP, TOUCHING, Flight
+from platform_ctrl.simulation.kernel.lanes import (
+    Mask,
+    Number,
+    anywhere,
+    choose,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    store,
+)
+
+
+@inlined
+def _past(mem: FloatArray, lane: int, at: At, flight: Flight, k: int) -> Mask:
+    q, stop = load(mem, at.state + k, lane), flight.stop + k * STOP
+    return (q < load(mem, stop + LOW, lane)) | (q > load(mem, stop + HIGH, lane))
+
+
+@internal
+def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, dy: int) -> None:
+    """What a unit impulse at joint k does: rates of the joints into dy[:n], with a free root all rates behind."""
+    n, state, block = at.n, flight.spare_state, flight.spare_block
+    zero = 0.0 * load(mem, at.state, lane)
+    for i in range(at.size):
+        store(mem, state + i, lane, load(mem, at.state + i, lane))
+    for i in range(2 * n + 3 - n):
+        store(mem, state + n + i, lane, zero)
+    for i in range(at.block):
+        store(mem, block + i, lane, zero)
+    if free:
+        store(mem, block + 3 + k, lane, zero + 1.0)
+    else:
+        store(mem, state + n + 3 + k, lane, zero + 1.0)
+    derivative(links, mem, lane, at, free, False, True, state, block, dy)
+    if free:
+        for i in range(n):
+            store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
+
+
+@internal
+def strike(
+    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, impulse: Number
+) -> None:
+    """Give joint k an impulse."""
+    n = at.n
+    if not free:
+        p = at.state + n + 3 + k
+        store(mem, p, lane, load(mem, p, lane) + impulse)
+        return
+    _response(links, mem, lane, at, flight, free, k, at.stages)
+    for i in range(n + 3):
+        v = at.state + n + i
+        store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
+
+
+@internal
+def hold(
+    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, begin: int, step: Number
+) -> bool:
+    """Repeat a step from `begin` with those gimbals locked that lay at a stop and have gone past it.
+
+    Leaves in LOCKED which ones; scenarios in which nothing presses keep the step as it was. Returns whether any does.
+    """
+    n = at.n
+    zero = 0.0 * step
+    pressed = zero
+    for k in range(n):
+        touching = load(mem, flight.stop + k * STOP + TOUCHING, lane) > 0.5
+        locked = choose(_past(mem, lane, at, flight, k) & touching, zero + 1.0, zero)
+        store(mem, at.work + (k + 1) * WORK + LOCKED, lane, locked)
+        pressed = greater(pressed, locked)
+    if not anywhere(pressed > 0.5):
+        return False
+    for i in range(at.size):
+        free_step = load(mem, at.state + i, lane)
+        store(mem, at.state + i, lane, load(mem, begin + i, lane))
+        store(mem, begin + i, lane, free_step)
+    runge_kutta(links, mem, lane, at, free, True, at.state, step)
+    if not free:
+        end = at.surroundings + 2 * at.block
+        derivative(links, mem, lane, at, free, True, False, at.state, end, at.stages)
+        for k in range(n):
+            body, p = at.work + (k + 1) * WORK, at.state + n + 3 + k
+            locked = load(mem, body + LOCKED, lane) > 0.5
+            store(mem, p, lane, choose(locked, load(mem, body + MOMENT + 2, lane), load(mem, p, lane)))
+    for i in range(at.size):
+        here = at.state + i
+        store(mem, here, lane, choose(pressed > 0.5, load(mem, here, lane), load(mem, begin + i, lane)))
+    return True
+
+
+@internal
+def meet_stops(
+    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, held: bool, contacts: int
+) -> bool:
+    """Put every gimbal that has gone past its stop back on it by an impact; return whether any lies on a stop.
+
+    One that touched its stop a step before does not bounce again: bounces shorter than a step have come to rest.
+    `contacts` are slots that count how often each gimbal came up against a stop.
+    """
+    n, dy = at.n, at.stages
+    zero = 0.0 * load(mem, at.state, lane)
+    hit, lying = zero, zero
+    for k in range(n):
+        stop, here = flight.stop + k * STOP, at.state + k
+        past = _past(mem, lane, at, flight, k)
+        touched = load(mem, stop + TOUCHING, lane) > 0.5
+        q = load(mem, here, lane)
+        inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
+        store(mem, here, lane, choose(past, inside, q))
+        fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
+        store(mem, contacts + k, lane, load(mem, contacts + k, lane) + fresh)
+        touching = choose(past, zero + 1.0, zero)
+        if held:
+            touching = greater(touching, load(mem, at.work + (k + 1) * WORK + LOCKED, lane))
+        # 2: it has just come, and bounces.
+        store(mem, stop + TOUCHING, lane, touching + fresh)
+        hit = choose(past, zero + 1.0, hit)
+        lying = greater(lying, touching)
+    if anywhere(hit > 0.5):
+        derivative(links, mem, lane, at, free, False, False, at.state, at.surroundings + 2 * at.block, dy)
+        for k in range(n):
+            store(mem, flight.velocity + k, lane, load(mem, dy + k, lane))
+        # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
+        for _ in range(100):
+            settled = True
+            for k in range(n):
+                stop = flight.stop + k * STOP
+                rate, touching = load(mem, flight.velocity + k, lane), load(mem, stop + TOUCHING, lane)
+                above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
+                outward = choose(above, rate, -rate)
+                struck = (hit > 0.5) & (touching > 0.5) & (outward > 1e-12)
+                if not anywhere(struck):
+                    continue
+                settled = False
+                _response(links, mem, lane, at, flight, free, k, dy)
+                back = choose(touching > 1.5, 1.0 + load(mem, stop + RESTITUTION, lane), zero + 1.0)
+                impulse = choose(struck, -back * rate / load(mem, dy + k, lane), zero)
+                for j in range(n):
+                    slot = flight.velocity + j
+                    store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + j, lane))
+                if free:
+                    for i in range(n + 3):
+                        slot = at.state + n + i
+                        store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + n + i, lane))
+                else:
+                    slot = at.state + n + 3 + k
+                    store(mem, slot, lane, load(mem, slot, lane) + impulse)
+            if settled:
+                break
+    for k in range(n):
+        slot = flight.stop + k * STOP + TOUCHING
+        store(mem, slot, lane, lesser(load(mem, slot, lane), zero + 1.0))
+    return anywhere(lying > 0.5)

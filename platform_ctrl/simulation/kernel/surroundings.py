@@ -1,0 +1,201 @@
+"""What acts on the plant besides the torquers at an instant: motion of the base, rotors' speeds."""
+
+from __future__ import annotations
+
+import math
+
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.simulation.kernel.body import SERVO, SPIN, At
+from platform_ctrl.simulation.kernel.flight import (
+    AMPLITUDE,
+    BEGIN,
+    FAULT,
+    FIRST,
+    HOLD,
+    LINE,
+    PHASE,
+    RIPPLE,
+    RISE,
+    ROTOR,
+    RUN_UP,
+    SCALE,
+    SECOND,
+    SHARE,
+    SHARE_RATE,
+    TURN,
+    UNTIL,
+    Flight,
+    Shared,
+)
+from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential
+from platform_ctrl.simulation.kernel.lanes import (
+    Number,
+    choose,
+    columns,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    store,
+)
+
+
+@inlined
+def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, result: int) -> None:
+    """The time table at the times in slot `t`, into three slots: one scenario after the other, each has its piece."""
+    first, last = columns(lane)
+    knots, pieces = shared.knots, shared.pieces
+    for column in range(first, last):
+        time = min(max(mem[t, column], knots[0]), knots[-1])
+        low, high = 0, pieces.shape[0] - 1
+        while low < high:
+            middle = (low + high + 1) // 2
+            if knots[middle] <= time:
+                low = middle
+            else:
+                high = middle - 1
+        s = time - knots[low]
+        for i in range(3):
+            c = pieces[low, i]
+            mem[result + i, column] = mem[scale, column] * (c[0] + s * (c[1] + s * (c[2] + s * c[3])))
+
+
+@inlined
+def _half_cosine(mem: FloatArray, lane: int, flight: Flight, t: Number) -> Number:
+    """How much of the half-cosine's rate is there."""
+    rise, hold = load(mem, flight.rate + RISE, lane), load(mem, flight.rate + HOLD, lane)
+    zero = 0.0 * t
+    inside = lesser(t, 2.0 * rise + hold - t)
+    slow = rise > 0.0
+    part = lesser(greater(inside / choose(slow, rise, zero + 1.0), zero), zero + 1.0)
+    part = choose(slow, part, choose(inside >= 0.0, zero + 1.0, zero))
+    c, _ = cosine_and_sine(math.pi * part)
+    return 0.5 - 0.5 * c
+
+
+@inlined
+def _speeds(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, block: int, t: Number) -> None:
+    """The rotors' momenta at t: run-down, run-up and ripple of those that fail."""
+    n = at.n
+    for r in range(shared.rotors.shape[0]):
+        store(mem, flight.rotor + r * ROTOR + SHARE, lane, 0.0 * t + 1.0)
+        store(mem, flight.rotor + r * ROTOR + SHARE_RATE, lane, 0.0 * t)
+    for f in range(shared.faults.shape[0]):
+        kind = shared.faults[f, 0]
+        if kind > RIPPLE:
+            continue
+        row, rotor = flight.fault + f * FAULT, flight.rotor + shared.faults[f, 1] * ROTOR
+        begin, until = load(mem, row + BEGIN, lane), load(mem, row + UNTIL, lane)
+        a, b = load(mem, row + FIRST, lane), load(mem, row + SECOND, lane)
+        begun = t >= begin
+        since = choose(begun, t - begin, 0.0 * t)
+        if kind == RIPPLE:
+            c, s = cosine_and_sine(b * since)
+            on = begun & (t < until)
+            share, rate = choose(on, 1.0 + a * s, 0.0 * t + 1.0), choose(on, a * b * c, 0.0 * t)
+        else:
+            left = (1.0 - a) * exponential(-since / b)
+            slope = choose(begun, left / b, 0.0 * t)
+            share = choose(begun, a + left, 0.0 * t + 1.0)
+            rate = -slope
+            if kind == RUN_UP:
+                share, rate = choose(begun, 1.0 - left, a), slope
+        G, rate_of_G = load(mem, rotor + SHARE, lane), load(mem, rotor + SHARE_RATE, lane)
+        store(mem, rotor + SHARE, lane, G * share)
+        store(mem, rotor + SHARE_RATE, lane, rate_of_G * share + G * rate)
+    for i in range(3 * (n + 1)):
+        store(mem, block + n + 9 + i, lane, load(mem, flight.steady + n + 9 + i, lane))
+        store(mem, block + 4 * n + 12 + i, lane, 0.0 * t)
+    for r in range(shared.rotors.shape[0]):
+        rotor, body, servo = flight.rotor + r * ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
+        share, rate = load(mem, rotor + SHARE, lane), load(mem, rotor + SHARE_RATE, lane)
+        if servo >= 0:
+            store(mem, at.servo + servo * SERVO + SPIN, lane, share * load(mem, rotor, lane))
+            continue
+        for i in range(3):
+            L, h = load(mem, rotor + i, lane), block + n + 9 + 3 * body + i
+            store(mem, h, lane, load(mem, h, lane) + (share - 1.0) * L)
+            store(mem, h + 3 * (n + 1), lane, load(mem, h + 3 * (n + 1), lane) + rate * L)
+
+
+@internal
+def begin_surroundings(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight) -> None:
+    """Fill all three blocks with what does not change."""
+    for row in range(3):
+        for i in range(at.block):
+            store(mem, at.surroundings + row * at.block + i, lane, load(mem, flight.steady + i, lane))
+        for i in range(3):
+            store(mem, flight.table + 3 * row + i, lane, load(mem, flight.steady + i, lane))
+
+
+@internal
+def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool) -> None:
+    """What stood at the end of the last step stands at the beginning of the next."""
+    n, block = at.n, at.surroundings
+    end = block + 2 * at.block
+    if not free:
+        for i in range(n + 3, n + 6):
+            store(mem, block + i, lane, load(mem, end + i, lane))
+    if shared.lines.shape[0] > 0:
+        for i in range(n + 6, n + 9):
+            store(mem, block + i, lane, load(mem, end + i, lane))
+    if at.course != 0:
+        for i in range(n + 9, at.block):
+            store(mem, block + i, lane, load(mem, end + i, lane))
+    for i in range(3):
+        store(mem, flight.table + i, lane, load(mem, flight.table + 6 + i, lane))
+
+
+@internal
+def surround(
+    shared: Shared,
+    mem: FloatArray,
+    lane: int,
+    at: At,
+    flight: Flight,
+    free: bool,
+    row: int,
+    segment: int,
+    turning: bool,
+    t: Number,
+) -> None:
+    """Fill block `row` with what acts at t; with `turning`, vibrations go on by half a substep of the segment."""
+    n, block = at.n, at.surroundings + row * at.block
+    zero = 0.0 * t
+    Omega, force = block + n + 3, block + n + 6
+    if not free:
+        if flight.profile != 0:
+            share = _half_cosine(mem, lane, flight, t)
+            for i in range(3):
+                store(mem, Omega + i, lane, share * load(mem, flight.rate + i, lane))
+        else:
+            for i in range(3):
+                store(mem, Omega + i, lane, zero)
+    if shared.pieces.shape[0] > 0:
+        store(mem, flight.random, lane, t)
+        _look_up(shared, mem, lane, flight.random, flight.rate + SCALE, flight.random + 1)
+        for i in range(3):
+            value = load(mem, flight.random + 1 + i, lane)
+            if free:
+                store(mem, flight.table + 3 * row + i, lane, load(mem, flight.steady + i, lane) + value)
+            else:
+                store(mem, Omega + i, lane, load(mem, Omega + i, lane) + value)
+    if shared.lines.shape[0] > 0:
+        for i in range(3):
+            store(mem, force + i, lane, load(mem, flight.steady + n + 6 + i, lane))
+        for j in range(shared.lines.shape[0]):
+            slot = flight.line + j * LINE
+            c, s = load(mem, slot + PHASE, lane), load(mem, slot + PHASE + 1, lane)
+            if turning:
+                turn = slot + TURN + 2 * segment
+                c_turn, s_turn = load(mem, turn, lane), load(mem, turn + 1, lane)
+                c, s = c * c_turn - s * s_turn, s * c_turn + c * s_turn
+                store(mem, slot + PHASE, lane, c)
+                store(mem, slot + PHASE + 1, lane, s)
+            component = shared.lines[j]
+            if component >= 3 or not free:
+                target = Omega + component  # specific force stands behind Omega
+                store(mem, target, lane, load(mem, target, lane) + load(mem, slot + AMPLITUDE, lane) * c)
+    if at.course != 0:
+        _speeds(shared, mem, lane, at, flight, block, t)
