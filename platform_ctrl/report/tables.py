@@ -214,6 +214,9 @@ def element_rows(result: JobResult) -> list[tuple[str, str, str]]:
         dry = " and ".join(dict.fromkeys(quantity(level, "N m") for level in friction.coulomb))
         parts = [f"viscous {quantity(friction.viscous, 'N m s')}"] if friction.viscous else []
         parts += [f"dry {dry}"] if any(friction.coulomb) else []
+        if friction.breakaway != friction.coulomb:
+            begin = " and ".join(dict.fromkeys(quantity(level, "N m") for level in friction.breakaway))
+            parts.append(f"breakaway {begin} up to about {quantity(friction.stribeck_rate, 'rad/s')}")
         rows.append(("friction", friction.gimbal, ", ".join(parts) or "none"))
     for cage in platform.cages:
         numbers = f"{quantity(cage.stiffness, 'N m/rad')}, {quantity(cage.damping, 'N m s')}"
