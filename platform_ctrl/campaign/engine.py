@@ -46,6 +46,11 @@ class Campaigned:
         return dict(self.record["counts"])
 
     @property
+    def reasons(self) -> dict[str, int]:
+        """Why runs were not flown, with how many each; the first twenty."""
+        return dict(self.record["reasons"])
+
+    @property
     def passed(self) -> bool:
         """Whether every run was flown and met all its limits."""
         return bool(self.counts["passed"] == self.record["runs"])
@@ -105,6 +110,7 @@ def run_campaign(
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers: given {workers}; expected at least one")
     arrow()
+    flight.expect_device(device)
     crew = workers or (available() if device == "cpu" else 1)
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array
+from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -48,6 +49,18 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
         entries = [one[name] for one in outcomes]
         columns[name] = np.array(entries, dtype=object if name.endswith("_passed") or name == ENDED else None)
     return columns
+
+
+def expect_device(device: str) -> None:
+    """Refuse a device that this machine or installation does not have.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if device != "cpu":
+        raise InputError(f"--device {device}: runs are flown on the processor alone; expected cpu")
 
 
 def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:

@@ -30,6 +30,8 @@ RECORD, TABLE, PARTS = "campaign.json", "campaign.parquet", "campaign.parts"
 SCHEMA = 1
 # Rows that are written to the table at a time, and held in memory while it is made.
 ROWS = 1 << 14
+# Reasons for which runs were not flown that the record tells, and that are counted apart.
+_REASONS, _COUNTED = 20, 1000
 _PART = re.compile(r"(\d{12})-(\d{12})\.([0-9a-f]{32})\.parquet")
 # Under which key the table says what its runs follow from.
 _KEY = "platform_ctrl.campaign"
@@ -129,7 +131,13 @@ class Store:
             for table in self._base_tables():
                 _count(counts, table)
         names = ("completed", "diverged", "not flown", "passed", "not passed")
-        self.record |= {"complete": True, "counts": {name: counts[name] for name in names}}
+        # Not the times at which runs diverged: as many as there are runs.
+        reasons = sorted(name for name in counts if name.startswith(NOT_FLOWN))[:_REASONS]
+        self.record |= {
+            "complete": True,
+            "counts": {name: counts[name] for name in names},
+            "reasons": {name: counts[name] for name in reasons},
+        }
         with self._kept(self.folder / RECORD):
             write_record(self.folder, self.record)
         with suppress(OSError):  # what cannot be removed is recognised next time
@@ -345,6 +353,8 @@ def _count(counts: Counter[str], table: Any) -> None:
     endings = [str(ended) for ended in table.column(ENDED).to_pylist()]
     for ended in endings:
         counts["not flown" if ended.startswith(NOT_FLOWN) else "diverged" if ended != "completed" else ended] += 1
+        if ended.startswith(NOT_FLOWN) and (ended in counts or len(counts) < _COUNTED):
+            counts[ended] += 1
     passed = table.column(PASSED).to_pylist().count(True)
     counts["passed"] += passed
     counts["not passed"] += len(endings) - passed - sum(ended.startswith(NOT_FLOWN) for ended in endings)

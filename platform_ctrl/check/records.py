@@ -48,8 +48,8 @@ def result_record(result: JobResult) -> Record:
         "coupled": _coupled(result.coupled) | {"certificates": _certificates(result.proofs["", ""])},
         "runs": [run_record(job, run) for run in result.runs],
     }
-    plain: Record = _plain(record)
-    return plain
+    out: Record = plain(record)
+    return out
 
 
 def run_record(job: Job, run: Run) -> Record:
@@ -71,8 +71,8 @@ def run_record(job: Job, run: Run) -> Record:
         "step": trajectory.step,
         "requirements": [_requirement(one) for one in run.results],
     }
-    plain: Record = _plain(record)
-    return plain
+    out: Record = plain(record)
+    return out
 
 
 def versions() -> dict[str, str]:
@@ -164,14 +164,15 @@ def _coupled(check: CoupledCheck) -> Record:
     }
 
 
-def _plain(item: Any) -> Any:
+def plain(item: Any) -> Any:
+    """Return data in plain types; a number that is not finite is None."""
     match item:
         case Mapping():
-            return {str(key): _plain(entry) for key, entry in item.items()}
+            return {str(key): plain(entry) for key, entry in item.items()}
         case np.ndarray():
-            return _plain(item.tolist())
+            return plain(item.tolist())
         case list() | tuple():
-            return [_plain(entry) for entry in item]
+            return [plain(entry) for entry in item]
         case bool() | np.bool_():
             return bool(item)
         case int() | np.integer():

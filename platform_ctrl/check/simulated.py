@@ -50,7 +50,7 @@ def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace
         root_torque=None if caged else torque,
         seed=job.seed,
     )
-    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=_judged(job, manoeuvre, trajectory))
+    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
 
 
 def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
@@ -79,7 +79,8 @@ _WORDS = {
 }
 
 
-def _judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+    """Hold the limits of a manoeuvre against what a run came to."""
     found = largest(job, trajectory)
     out = []
     for key, limit in manoeuvre.limits.items():

@@ -7,23 +7,32 @@ from __future__ import annotations
 
 import json
 import shlex
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.equations_command import equations
-from platform_ctrl.errors import InputError
+from platform_ctrl.cli.inputs import (
+    DESIGNED,
+    RESULT,
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    job_of,
+    prepared,
+)
+from platform_ctrl.cli.simulate_command import simulate
 
 if TYPE_CHECKING:
     from platform_ctrl.check import JobResult
-    from platform_ctrl.job import Job, Manoeuvre
 
-DESIGNED = Path("out")
 CHECKED = Path("check")
-RESULT, REPORT = "result.json", "report.html"
+REPORT = "report.html"
 
 Shown = Callable[[], int]
 
@@ -33,19 +42,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met; 2 the input is wrong.",
 )
-
-JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="Job file (TOML).", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, and no progress.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
-Controllers = Annotated[
-    Path | None,
-    typer.Option(
-        "--controllers",
-        metavar="FILE",
-        help=f"A {RESULT}, or a JSON file with its keys schema and controllers alone. Default: {DESIGNED / RESULT}.",
-        show_default=False,
-    ),
-]
 
 
 def _print_version(wanted: bool) -> None:
@@ -69,7 +65,8 @@ def platform_ctrl(
     platform-ctrl equations three_gyro_platform   its equations in symbols, by the paper's numbers
     platform-ctrl design job.toml -o out          design, check, report: out/report.html
     platform-ctrl check job.toml                  the same verdicts for out/result.json, after the job has changed
-    platform-ctrl simulate job.toml --run 1       one manoeuvre of the job, with the same controllers
+    platform-ctrl simulate job.toml --run turn    one manoeuvre of the job, with the same controllers
+    platform-ctrl campaign job.toml --runs 10000  many runs with everything that may vary
     """  # noqa: D301
 
 
@@ -127,8 +124,8 @@ def design(
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = _read_job(job)
-        _prepared(out)
+        read = job_of(job)
+        prepared(out, (RESULT, REPORT))
         from platform_ctrl.check import checked
         from platform_ctrl.design import loops
 
@@ -170,15 +167,15 @@ def check(
 
     folder = out or CHECKED
     with progress(quiet or as_json, f"reading {job}") as say:
-        read = _read_job(job)
-        file = _controller_file(controllers, out)
+        read = job_of(job)
+        file = controller_file(controllers, out)
         from platform_ctrl.check import checked
         from platform_ctrl.check.given import outcomes_from, read_controllers
         from platform_ctrl.check.recorded import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
-        _prepared(folder)
+        prepared(folder, (RESULT, REPORT))
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
@@ -188,94 +185,8 @@ def check(
     return show()
 
 
-@app.command()
-def simulate(
-    job: JobFile,
-    run: Annotated[
-        str, typer.Option("--run", metavar="NAME", help="Manoeuvre of the job: its name, or its number from 1.")
-    ],
-    controllers: Controllers = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> int:
-    """Fly one manoeuvre on the non-linear plant.
-
-    The controllers exist already. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
-    and job; the job's seed makes the run the same every time. Exit code 1 if a limit of the manoeuvre is not met.
-
-    \b
-    platform-ctrl simulate job.toml --run 1
-    platform-ctrl simulate job.toml --run "1 rad/s about axis 2" --controllers mine.json
-    """  # noqa: D301
-    from platform_ctrl.cli.terminal import progress, show_run
-
-    with progress(quiet or as_json, f"reading {job}") as say:
-        read = _read_job(job)
-        manoeuvre = _manoeuvre(read, run, job)
-        file = _controller_file(controllers, None)
-        from platform_ctrl.check import fly, largest
-        from platform_ctrl.check.given import read_controllers
-        from platform_ctrl.check.records import laid_out, run_record
-
-        given = read_controllers(file, read)
-        say(f"simulated run: {manoeuvre.name}")
-        flown = fly(read, manoeuvre, given)
-    if as_json:
-        typer.echo(laid_out({"schema": 1, "job": read.name, "platform": read.platform.name, **run_record(read, flown)}))
-    else:
-        show_run(flown, largest(read, flown.trajectory))
-    return 0 if all(one.passed for one in flown.results) else 1
-
-
-def _read_job(path: Path) -> Job:
-    from platform_ctrl.reading import read_job
-
-    return read_job(path)
-
-
-def _controller_file(given: Path | None, folder: Path | None) -> Path:
-    if given is not None:
-        return given
-    file = folder / RESULT if folder is not None and (folder / RESULT).exists() else DESIGNED / RESULT
-    if not file.exists():
-        raise InputError(
-            f"{file}: there is no such file; expected the controllers that platform-ctrl design writes: run it first, "
-            "or name a file with --controllers"
-        )
-    return file
-
-
-def _manoeuvre(job: Job, wanted: str, path: Path) -> Manoeuvre:
-    from platform_ctrl.reading.mistakes import given
-
-    names = [manoeuvre.name for manoeuvre in job.manoeuvres]
-    if wanted in names:
-        return job.manoeuvres[names.index(wanted)]
-    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
-        return job.manoeuvres[int(wanted) - 1]
-    known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
-    raise InputError(f"--run {given(wanted)}: no such manoeuvre in {path}; it has {known or 'none'}")
-
-
-def _prepared(folder: Path) -> None:
-    """Make the folder and try to write there: before the work, not after it.
-
-    Raises
-    ------
-    InputError
-        It is a file, or cannot be written to.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (FileExistsError, NotADirectoryError):
-        raise InputError(f"-o {folder}: is not a folder, or lies in a file; expected a folder") from None
-    except OSError as error:
-        raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}") from None
-    for name in (RESULT, REPORT):
-        if (folder / name).is_dir():
-            raise InputError(f"-o {folder}: {name} is a folder there; expected a file or nothing")
+app.command()(simulate)
+app.command()(campaign)
 
 
 def _delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str], None], command: list[str]) -> Shown:

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     the end. Elsewhere every line but `first` is printed on standard error: where the input turns out to be wrong, the
     error stands there alone. `quiet` shows none. A Ctrl-C that a library swallowed takes effect at the next step.
     """
-    with _interruptible() as heed, _shown(quiet, first) as show:
+    with interruptible() as heed, _shown(quiet, first) as show:
 
         def say(line: str) -> None:
             heed()
@@ -61,7 +61,7 @@ def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _interruptible() -> Iterator[Callable[[], None]]:
+def interruptible() -> Iterator[Callable[[], None]]:
     """Yield what raises `KeyboardInterrupt` if there was one: raised in a callback of a library it may get lost."""
     seen = []
 
@@ -127,6 +127,19 @@ def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
     console.print(run.manoeuvre.name, style="bold", markup=False)
     console.print(table)
     _show_lines(console, run.results)
+
+
+def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
+    """Print what was drawn for a run."""
+    from rich.table import Table
+
+    console = screen()
+    table = Table.grid(padding=(0, 2))
+    for name, item in inputs.items():
+        words = f"{item:.6g}" if isinstance(item, float) else {True: "yes", False: "no"}.get(item, item)  # type: ignore[call-overload]
+        table.add_row(name, str(words))
+    console.print(title, style="bold", markup=False)
+    console.print(table)
 
 
 def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:

@@ -1,0 +1,128 @@
+"""One run of a campaign again: with everything that it recorded, held against its row in the table."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.campaign import flight
+from platform_ctrl.campaign.columns import arrow
+from platform_ctrl.campaign.identity import identity, versions
+from platform_ctrl.campaign.store import TABLE, Record, differences
+from platform_ctrl.campaign.table import MANOEUVRE, RUN
+from platform_ctrl.check.simulated import Run, judged
+from platform_ctrl.errors import InputError
+from platform_ctrl.frozen import value
+from platform_ctrl.job import Job
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.plan import Plan
+
+# Figures of another machine's processor or a GPU agree to rounding.
+_ROUNDING = 1e-6
+
+Row = dict[str, Any]
+
+
+@value
+class Rerun:
+    """A run of a campaign that was flown again.
+
+    Attributes
+    ----------
+    number
+        Of the run, from 0.
+    job
+        The campaign's, its plant with what was drawn for this run.
+    inputs
+        What was drawn, by the names of the table's columns.
+    figures
+        What the run came to, likewise.
+    run
+        With its trajectory and limits.
+    """
+
+    number: int
+    job: Job
+    inputs: Row
+    figures: Row
+    run: Run
+
+
+def rerun(plan: Plan, number: int) -> Rerun:
+    """Fly one run of a plan again.
+
+    Raises
+    ------
+    ArgumentError
+        The plan has no such run, or it cannot be flown.
+    """
+    inputs = plan.inputs(number, number + 1)
+    scenario = plan.scenario(number)
+    row = {name: _plain(column[0]) for name, column in flight.fly(plan, [number]).items()}
+    trajectory = flight.trajectory(plan, scenario)
+    base = next(one for one in plan.job.manoeuvres if one.name == inputs[MANOEUVRE][0])
+    manoeuvre = dataclasses.replace(base, duration=scenario.duration, limits=dict(scenario.limits))
+    job = dataclasses.replace(plan.job, platform=scenario.platform)
+    return Rerun(
+        number=number,
+        job=job,
+        inputs={name: row[name] for name in inputs},
+        figures={name: item for name, item in row.items() if name not in inputs and name != RUN},
+        run=Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory)),
+    )
+
+
+def recorded_row(folder: Path, number: int) -> Row | None:
+    """Return a run's row in the table of a campaign's folder; None where there is no table, or none such in it.
+
+    Raises
+    ------
+    InputError
+        The table cannot be read.
+    """
+    path = folder / TABLE
+    if not path.is_file():
+        return None
+    pa = arrow()
+    try:
+        rows = pa.parquet.read_table(path, filters=[(RUN, "==", number)]).to_pylist()
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
+    return rows[0] if rows else None
+
+
+def unlike(found: Rerun, row: Row) -> list[str]:
+    """Return in words what is not the same in a run's row, beyond rounding."""
+    out = []
+    for name, now in {**found.inputs, **found.figures}.items():
+        before = row.get(name)
+        if isinstance(before, float) and isinstance(now, float):
+            same = math.isclose(before, now, rel_tol=_ROUNDING)
+        else:
+            same = before == now
+        if not same:
+            out.append(f"{name} {_words(now)}, there {_words(before)}")
+    return out
+
+
+def settings_of(record: Record | None) -> dict[str, Any]:
+    """Return seed, sampling and number of runs of the campaign that a record is of, as `plan` takes them."""
+    if record is None:
+        return {}
+    return {name: record["identity"][name] for name in ("seed", "sampling")} | {"runs": record["runs"]}
+
+
+def strangers(record: Record, plan: Plan) -> list[str]:
+    """Return in words what a recorded campaign follows from and a plan does not."""
+    return differences(record, {"identity": identity(plan, record["identity"]["device"]), "versions": versions()})
+
+
+def _plain(item: Any) -> Any:
+    return item.item() if hasattr(item, "item") else item
+
+
+def _words(item: object) -> str:
+    return f"{item:.9g}" if isinstance(item, float) else str(item)

@@ -1,0 +1,136 @@
+"""``platform-ctrl campaign``: many runs of a job, goes on where it was stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from platform_ctrl.cli.inputs import (
+    CAMPAIGN,
+    Controllers,
+    JobFile,
+    Json,
+    Quiet,
+    controller_file,
+    job_of,
+    prepared,
+)
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.engine import Campaigned
+    from platform_ctrl.job import Points
+
+
+def campaign(
+    job: JobFile,
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="N", help="How many. Default: as in the job.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder for campaign.parquet and campaign.json; made if needed."
+        ),
+    ] = CAMPAIGN,
+    controllers: Controllers = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            help="Processes. Default: as many as there are processors. The results do not depend on it.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", metavar="N", help="Of everything random. Default: as in the job.", show_default=False),
+    ] = None,
+    sampling: Annotated[
+        str | None,
+        typer.Option(
+            "--sampling",
+            metavar="sobol|latin-hypercube|random",
+            help="How the runs fill the space of what varies. Default: as in the job.",
+            show_default=False,
+        ),
+    ] = None,
+    device: Annotated[str, typer.Option("--device", metavar="cpu|cuda", help="What flies the runs.")] = "cpu",
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="A Dask scheduler (tcp://host:8786), whose workers fly the runs.",
+            show_default=False,
+        ),
+    ] = None,
+    restart: Annotated[bool, typer.Option("--restart", help="Forget what is in DIR, and begin anew.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Fly many runs of a job, with everything that its [campaign] says may vary.
+
+    The controllers exist already. Writes campaign.parquet, one row a run: inputs, figures, verdicts, how it ended; and
+    campaign.json. Stopped or killed at any moment, the same command goes on; with a larger --runs a campaign that is
+    done is made longer. A run that diverges or cannot be flown has a row that says so.
+
+    \b
+    platform-ctrl campaign job.toml --runs 10000
+    platform-ctrl campaign job.toml --runs 10000 -o night --controllers mine.json
+    platform-ctrl campaign job.toml --scheduler tcp://big-machine:8786
+    platform-ctrl simulate job.toml --run 4711                 one of its runs again, with a figure
+
+    Exit code 1 if a run did not meet its limits, diverged or was not flown.
+    """  # noqa: D301
+    from platform_ctrl.cli.campaign_progress import campaign_progress
+    from platform_ctrl.cli.terminal import progress
+
+    with progress(quiet or as_json, f"reading {job}"):
+        read = job_of(job)
+        file = controller_file(controllers, None)
+        from platform_ctrl.campaign.engine import run_campaign
+        from platform_ctrl.campaign.plan import plan
+        from platform_ctrl.check.given import read_controllers
+
+        made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
+        prepared(out, ("campaign.parquet", "campaign.json"))
+    done = 0
+
+    def noted(kept: int, amiss: int) -> None:
+        nonlocal done
+        done = kept
+        tick(kept, amiss)
+
+    try:
+        with campaign_progress(quiet or as_json, made.runs) as (tick, say):
+            flown = run_campaign(
+                made,
+                out,
+                workers=workers,
+                scheduler=scheduler,
+                device=device,
+                restart=restart,
+                progress=noted,
+                say=say,
+            )
+    except KeyboardInterrupt:
+        typer.echo(f"stopped: {done} of {made.runs} runs are kept in {out}; the same command goes on", err=True)
+        raise
+    _show(flown, as_json)
+    return 0 if flown.passed else 1
+
+
+def _show(flown: Campaigned, as_json: bool) -> None:
+    if as_json:
+        from platform_ctrl.check.records import laid_out
+
+        typer.echo(laid_out(flown.record))
+        return
+    counts: dict[str, Any] = flown.counts
+    typer.echo(f"{flown.record['runs']:,} runs: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
+    for reason, number in flown.reasons.items():
+        typer.echo(f"  {number:,} x {reason}")
+    typer.echo(f"runs: {flown.table}, counts: {flown.table.with_suffix('.json')}")

@@ -1,0 +1,79 @@
+"""What commands are given: options that several of them have, and the files behind them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    from platform_ctrl.job import Job
+
+DESIGNED = Path("out")
+CAMPAIGN = Path("campaign")
+RESULT = "result.json"
+
+JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="Job file (TOML).", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, and no progress.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+Controllers = Annotated[
+    Path | None,
+    typer.Option(
+        "--controllers",
+        metavar="FILE",
+        help=f"A {RESULT}, or a JSON file with its keys schema and controllers alone. Default: {DESIGNED / RESULT}.",
+        show_default=False,
+    ),
+]
+
+
+def job_of(path: Path) -> Job:
+    """Return the job in a file."""
+    from platform_ctrl.reading import read_job
+
+    return read_job(path)
+
+
+def controller_file(given: Path | None, folder: Path | None) -> Path:
+    """Return the file that controllers come from: the one that was given, or what design left.
+
+    Raises
+    ------
+    InputError
+        None was given, and design has left none.
+    """
+    if given is not None:
+        return given
+    file = folder / RESULT if folder is not None and (folder / RESULT).exists() else DESIGNED / RESULT
+    if not file.exists():
+        raise InputError(
+            f"{file}: there is no such file; expected the controllers that platform-ctrl design writes: run it first, "
+            "or name a file with --controllers"
+        )
+    return file
+
+
+def prepared(folder: Path, files: Sequence[str] = ()) -> None:
+    """Make the folder and try to write there: before the work, not after it.
+
+    Raises
+    ------
+    InputError
+        It is a file, cannot be written to, or has a folder where one of the `files` should be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(f"-o {folder}: is not a folder, or lies in a file; expected a folder") from None
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}") from None
+    for name in files:
+        if (folder / name).is_dir():
+            raise InputError(f"-o {folder}: {name} is a folder there; expected a file or nothing")

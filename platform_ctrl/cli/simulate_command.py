@@ -1,0 +1,195 @@
+"""``platform-ctrl simulate``: one manoeuvre of a job, or one run of its campaign again, with everything it recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.check import Run
+    from platform_ctrl.job import Job, Manoeuvre
+
+TABLE = "campaign.parquet"
+
+Shown = Callable[[bool], int]
+
+
+def simulate(
+    job: JobFile,
+    run: Annotated[
+        str | None,
+        typer.Option(
+            "--run",
+            metavar="NUMBER",
+            help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where the job has "
+            "no [campaign], is that of a manoeuvre.",
+            show_default=False,
+        ),
+    ] = None,
+    manoeuvre: Annotated[
+        str | None,
+        typer.Option(
+            "--manoeuvre", metavar="NAME", help="Manoeuvre: its name, or its number from 1.", show_default=False
+        ),
+    ] = None,
+    controllers: Controllers = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help=f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
+            "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Fly one manoeuvre on the non-linear plant, or one run of a campaign again.
+
+    The controllers exist already. Gimbal stops, torque limits, sampling, delay and pick-off noise are those of plant
+    and job; the job's seed makes the run the same every time. A run of the campaign is flown with all its draws: it
+    comes to the figures that stand in the campaign's table. Exit code 1 if a limit is not met.
+
+    \b
+    platform-ctrl simulate job.toml --manoeuvre 1
+    platform-ctrl simulate job.toml --manoeuvre "1 rad/s about axis 2" --controllers mine.json
+    platform-ctrl simulate job.toml --run 4711                 the campaign's run 4711: campaign/run-4711.svg
+    platform-ctrl simulate job.toml --run 4711 -o night        of the campaign that was flown with -o night
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+
+    if (run is None) == (manoeuvre is None):
+        given = "Missing option '--run'" if run is None else "--run and --manoeuvre are both given"
+        raise InputError(f"{given}; expected the number of a run of the campaign, or --manoeuvre with a name or number")
+    with progress(quiet or as_json, f"reading {job}") as say:
+        read = job_of(job)
+        wanted = str(run if manoeuvre is None else manoeuvre)
+        of_campaign = manoeuvre is None and read.campaign is not None and wanted.isdecimal()
+        if of_campaign and wanted not in [one.name for one in read.manoeuvres]:
+            chosen: int | Manoeuvre = int(wanted)
+        else:
+            chosen = _manoeuvre(read, wanted, job, "--run" if manoeuvre is None else "--manoeuvre")
+        file = controller_file(controllers, None)
+        from platform_ctrl.check.given import read_controllers
+
+        closed = read_controllers(file, read)
+        if isinstance(chosen, int):
+            say(f"run {chosen} of the campaign")
+            show = _run_flown(read, chosen, closed, out)
+        else:
+            say(f"simulated run: {chosen.name}")
+            show = _manoeuvre_flown(read, chosen, closed, out)
+    return show(as_json)
+
+
+def _manoeuvre_flown(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+    from platform_ctrl.check import fly, largest
+    from platform_ctrl.check.records import laid_out, run_record
+
+    flown = fly(job, manoeuvre, controllers)
+    drawn = None if out is None else _drawn(flown, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
+
+    def show(as_json: bool) -> int:
+        if as_json:
+            about = {"schema": 1, "job": job.name, "platform": job.platform.name}
+            typer.echo(laid_out(about | run_record(job, flown)))
+        else:
+            from platform_ctrl.cli.terminal import show_run
+
+            show_run(flown, largest(job, flown.trajectory))
+            if drawn is not None:
+                typer.echo(f"figure: {drawn}")
+        return 0 if all(one.passed for one in flown.results) else 1
+
+    return show
+
+
+def _run_flown(job: Job, number: int, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+    from platform_ctrl.campaign.rerun import recorded_row, rerun, unlike
+    from platform_ctrl.check import largest
+    from platform_ctrl.check.records import laid_out, plain, run_record
+
+    folder = out or CAMPAIGN
+    plan, recorded, note = _plan(job, controllers, folder, named=out is not None)
+    found = rerun(plan, number)
+    row = recorded_row(folder, number) if recorded else None
+    unlikely = [] if row is None else unlike(found, row)
+    title = f"run {number}: {found.run.manoeuvre.name}"
+    drawn = _drawn(found.run, found.job, title, folder, f"run-{number}.svg")
+
+    def show(as_json: bool) -> int:
+        if note:
+            typer.echo(note, err=True)
+        if as_json:
+            about = {"schema": 1, "job": job.name, "platform": job.platform.name, "run": number}
+            told: dict[str, Any] = {"inputs": found.inputs, "row": found.figures, "figure": str(drawn)}
+            told["as_in_table"] = None if row is None else not unlikely
+            typer.echo(laid_out(plain(about | told | run_record(found.job, found.run))))
+        else:
+            from platform_ctrl.cli.terminal import show_inputs, show_run
+
+            show_inputs(f"run {number} of the campaign", found.inputs)
+            show_run(found.run, largest(found.job, found.run.trajectory))
+            if row is not None and not unlikely:
+                typer.echo(f"the figures are those of {folder / TABLE}")
+            typer.echo(f"figure: {drawn}")
+        for one in unlikely:
+            typer.echo(f"{folder / TABLE}: run {number} is not the same: {one}", err=True)
+        return 0 if found.figures["passed"] else 1
+
+    return show
+
+
+def _plan(job: Job, controllers: list[control.StateSpace], folder: Path, named: bool) -> tuple[Plan, bool, str]:
+    """Return the plan of the campaign in the folder, if one is there; whether it is; and what should be known."""
+    from platform_ctrl.campaign.plan import plan
+    from platform_ctrl.campaign.rerun import settings_of, strangers
+    from platform_ctrl.campaign.store import RECORD, read_record
+
+    record = read_record(folder)
+    if record is None:
+        return plan(job, controllers), False, ""
+    made = plan(job, controllers, **settings_of(record))
+    odd = strangers(record, made)
+    if not odd:
+        return made, True, ""
+    words = f"{folder / RECORD}: the campaign there was flown with {'; '.join(odd)}"
+    if named:
+        raise InputError(f"{words}; its runs cannot be flown again with what there is now")
+    return plan(job, controllers), False, f"{words}; flown instead: a run of the campaign that the job describes now"
+
+
+def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
+    from platform_ctrl.report.run_file import write_run_figure
+
+    prepared(folder)
+    write_run_figure(run, job.platform, title, folder / name)
+    return folder / name
+
+
+def _place(job: Job, manoeuvre: Manoeuvre) -> int:
+    return 1 + [one.name for one in job.manoeuvres].index(manoeuvre.name)
+
+
+def _manoeuvre(job: Job, wanted: str, path: Path, option: str) -> Manoeuvre:
+    from platform_ctrl.reading.mistakes import given
+
+    names = [manoeuvre.name for manoeuvre in job.manoeuvres]
+    if wanted in names:
+        return job.manoeuvres[names.index(wanted)]
+    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
+        return job.manoeuvres[int(wanted) - 1]
+    known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
+    raise InputError(f"{option} {given(wanted)}: no such manoeuvre in {path}; it has {known or 'none'}")

@@ -1,0 +1,90 @@
+"""Flights that take the place of the simulated ones: quick, and with mishaps where a test wants them.
+
+Worker processes import this module, so that what they fly can be chosen by a test; mishaps are told by environment.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.campaign.flight import inputs_of
+from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.errors import SimulationError
+from platform_ctrl.reading import read_job
+
+JOB: dict[str, Any] = {
+    "schema": 1,
+    "name": "a turn, many times",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "classical",
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
+        }
+    ],
+    "manoeuvre": [
+        {"name": "turn", "mode": "caged", "axis": 1, "rate": 0.2, "rise": 0.01, "hold": 0.0, "duration": 0.02}
+        | {"limits": {"angle": 0.003, "torque_share": 1.0}},
+        {"name": "step", "mode": "stabilised", "axis": 2, "torque": 0.1, "duration": 0.02, "limits": {"angle": 5e-4}},
+    ],
+    "campaign": {
+        "runs": 100,
+        "vary": [
+            {"parameter": "rotor.11.spin", "distribution": "normal", "mean": 1.0, "deviation": 0.01, "relative": True},
+            {"parameter": "sampling.delay", "distribution": "uniform", "low": 3e-4, "high": 5e-4},
+        ],
+    },
+}
+
+
+def planned(**options: Any) -> Plan:
+    """The plan of `JOB` without a controller."""
+    return plan(read_job(JOB), (), **options)
+
+
+def flown_quickly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Any]:
+    """Figures made up out of the inputs; the mishaps of the environment's CAMPAIGN_MISHAPS happen first."""
+    mishaps = json.loads(os.environ.get("CAMPAIGN_MISHAPS", "{}"))
+    time.sleep(mishaps.get("seconds", 0.0) * len(runs))
+    if set(runs) & set(mishaps.get("dies", ())):
+        os._exit(9)
+    once = Path(mishaps.get("dies_once", {}).get("marker", os.devnull))
+    if mishaps.get("dies_once", {}).get("run") in runs and not once.exists():
+        once.touch()
+        os._exit(9)
+    if set(runs) & set(mishaps.get("raises", ())):
+        raise SimulationError("the sensors\nare not there")
+    if mishaps.get("log"):
+        with open(mishaps["log"], "a") as log:
+            log.write("".join(f"{run}\n" for run in runs))
+    columns = inputs_of(plan, runs)
+    numbers = columns["run"]
+    angle = columns["rotor.11.spin"] * np.sin(1.0 + numbers)
+    diverged = np.isin(numbers, mishaps.get("diverges", ()))
+    angle[diverged] = np.inf
+    turned = columns["manoeuvre"] == "turn"
+    passed = angle <= 0.9
+    return columns | {
+        "angle": angle,
+        "attitude": np.where(diverged, np.inf, 0.0),
+        "torque_share": np.where(diverged, np.inf, 1e3 * columns["sampling.delay"]),
+        "stop_contacts": numbers % 3,
+        "saturated": (numbers % 7) / 7.0,
+        "angle_passed": passed.astype(object),
+        "attitude_passed": np.full(len(numbers), None),
+        "torque_share_passed": np.where(turned, True, None),
+        "passed": passed,
+        "ended": np.where(diverged, "diverged at t = 0.01 s", "completed").astype(object),
+    }
