@@ -60,6 +60,7 @@ def frequency_response() -> Iterator[Comparison]:
             ours=partial(analysis.frequency_response, one, w),
             theirs=_beside_control(one, 1j * w, w),
             target=40.0,
+            clock="cpu",
             check=close(1e-9),
         )
     period = 1e-3
@@ -70,6 +71,7 @@ def frequency_response() -> Iterator[Comparison]:
         ours=partial(analysis.frequency_response, one, w),
         theirs=_beside_control(one, np.exp(1j * w * period), w),
         target=40.0,
+        clock="cpu",
         check=close(1e-9),
     )
 
@@ -85,6 +87,7 @@ def time_response() -> Iterator[Comparison]:
             ours=partial(analysis.time_response, one, t, u, hold="foh"),
             theirs={"forced_response": partial(control.forced_response, one, t, u)},
             target=25.0,
+            clock="cpu",
             check=lambda ours, theirs: close(1e-9)(ours, {name: y.outputs for name, y in theirs.items()}),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -115,28 +116,32 @@ def state_scaling(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     (n,)
         Scaled arrays are ``A * s / s[:, None]``, ``B / s[:, None]``, ``C * s``: exact in floating point.
     """
-    from scipy.linalg import matrix_balance
+    # The routine itself: what is around it in scipy.linalg takes longer than a small matrix.
+    from scipy.linalg.lapack import dgebal
 
     A, B, C = (_mean_magnitude(item) for item in (A, B, C))
     n, m, p = A.shape[0], B.shape[1], C.shape[0]
     if n == 0:
         return np.ones(0)
     whole = np.zeros((n + m + p, n + m + p))
-    _, (s, _) = matrix_balance(A, permute=False, separate=True)
-    s = s.copy()
+    first, _, _, s, _ = dgebal(A, scale=1, permute=0)
     # B and C count as much as A does; their rows and columns themselves stay unscaled because
     # LAPACK leaves out states with an empty row or column.
-    size = float(np.linalg.norm(A * s / s[:, None])) or 1.0
+    size = _norm(first) or 1.0
     whole[:n, n : n + m] = _resized(B / s[:, None], size)
     whole[n + m :, :n] = _resized(C * s, size)
-    whole[:n, :n] = A * s / s[:, None]
-    _, (more, _) = matrix_balance(whole, permute=False, separate=True)
+    whole[:n, :n] = first
+    more = dgebal(whole, scale=1, permute=0)[3]
     out: FloatArray = s * more[:n]
     return out
 
 
+def _norm(block: FloatArray) -> float:
+    return math.sqrt(float(np.vdot(block, block)))
+
+
 def _resized(block: FloatArray, size: float) -> FloatArray:
-    norm = float(np.linalg.norm(block))
+    norm = _norm(block)
     return block * (size / norm) if norm > 0.0 else block
 
 
