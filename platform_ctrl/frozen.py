@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
@@ -22,28 +23,37 @@ def read_only(array: object) -> FloatArray:
 
 
 def _freeze_arrays(self: Any) -> None:
-    for field in dataclasses.fields(self):
-        item = getattr(self, field.name)
+    for name in self.__dataclass_fields__:
+        item = getattr(self, name)
         if isinstance(item, np.ndarray) and (item.flags.writeable or item.base is not None):
             frozen = item.copy()
             frozen.flags.writeable = False
-            object.__setattr__(self, field.name, frozen)
+            object.__setattr__(self, name, frozen)
 
 
 def _set_state(self: Any, state: list[Any]) -> None:
-    for field, item in zip(dataclasses.fields(self), state, strict=True):
-        object.__setattr__(self, field.name, item)
+    for name, item in zip(self.__dataclass_fields__, state, strict=True):
+        object.__setattr__(self, name, item)
     # Unpickled arrays come back writeable: freeze them again.
     _freeze_arrays(self)
 
 
 def _get_state(self: Any) -> list[Any]:
-    return [getattr(self, field.name) for field in dataclasses.fields(self)]
+    return [getattr(self, name) for name in self.__dataclass_fields__]
 
 
 def _deep_copy(self: Any, memo: dict[int, Any]) -> Any:
     new = object.__new__(type(self))
     _set_state(new, copy.deepcopy(_get_state(self), memo))
+    return new
+
+
+def replaced(item: T, changes: Mapping[str, Any]) -> T:
+    """Return a value with other items under the names of fields: `dataclasses.replace`, faster."""
+    new = object.__new__(type(item))
+    for name in item.__dataclass_fields__:  # type: ignore[attr-defined]  # of `value`, which makes a dataclass
+        object.__setattr__(new, name, changes[name] if name in changes else getattr(item, name))
+    new.__post_init__()  # type: ignore[attr-defined]
     return new
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from platform_ctrl.arguments import nearest
 from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor
 from platform_ctrl.force_elements import Unbalance
-from platform_ctrl.frozen import read_only, value
+from platform_ctrl.frozen import replaced, value
 from platform_ctrl.scenario import FAULT_KEYS, Fault, Scenario
 from platform_ctrl.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range, Vary
 
@@ -402,14 +401,11 @@ def varied_scenario(
                 own |= _moved(key, number, relative, own, scenario)
             case "vibration":
                 own["vibrations"] = tuple(
-                    dataclasses.replace(one, densities=read_only(one.densities * number**2))
-                    for one in scenario.vibrations
+                    replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations
                 )
             case "fault":
                 own["faults"] = tuple(
-                    one
-                    if one.name != parameter.part
-                    else dataclasses.replace(one, **{key: _new(one, key, number, relative)})
+                    one if one.name != parameter.part else replaced(one, {key: _new(one, key, number, relative)})
                     for one in own["faults"]
                 )
             case "torquers" if key == "gain":
@@ -421,7 +417,7 @@ def varied_scenario(
                 parts.setdefault((group, k, parameter.part), {})[key] = (number, relative)
     if parts or root:
         own["platform"] = _varied_platform(scenario.platform, parts, root)
-    return dataclasses.replace(scenario, **own)
+    return replaced(scenario, own)
 
 
 def _new(part: Any, key: str, number: float, relative: bool) -> Any:
@@ -442,9 +438,9 @@ def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenari
     if key.endswith("_scale"):
         name = key.replace("_scale", "_table")
         table = getattr(scenario, name)
-        return {name: dataclasses.replace(table, values=read_only(table.values * number))}
+        return {name: replaced(table, {"values": table.values * number})}
     profile: Any = own.get("profile", scenario.profile)
-    return {"profile": dataclasses.replace(profile, **{key: number * (as_it_stands if relative else 1.0)})}
+    return {"profile": replaced(profile, {key: number * (as_it_stands if relative else 1.0)})}
 
 
 def _varied_platform(
@@ -459,7 +455,7 @@ def _varied_platform(
                 axis = int(key[-1]) - 1
                 moment[axis] = number * (moment[axis] if relative else 1.0)
             if k >= 0:
-                array[k] = dataclasses.replace(array[k], moment=moment)
+                array[k] = replaced(array[k], {"moment": moment})
             else:
                 array.append(Unbalance(body=body, moment=moment))
             continue
@@ -468,12 +464,11 @@ def _varied_platform(
             array[k] = _varied_rotor(part, changes)
         else:
             # An inertia is scaled as a whole whatever was said: a matrix has no other number.
-            array[k] = dataclasses.replace(
-                part,
-                **{key: _new(part, key, x, relative or key == "inertia") for key, (x, relative) in changes.items()},
+            array[k] = replaced(
+                part, {key: _new(part, key, x, relative or key == "inertia") for key, (x, relative) in changes.items()}
             )
     changed: dict[str, Any] = root | {group: tuple(array) for group, array in arrays.items()}
-    return dataclasses.replace(platform, **changed)
+    return replaced(platform, changed)
 
 
 def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor:
@@ -482,4 +477,4 @@ def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor
     spin = new.pop("spin", rotor.spin)
     if "angular_momentum" not in new and ("spin" in changes or "axial_inertia" in changes):
         new["angular_momentum"] = new.get("axial_inertia", rotor.axial_inertia) * spin
-    return dataclasses.replace(rotor, **new)
+    return replaced(rotor, new)
