@@ -448,7 +448,9 @@ def _varied_platform(
 ) -> Platform:
     arrays: dict[str, list[Any]] = {}
     for (group, k, body), changes in parts.items():
-        array = arrays.setdefault(group, list(getattr(platform, group)))
+        if group not in arrays:
+            arrays[group] = list(getattr(platform, group))
+        array = arrays[group]
         if group == "unbalances":
             moment = array[k].moment.copy() if k >= 0 else np.zeros(3)
             for key, (number, relative) in changes.items():
