@@ -113,6 +113,8 @@ def _at(platform: Platform, n: int) -> At:
     state = stages + 3 * size
     surroundings = state + size
     return At(
+        yes=True,
+        no=False,
         n=n,
         servos=servos,
         size=size,

@@ -77,7 +77,7 @@ def advance(
                         history[first + column, mark, i] = mem[at.state + i, column]
                 mark += 1
             if k < steps:
-                runge_kutta(links, mem, _ALL, at, True, False, at.state, step)
+                runge_kutta(links, mem, _ALL, at, at.yes, at.no, at.state, step)
 
 
 @compiled

@@ -55,8 +55,13 @@ class Links(NamedTuple):
 
 
 class At(NamedTuple):
-    """Counts, switches, and first slots."""
+    """Counts, switches, and first slots.
 
+    `yes` and `no` are True and False for functions of the kernel: numba compiles one anew for every literal.
+    """
+
+    yes: bool
+    no: bool
     n: int  # gimbals
     servos: int
     size: int  # of the state

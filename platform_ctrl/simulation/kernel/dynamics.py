@@ -554,7 +554,7 @@ def runge_kutta(
     for stage in range(4):
         around = at.surroundings + (stage + 1) // 2 * block
         source = y if stage == 0 else now
-        derivative(links, mem, lane, at, free, locking, False, source, around, dy)
+        derivative(links, mem, lane, at, free, locking, at.no, source, around, dy)
         ahead = step if stage == 2 else 0.5 * step
         if stage == 0:
             for i in range(size):

@@ -71,28 +71,33 @@ def _stamp() -> tuple[float, int]:
     return max(file.st_mtime for file in files), sum(file.st_size for file in files)
 
 
-def compiled(function: F, **options: Any) -> F:
-    """Compile a function and keep the result beside it until any file of the kernel changes."""
-    # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
+# error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+
+def compiled(function: F) -> F:
+    """Compile a function that Python calls, and keep the result beside it until any file of the kernel changes."""
     try:
-        dispatcher = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function)
+        dispatcher = njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
-        return cast(F, njit(nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function))
-    if dispatcher is function:  # NUMBA_DISABLE_JIT: plain Python
-        return function
+        return cast(F, njit(**_OPTIONS)(function))
     # By itself numba looks at the function's own file alone and would go on with old code of the other files.
     dispatcher._cache._cache_file._source_stamp = _stamp()
     return cast(F, dispatcher)
 
 
 def internal(function: F) -> F:
-    """Compile for callers in the kernel alone: the wrappers for Python and C take as long as a small function."""
-    return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """Compile for callers in the kernel alone.
+
+    Without wrappers for Python and C, which take as long as a small function, and without a cache of its own: it is
+    kept within what its callers keep.
+    """
+    return cast(F, njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
 
 
 def inlined(function: F) -> F:
     """Compile into every caller."""
-    return compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+    return cast(F, njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
 
 
 def memory(slots: int, columns: int = LANES) -> FloatArray:

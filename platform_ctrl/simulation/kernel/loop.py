@@ -178,26 +178,29 @@ def _new_torque(
 
 
 @inlined
-def _torques(
-    shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, segment: int, row: int, going: bool
-) -> None:
-    """Put [M, Q] into block `row`; with `going`, the torquers go on by half a substep of the segment afterwards."""
+def _torques(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, row: int) -> None:
+    """Put [M, Q] into block `row`."""
     T = at.surroundings + row * at.block
     for i in range(3):
         store(mem, T + i, lane, load(mem, flight.table + 3 * row + i, lane))
     for i in range(3, at.n + 3):
         store(mem, T + i, lane, load(mem, flight.steady + i, lane))
     for i in range(shared.targets.shape[0]):
-        slot, target = flight.torquer + i * TORQUER, T + shared.targets[i]
-        torque = load(mem, slot + TORQUE, lane)
+        target = T + shared.targets[i]
+        torque = load(mem, flight.torquer + i * TORQUER + TORQUE, lane)
         store(mem, target, lane, load(mem, target, lane) + torque)
-        if going:
-            held, slewed = load(mem, slot + HELD, lane), load(mem, slot + SLEWED, lane)
-            slew = load(mem, slot + SLEW + segment, lane)
-            slewed = slewed + lesser(greater(held - slewed, -slew), slew)
-            store(mem, slot + SLEWED, lane, slewed)
-            torque = slewed + (torque - slewed) * load(mem, slot + DECAY + segment, lane)
-            store(mem, slot + TORQUE, lane, torque)
+
+
+@inlined
+def _work_on(shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int) -> None:
+    """Let the torquers go on by half a substep of the segment."""
+    for i in range(shared.targets.shape[0]):
+        slot = flight.torquer + i * TORQUER
+        held, slewed = load(mem, slot + HELD, lane), load(mem, slot + SLEWED, lane)
+        slew, decay = load(mem, slot + SLEW + segment, lane), load(mem, slot + DECAY + segment, lane)
+        slewed = slewed + lesser(greater(held - slewed, -slew), slew)
+        store(mem, slot + SLEWED, lane, slewed)
+        store(mem, slot + TORQUE, lane, slewed + (load(mem, slot + TORQUE, lane) - slewed) * decay)
 
 
 @inlined
@@ -256,7 +259,7 @@ def _survey(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, fr
             rate = load(mem, at.surroundings + 2 * at.block + n + 3 + i, lane)
             store(mem, at.state + n + i, lane, rate)
             store(mem, v + i, lane, rate)
-        derivative(links, mem, lane, at, free, False, False, at.state, at.surroundings + 2 * at.block, at.stages)
+        derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, at.stages)
         for i in range(n):
             store(mem, v + 3 + i, lane, load(mem, at.stages + i, lane))
             store(mem, v + n + 3 + i, lane, load(mem, at.state + n + 3 + i, lane))
@@ -355,17 +358,17 @@ def _segment(
     contacts = flight.figures + at.n + 3 + 2 * nu
     for m in range(count):
         hand_on(shared, mem, lane, at, flight, free)
-        _torques(shared, mem, lane, at, flight, segment, 0, True)
-        surround(shared, mem, lane, at, flight, free, 1, segment, True, start + (m + 0.5) * step)
-        _torques(shared, mem, lane, at, flight, segment, 1, True)
-        surround(shared, mem, lane, at, flight, free, 2, segment, True, start + (m + 1.0) * step)
-        _torques(shared, mem, lane, at, flight, segment, 2, False)
+        _torques(shared, mem, lane, at, flight, 0)
+        for row in range(1, 3):
+            _work_on(shared, mem, lane, flight, segment)
+            surround(shared, mem, lane, at, flight, free, row, segment, at.yes, start + (m + 0.5 * row) * step)
+            _torques(shared, mem, lane, at, flight, row)
         if contact:
             for i in range(at.size):
                 store(mem, flight.spare_state + at.size + i, lane, load(mem, at.state + i, lane))
-        runge_kutta(links, mem, lane, at, free, False, at.state, step)
+        runge_kutta(links, mem, lane, at, free, at.no, at.state, step)
         if flight.stops != 0:
-            held = False
+            held = at.no
             if contact:
                 held = hold(links, mem, lane, at, flight, free, flight.spare_state + at.size, step)
             past = contact
@@ -430,11 +433,12 @@ def fly(
     store(mem, flight.alive, lane, zero + 1.0)
     begin_surroundings(shared, mem, lane, at, flight)
     for j in range(shared.lines.shape[0]):
-        uniforms(keys, mem, lane, 0, PHASE_OF_LINE + j, flight.random)
+        uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, flight.random)
         c, s = cosine_and_sine(2.0 * math.pi * load(mem, flight.random, lane))
         store(mem, flight.line + j * LINE + PHASE, lane, c)
         store(mem, flight.line + j * LINE + PHASE + 1, lane, s)
-    surround(shared, mem, lane, at, flight, free, 2, 0, False, zero)
+    for row in range(2, 3):  # the end of the step before the first
+        surround(shared, mem, lane, at, flight, free, row, row, at.no, zero)
     if not free:
         end = at.surroundings + 2 * at.block
         for i in range(3):
@@ -444,7 +448,7 @@ def fly(
             store(mem, at.state + n + 3 + i, lane, load(mem, flight.velocity + i, lane))
         for i in range(at.size):
             store(mem, flight.start + i, lane, load(mem, at.state + i, lane))
-    contact = False
+    contact = at.no
     for k in range(flight.samples):
         t = k * period
         _strikes(links, shared, mem, lane, at, flight, free, t)
@@ -463,18 +467,18 @@ def fly(
             _record(links, shared, mem, at, flight, record[k])
         if not going:
             return
-        start = zero + t
-        if flight.before > 0:
-            _new_torque(shared, mem, lane, flight, 0, k - flight.whole - 1, start)
-            _note_torques(shared, mem, at, flight, record, k)
+        start, noted = zero + t, False
+        for segment in range(2):
+            count = flight.before if segment == 0 else flight.after
+            if count == 0:
+                continue
+            _new_torque(shared, mem, lane, flight, segment, k - flight.whole - 1 + segment, start)
+            if not noted:
+                _note_torques(shared, mem, at, flight, record, k)
+                noted = True
             if k < flight.samples - 1:
-                contact = _segment(links, shared, mem, lane, at, flight, free, 0, flight.before, start, contact)
-                start = start + flight.before * load(mem, flight.segments, lane)
-        _new_torque(shared, mem, lane, flight, 1, k - flight.whole, start)
-        if flight.before == 0:
-            _note_torques(shared, mem, at, flight, record, k)
-        if k < flight.samples - 1:
-            contact = _segment(links, shared, mem, lane, at, flight, free, 1, flight.after, start, contact)
+                contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, start, contact)
+                start = start + count * load(mem, flight.segments + segment, lane)
 
 
 @compiled

@@ -33,7 +33,7 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
     zero = 0.0 * load(mem, at.state, lane)
     for i in range(at.size):
         store(mem, state + i, lane, load(mem, at.state + i, lane))
-    for i in range(2 * n + 3 - n):
+    for i in range(n + 3):
         store(mem, state + n + i, lane, zero)
     for i in range(at.block):
         store(mem, block + i, lane, zero)
@@ -41,7 +41,7 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
         store(mem, block + 3 + k, lane, zero + 1.0)
     else:
         store(mem, state + n + 3 + k, lane, zero + 1.0)
-    derivative(links, mem, lane, at, free, False, True, state, block, dy)
+    derivative(links, mem, lane, at, free, at.no, at.yes, state, block, dy)
     if free:
         for i in range(n):
             store(mem, dy + i, lane, load(mem, dy + n + 3 + i, lane))
@@ -80,15 +80,15 @@ def hold(
         store(mem, at.work + (k + 1) * WORK + LOCKED, lane, locked)
         pressed = greater(pressed, locked)
     if not anywhere(pressed > 0.5):
-        return False
+        return at.no
     for i in range(at.size):
         free_step = load(mem, at.state + i, lane)
         store(mem, at.state + i, lane, load(mem, begin + i, lane))
         store(mem, begin + i, lane, free_step)
-    runge_kutta(links, mem, lane, at, free, True, at.state, step)
+    runge_kutta(links, mem, lane, at, free, at.yes, at.state, step)
     if not free:
         end = at.surroundings + 2 * at.block
-        derivative(links, mem, lane, at, free, True, False, at.state, end, at.stages)
+        derivative(links, mem, lane, at, free, at.yes, at.no, at.state, end, at.stages)
         for k in range(n):
             body, p = at.work + (k + 1) * WORK, at.state + n + 3 + k
             locked = load(mem, body + LOCKED, lane) > 0.5
@@ -96,7 +96,7 @@ def hold(
     for i in range(at.size):
         here = at.state + i
         store(mem, here, lane, choose(pressed > 0.5, load(mem, here, lane), load(mem, begin + i, lane)))
-    return True
+    return at.yes
 
 
 @internal
@@ -128,7 +128,7 @@ def meet_stops(
         hit = choose(past, zero + 1.0, hit)
         lying = greater(lying, touching)
     if anywhere(hit > 0.5):
-        derivative(links, mem, lane, at, free, False, False, at.state, at.surroundings + 2 * at.block, dy)
+        derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
         for k in range(n):
             store(mem, flight.velocity + k, lane, load(mem, dy + k, lane))
         # Impulses in turn until no gimbal that touches moves outwards; one pass does it for one contact.
