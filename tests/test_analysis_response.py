@@ -131,7 +131,7 @@ def test_a_held_step_and_a_ramp_have_their_closed_forms() -> None:
 @pytest.mark.parametrize(
     ("timepts", "inputs", "says"),
     [
-        ([0.0, 1.0, 3.0], np.ones(3), "equal steps"),
+        ([0.0, 3.0, 1.0], np.ones(3), "increasing"),
         ([0.0], np.ones(1), "at least two"),
         ([0.0, 1.0], np.ones((2, 2)), r"expected finite \(1, 2\)"),
         ([0.0, 1.0], [np.nan, 0.0], "expected finite"),
@@ -143,7 +143,7 @@ def test_time_response_says_what_does_not_fit(timepts: list[float], inputs: Floa
 
 
 def test_a_discrete_system_wants_its_own_period() -> None:
-    with pytest.raises(PlatformCtrlError, match=r"dt = 0\.1"):
+    with pytest.raises(PlatformCtrlError, match=r"equal steps of the system's dt = 0\.1"):
         analysis.time_response(control.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), [0.0, 0.2], [0.0, 0.0])
 
 

@@ -53,7 +53,6 @@ from platform_ctrl.analysis.response import (
     frequency_response,
     frequency_response_arrays,
     response_arrays,
-    time_response,
 )
 from platform_ctrl.analysis.sampled import (
     bilinear_to_continuous,
@@ -61,6 +60,7 @@ from platform_ctrl.analysis.sampled import (
     sampled,
     sampled_arrays,
 )
+from platform_ctrl.analysis.time_response import time_response
 
 __all__ = [
     "Channel",

@@ -1,21 +1,19 @@
-"""Responses over frequency and time, accurate for every system matrix.
+"""Responses over frequency, accurate for every system matrix.
 
-Over frequency a compiled recurrence does most of the work (`platform_ctrl.analysis.resolvent`). It says where it is not
-good enough, and what takes its place there goes on until it is.
+A compiled recurrence does most of the work (`platform_ctrl.analysis.resolvent`). It says where it is not good enough,
+and what takes its place there goes on until it is.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, frequencies, scaled, state_arrays
-from platform_ctrl.analysis.sampled import held_input
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -179,110 +177,3 @@ class Resolvent:
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""
         H += self.at(z).reshape(H.shape)
-
-
-def time_response(
-    system: control.StateSpace,
-    timepts: ArrayLike,
-    inputs: ArrayLike,
-    hold: Literal["zoh", "foh"] = "zoh",
-    initial_state: ArrayLike | None = None,
-) -> FloatArray:
-    """Return the outputs at `timepts`, exact for inputs that are held or linear between the samples.
-
-    Parameters
-    ----------
-    system
-        Continuous, or discrete with the sample period that `timepts` have.
-    timepts : (N,)
-        Times with equal steps, s.
-    inputs : (m, N), or (N,) for one input
-        Inputs at those times.
-    hold
-        ``"zoh"``: held from each sample to the next; ``"foh"``: linear between samples. Without meaning for a
-        discrete system.
-    initial_state : (n,), optional
-        State at the first time; default zero.
-
-    Returns
-    -------
-    (p, N)
-
-    Raises
-    ------
-    ArgumentError
-        If shapes do not fit, the steps are not equal, or differ from a discrete system's sample period.
-    """
-    A, B, C, D, dt = state_arrays(system, "time_response")
-    times = np.asarray(timepts, dtype=np.float64)
-    if times.ndim != 1 or times.size < 2 or not np.all(np.isfinite(times)):
-        raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
-    step = float(times[-1] - times[0]) / (times.size - 1)
-    if step <= 0.0 or np.abs(np.diff(times) - step).max() > 1e-6 * step:
-        raise ArgumentError("time_response: the steps of timepts differ, expected equal steps > 0; use numpy.linspace")
-    if dt > 0.0 and abs(step - dt) > 1e-6 * dt:
-        raise ArgumentError(f"time_response: timepts has steps of {step:g} s, expected the system's dt = {dt:g} s")
-    u = np.asarray(inputs, dtype=np.float64)
-    u = u[None, :] if u.ndim == 1 else u
-    if u.shape != (B.shape[1], times.size) or not np.all(np.isfinite(u)):
-        raise ArgumentError(
-            f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
-        )
-    x0 = np.zeros(A.shape[0]) if initial_state is None else np.asarray(initial_state, dtype=np.float64)
-    if x0.shape != (A.shape[0],) or not np.all(np.isfinite(x0)):
-        raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({A.shape[0]},)")
-    if hold not in ("zoh", "foh"):
-        raise ArgumentError(f"time_response: hold = {hold!r}, expected 'zoh' or 'foh'")
-
-    if dt > 0.0:
-        driven = B @ u
-        transition = A
-    elif hold == "zoh":
-        transition, held = held_input(A, B, step)
-        driven = held @ u
-    else:
-        transition, held, ramp = linear_input(A, B, step)
-        driven = held @ u
-        driven[:, :-1] += ramp @ np.diff(u, axis=1)
-    out: FloatArray = C @ recurrence(transition, driven, x0) + D @ u
-    return out
-
-
-def linear_input(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return exp(A h), and what an input held, and one that rises by 1 during `step` h, add to the state."""
-    n, m = A.shape[-1], B.shape[-1]
-    # x' = A x + B v, v' = w with w held: the ramp's state v is appended to x.
-    A_ramp = np.zeros((n + m, n + m))
-    A_ramp[:n, :n] = A
-    A_ramp[:n, n:] = B
-    B_ramp = np.zeros((n + m, m))
-    B_ramp[n:] = np.eye(m) / step
-    phi, ramp = held_input(A_ramp, B_ramp, step)
-    return phi[:n, :n], phi[:n, n:], ramp[:n]
-
-
-def recurrence(transition: FloatArray, driven: FloatArray, x0: FloatArray) -> FloatArray:
-    """Return x[0], x[1], ... of x[k+1] = transition x[k] + driven[:, k] as (n, N), x[0] = `x0`.
-
-    The N steps are cut into about sqrt(N) blocks that advance side by side; the blocks' first states follow from a
-    short recurrence of their own. That is 3 sqrt(N) matrix products in place of N.
-    """
-    n, N = driven.shape
-    length = max(1, math.isqrt(N))
-    blocks = -(-N // length)
-    forced = np.zeros((length + 1, n, blocks))
-    padded = np.zeros((n, blocks * length))
-    padded[:, :N] = driven
-    padded = padded.reshape(n, blocks, length)
-    power = np.empty((length + 1, n, n))
-    power[0] = np.eye(n)
-    for k in range(length):
-        forced[k + 1] = transition @ forced[k] + padded[:, :, k]
-        power[k + 1] = transition @ power[k]
-    starts = np.empty((n, blocks))
-    start = x0
-    for j in range(blocks):
-        starts[:, j] = start
-        start = power[length] @ start + forced[length, :, j]
-    x = forced[:length] + power[:length] @ starts
-    return np.moveaxis(x, 0, -1).reshape(n, blocks * length)[:, :N]

@@ -1,0 +1,207 @@
+"""Responses over time, exact for inputs that are held, linear or impulses between the samples.
+
+With equal steps a block of L samples is one product: its outputs are O x + T u with the state x before it, the inputs u
+of the block, O = [C; C Phi; C Phi²; ...] and the Toeplitz matrix T of the impulse response. What is left to do one after
+another, the states between the blocks, is a prefix sum by doubling.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import state_arrays, state_scaling
+from platform_ctrl.analysis.sampled import held_input
+from platform_ctrl.arguments import one_of
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    import control
+
+Hold = Literal["zoh", "foh", "impulse"]
+
+# Steps that differ by less than this, relative, are equal.
+EQUAL = 1e-9
+# Uneven steps whose matrix exponentials are in memory at a time.
+TOGETHER = 256
+
+
+def time_response(
+    system: control.StateSpace,
+    timepts: ArrayLike,
+    inputs: ArrayLike,
+    hold: Hold = "zoh",
+    initial_state: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the outputs at `timepts`, exact to rounding for inputs that are as `hold` says between the samples.
+
+    Parameters
+    ----------
+    system
+        Continuous, or discrete with the sample period that `timepts` have.
+    timepts : (N,)
+        Increasing times, s. Equal steps are fastest, those of a discrete system have to be.
+    inputs : (m, N), or (N,) for one input
+        Inputs at those times.
+    hold
+        ``"zoh"``: held from each sample to the next; ``"foh"``: linear between samples; ``"impulse"``: impulses of
+        that area at the samples, each in the output of its own time already. Without meaning for a discrete system.
+    initial_state : (n,), optional
+        State at the first time (before its impulse); default zero.
+
+    Returns
+    -------
+    (p, N)
+
+    Raises
+    ------
+    ArgumentError
+        If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period, or
+        impulses would reach an output at once (D is not zero).
+    """
+    A, B, C, D, dt = state_arrays(system, "time_response")
+    times = _times(timepts, dt)
+    u = np.asarray(inputs, dtype=np.float64)
+    u = u[None, :] if u.ndim == 1 else u
+    if u.shape != (B.shape[1], times.size) or not np.isfinite(u).all():
+        raise ArgumentError(
+            f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
+        )
+    x0 = np.zeros(len(A)) if initial_state is None else np.asarray(initial_state, dtype=np.float64)
+    if x0.shape != (len(A),) or not np.isfinite(x0).all():
+        raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
+    one_of("time_response: hold", hold, ("zoh", "foh", "impulse"))
+    if dt > 0.0:
+        return _in_blocks(A, B, C, D, u, x0)
+    if hold == "impulse" and D.any():
+        raise ArgumentError("time_response: hold = 'impulse' and D is not zero, expected D = 0")
+    direct = C @ B if hold == "impulse" else D
+    steps = np.diff(times)
+    step = float(times[-1] - times[0]) / steps.size
+    # The times are rounded as well.
+    if np.abs(steps - step).max() > EQUAL * step + 4.0 * np.finfo(float).eps * np.abs(times).max():
+        return C @ _one_by_one(A, B, steps, hold, u, x0) + direct @ u
+    transition, now, next_ = step_matrices(A, B, step, hold)
+    # x - next_ u in place of x: its next value needs no input but the present one.
+    return _in_blocks(transition, now + transition @ next_, C, direct + C @ next_, u, x0 - next_ @ u[:, 0])
+
+
+def _times(timepts: ArrayLike, dt: float) -> FloatArray:
+    times = np.asarray(timepts, dtype=np.float64)
+    if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
+        raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
+    steps = np.diff(times)
+    if steps.min() <= 0.0:
+        raise ArgumentError("time_response: timepts do not increase, expected increasing times")
+    if dt > 0.0 and np.abs(steps - dt).max() > 1e-6 * dt:
+        raise ArgumentError(
+            f"time_response: timepts has steps of {steps.min():g} to {steps.max():g} s, "
+            f"expected equal steps of the system's dt = {dt:g} s"
+        )
+    return times
+
+
+def step_matrices(
+    A: FloatArray, B: FloatArray, step: float | FloatArray, hold: Hold
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1]; for steps (K,) as stacks (K, ...)."""
+    if not isinstance(step, float):
+        # A step of h is one of 1 in a time that runs h times as fast; an impulse takes no time.
+        faster = step[:, None, None]
+        A, B, step = A * faster, B * (1.0 if hold == "impulse" else faster), 1.0
+    if hold == "zoh":
+        transition, held = held_input(A, B, step)
+        return transition, held, np.zeros_like(held)
+    if hold == "foh":
+        transition, held, ramp = _linear_input(A, B, step)
+        return transition, held - ramp, ramp
+    transition, _ = held_input(A, B, step)
+    return transition, transition @ B, np.zeros_like(B)
+
+
+def _linear_input(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return exp(A h), and what an input held, and one that rises by 1 during `step` h, add to the state."""
+    n, m = B.shape[-2:]
+    # x' = A x + B v, v' = w with w held: the ramp's state v is appended to x.
+    with_ramp = np.zeros((*A.shape[:-2], n + m, n + m))
+    with_ramp[..., :n, :n] = A
+    with_ramp[..., :n, n:] = B
+    rise = np.zeros((n + m, m))
+    rise[n:] = np.eye(m) / step
+    transition, ramp = held_input(with_ramp, rise, step)
+    return transition[..., :n, :n], transition[..., :n, n:], ramp[..., :n, :]
+
+
+def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
+    """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
+    (n, m), p, N = B.shape, len(C), u.shape[1]
+    if n == 0:
+        return np.asarray(D @ u)
+    A, B, C, x0 = _balanced(A, B, C, x0)
+    # Products a sample: p m L within a block of L, and n² log2(N) / L between the blocks.
+    wanted = n * math.sqrt(math.log2(N) / max(1, p * m))
+    doublings = min(max(2, round(math.log2(max(1.0, wanted)))), 6)
+    L = 2**doublings
+    blocks = -(-N // L)
+    with np.errstate(all="ignore"):
+        # C A^k from the top down and A^k B from the right to the left.
+        seen, driven, power = C, B, A
+        for _ in range(doublings):
+            seen = np.concatenate([seen, seen @ power])
+            driven = np.concatenate([power @ driven, driven], axis=1)
+            power = power @ power
+        impulse = np.zeros((2 * L - 1, p, m))
+        impulse[L - 1] = D
+        impulse[L:] = (seen[: (L - 1) * p] @ B).reshape(L - 1, p, m)
+        row, column = np.ogrid[:L, :L]
+        within = impulse[L - 1 + row - column].transpose(0, 2, 1, 3).reshape(L * p, L * m)
+        padded = np.zeros((m, blocks * L))
+        padded[:, :N] = u
+        stacked = padded.reshape(m, blocks, L).transpose(2, 0, 1).reshape(L * m, blocks)
+        x = np.empty((n, blocks))
+        x[:, 0] = x0
+        x[:, 1:] = driven @ stacked[:, :-1]
+        _accumulate(x, power)
+        y = seen @ x + within @ stacked
+    return np.ascontiguousarray(y.reshape(L, p, blocks).transpose(1, 2, 0).reshape(p, blocks * L)[:, :N])
+
+
+def _balanced(
+    A: FloatArray, B: FloatArray, C: FloatArray, x0: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the system in balanced states, so that none is lost in products beside larger ones."""
+    s = state_scaling(A, B, C)
+    return A * s / s[:, None], B / s[:, None], C * s, x0 / s
+
+
+def _accumulate(x: FloatArray, power: FloatArray) -> None:
+    """Turn the columns d[0], d[1], ... in place into x[0] = d[0], x[k+1] = power x[k] + d[k+1]."""
+    reach = 1
+    while reach < x.shape[1]:
+        x[:, reach:] += power @ x[:, :-reach]
+        reach *= 2
+        if reach < x.shape[1]:
+            power = power @ power
+
+
+def _one_by_one(
+    A: FloatArray, B: FloatArray, steps: FloatArray, hold: Hold, u: FloatArray, x0: FloatArray
+) -> FloatArray:
+    """Return the states (n, N) for steps that differ."""
+    x = np.empty((len(A), u.shape[1]))
+    x[:, 0] = x0
+    with np.errstate(all="ignore"):
+        for first in range(0, steps.size, TOGETHER):
+            piece = slice(first, first + TOGETHER)
+            # Many a step occurs more than once.
+            distinct, which = np.unique(steps[piece], return_inverse=True)
+            transition, now, next_ = (item[which] for item in step_matrices(A, B, distinct, hold))
+            before, after = u.T[:-1][piece, :, None], u.T[1:][piece, :, None]
+            driven = (now @ before + next_ @ after)[..., 0]
+            for k in range(len(which)):
+                x[:, first + k + 1] = transition[k] @ x[:, first + k] + driven[k]
+    return x
