@@ -64,15 +64,18 @@ class TimeTable:
         Of a rate, rad/s, or a torque, N m, in root axes.
     smooth
         Between the points: a cubic spline with natural ends, or straight lines.
+    scale
+        Factor on all of them.
     """
 
     t: FloatArray
     values: FloatArray
     smooth: bool = False
+    scale: float = 1.0
 
     @property
-    def coefficients(self) -> FloatArray:
-        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point."""
+    def pieces(self) -> FloatArray:
+        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point; unscaled."""
         if self.smooth:
             from scipy.interpolate import CubicSpline
 
@@ -88,9 +91,9 @@ class TimeTable:
         """Return the three numbers at times of any shape, (..., 3)."""
         times = np.clip(np.asarray(t, dtype=np.float64), self.t[0], self.t[-1])
         if len(self.t) == 1:
-            return np.broadcast_to(self.values[0], (*times.shape, 3)).copy()
+            return self.scale * np.broadcast_to(self.values[0], (*times.shape, 3))
         piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
-        c, s = self.coefficients[piece], (times - self.t[piece])[..., None]
+        c, s = self.scale * self.pieces[piece], (times - self.t[piece])[..., None]
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
@@ -222,7 +225,8 @@ class Scenario:
     vibrations
         Of the base.
     faults
-        What fails; the effects of several on one part follow one another in this order.
+        What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
+        samples, then is stuck, then dead.
     q, rate : (n,)
         Gimbal angles and their rates at t = 0, rad and rad/s; empty: all zero.
     Omega : (3,), attitude : (4,)

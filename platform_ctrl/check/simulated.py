@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.frozen import value
-from platform_ctrl.job import Job, Manoeuvre
+from platform_ctrl.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.requirements import CheckResult, Requirement
-from platform_ctrl.simulation import HalfCosine, Trajectory, simulate
+from platform_ctrl.simulation import Trajectory, flight
+from platform_ctrl.simulation.batch import acting
 
 if TYPE_CHECKING:
     import control
@@ -33,23 +34,9 @@ def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace
     ArgumentError
         The controllers do not fit the plant.
     """
-    roots = {t.name for t in job.platform.torquers if t.root_axis is not None}
-    caged = manoeuvre.mode == "caged"
-    used = [K for K in controllers if not (caged and roots & set(K.output_labels))]
-    torque = np.zeros(3)
-    torque[manoeuvre.axis - 1] = manoeuvre.torque
-    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
-    trajectory = simulate(
-        job.platform,
-        used,
-        period=job.sampling.period,
-        delay=job.sampling.delay,
-        duration=manoeuvre.duration,
-        mode=manoeuvre.mode,
-        Omega_profile=profile if caged else None,
-        root_torque=None if caged else torque,
-        seed=job.seed,
-    )
+    scenario = manoeuvre_scenario(job, manoeuvre)
+    used = acting(controllers, job.platform, scenario.mode)
+    trajectory = flight(scenario, used, period=job.sampling.period)
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
 
 

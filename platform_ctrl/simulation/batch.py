@@ -56,7 +56,7 @@ class Figures:
     @property
     def completed(self) -> NDArray[np.bool_]:
         """Which runs reached their ends, (N,)."""
-        return self.samples == self.asked
+        return np.asarray(self.samples == self.asked)
 
     @property
     def ended(self) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ class Timing(NamedTuple):
 
     samples: int
     whole: int
-    count: tuple[int, int]
+    substeps: tuple[int, int]
     steps: tuple[float, float]
 
 
@@ -125,7 +125,7 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
     table = scenario.torque_table if free else scenario.Omega_table
     key = (
         free,
-        (when.samples, when.whole, when.count),
+        (when.samples, when.whole, when.substeps),
         packed.at,
         packed.links.tree.tobytes(),
         packed.links.turn.tobytes(),
@@ -180,7 +180,7 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     free = one.scenario.mode == "stabilised"
     order = sorted(
         {key for member in members for key in member.faults},
-        key=lambda key: (_RANK.get(key[0], 0), KINDS.index(key[0]), key[1], key[2]),  # type: ignore[arg-type]
+        key=lambda key: (_RANK.get(key[0], 0), KINDS.index(key[0]), key[1], key[2]),
     )
     shared, rotors = _shared(one, order, members, controller, period, free)
     course = len(rotors) > 0
@@ -217,7 +217,7 @@ def _shared(
     rows = [(carriers[name], servos.index(name) if name in servos else -1) for name in rotors]
     faults = []
     for kind, part, again in order:
-        index = KINDS.index(kind)  # type: ignore[arg-type]
+        index = KINDS.index(kind)
         fault = next(member.faults[kind, part, again] for member in members if (kind, part, again) in member.faults)
         place = rotors.index(part) if index <= layout.RIPPLE else _part(platform, fault)
         channel = 64 * place + 8 * (index - layout.PICKOFF_DEAD) + again if index >= layout.PICKOFF_DEAD else 0
@@ -226,7 +226,7 @@ def _shared(
     table = scenario.torque_table if free else scenario.Omega_table
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
     if table is not None:
-        knots, pieces = np.array(table.t), np.array(table.coefficients)
+        knots, pieces = np.array(table.t), np.array(table.pieces)
         if len(knots) == 1:
             pieces = np.zeros((1, 3, 4))
             pieces[0, :, 0] = table.values[0]
@@ -259,8 +259,8 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
     return Flight(
         samples=one.timing.samples,
         whole=one.timing.whole,
-        before=one.timing.count[0],
-        after=one.timing.count[1],
+        before=one.timing.substeps[0],
+        after=one.timing.substeps[1],
         states=controller.states,
         stops=any(g.stops is not None for g in one.scenario.platform.gimbals),
         profile=one.scenario.profile is not None,
@@ -319,7 +319,8 @@ def _given(
     rate = part(flight.rate, 1, layout.PROFILE)[0]
     if scenario.profile is not None:
         rate[: layout.SCALE] = packed_profile(scenario.profile)
-    rate[layout.SCALE] = 1.0
+    table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
+    rate[layout.SCALE] = 1.0 if table is None else table.scale
     half = 0.5 * np.array(member.timing.steps)
     part(flight.segments, 1, 2)[0] = member.timing.steps
     for row, sensor in zip(part(flight.sensor, len(shared.sensors), layout.SENSOR), platform.sensors, strict=True):

@@ -20,9 +20,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numba
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
@@ -71,6 +72,8 @@ def _stamp() -> tuple[float, int]:
     return max(file.st_mtime for file in files), sum(file.st_size for file in files)
 
 
+_njit: Any = numba.njit  # its types know nothing of the switches for wrappers
+
 # error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
@@ -78,9 +81,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {
 def compiled(function: F) -> F:
     """Compile a function that Python calls, and keep the result beside it until any file of the kernel changes."""
     try:
-        dispatcher = njit(cache=True, **_OPTIONS)(function)
+        dispatcher = _njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
-        return cast(F, njit(**_OPTIONS)(function))
+        return cast(F, _njit(**_OPTIONS)(function))
     # By itself numba looks at the function's own file alone and would go on with old code of the other files.
     dispatcher._cache._cache_file._source_stamp = _stamp()
     return cast(F, dispatcher)
@@ -92,12 +95,12 @@ def internal(function: F) -> F:
     Without wrappers for Python and C, which take as long as a small function, and without a cache of its own: it is
     kept within what its callers keep.
     """
-    return cast(F, njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
+    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
 
 
 def inlined(function: F) -> F:
     """Compile into every caller."""
-    return cast(F, njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
+    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
 
 
 def memory(slots: int, columns: int = LANES) -> FloatArray:
