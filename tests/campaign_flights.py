@@ -68,7 +68,7 @@ def flown_quickly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: 
         raise SimulationError("the sensors\nare not there")
     if mishaps.get("log"):
         with open(mishaps["log"], "a") as log:
-            log.write("".join(f"{run}\n" for run in runs))
+            log.write("".join(f"{run} {os.getpid()}\n" for run in runs))
     columns = inputs_of(plan, runs)
     numbers = columns["run"]
     angle = columns["rotor.11.spin"] * np.sin(1.0 + numbers)

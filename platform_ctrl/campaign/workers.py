@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 DIED = "worker died"
 # Deaths without a run finished in between: not the runs' fault.
 _DEATHS = 24
+# How long a process may take from closing its pipe to its end, s.
+_FAREWELL = 5.0
 
 
 def available() -> int:
@@ -69,6 +71,7 @@ def flown_by_processes(
                     message = worker.connection.recv()
                 except (EOFError, OSError):
                     del crew[worker.connection]
+                    worker.process.join(_FAREWELL)
                     worker.kill()
                     if not worker.ready and not warm:
                         raise SimulationError(
