@@ -1,8 +1,8 @@
 """Responses over time, exact for inputs that are held, linear or impulses between the samples.
 
 With equal steps a block of L samples is one product: its outputs are O x + T u with the state x before it, the inputs u
-of the block, O = [C; C Phi; C Phi²; ...] and the Toeplitz matrix T of the impulse response. What is left to do one after
-another, the states between the blocks, is a prefix sum by doubling.
+of the block, O = [C; C Phi; C Phi²; ...] and the Toeplitz matrix T of the impulse response. What is left to do one
+after another, the states between the blocks, is a prefix sum by doubling.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import state_arrays, state_scaling
-from platform_ctrl.analysis.sampled import held_input
 from platform_ctrl.arguments import one_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -38,6 +37,8 @@ def time_response(
     initial_state: ArrayLike | None = None,
 ) -> FloatArray:
     """Return the outputs at `timepts`, exact to rounding for inputs that are as `hold` says between the samples.
+
+    Rounding is that of exp(A h) for steps h, about 1e-15 (1 + |A| h) of the largest output, |A| in balanced states.
 
     Parameters
     ----------
@@ -75,6 +76,11 @@ def time_response(
     if x0.shape != (len(A),) or not np.isfinite(x0).all():
         raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
     one_of("time_response: hold", hold, ("zoh", "foh", "impulse"))
+    if not len(A):
+        return np.asarray(D @ u)
+    # In balanced states none is lost in a product beside larger ones.
+    s = state_scaling(A, B, C)
+    A, B, C, x0 = A * s / s[:, None], B / s[:, None], C * s, x0 / s
     if dt > 0.0:
         return _in_blocks(A, B, C, D, u, x0)
     if hold == "impulse" and D.any():
@@ -108,40 +114,37 @@ def _times(timepts: ArrayLike, dt: float) -> FloatArray:
 def step_matrices(
     A: FloatArray, B: FloatArray, step: float | FloatArray, hold: Hold
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1]; for steps (K,) as stacks (K, ...)."""
-    if not isinstance(step, float):
-        # A step of h is one of 1 in a time that runs h times as fast; an impulse takes no time.
-        faster = step[:, None, None]
-        A, B, step = A * faster, B * (1.0 if hold == "impulse" else faster), 1.0
-    if hold == "zoh":
-        transition, held = held_input(A, B, step)
-        return transition, held, np.zeros_like(held)
+    """Return Phi, E0 and E1 of x[k+1] = Phi x[k] + E0 u[k] + E1 u[k+1] for balanced A; for steps (K,) stacks (K, ...).
+
+    The inputs are states of the exponential's matrix, and with ``"foh"`` their rise during the step as well.
+    """
+    from scipy.linalg import expm
+
+    (n, m), steps = B.shape, np.asarray(step)
+    # A power of two that makes the input matrix as large as A is exact to undo.
+    size, gain = np.abs(A).max(initial=0.0), np.abs(B).max(initial=0.0)
+    unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
+    inputs = {"zoh": m, "foh": 2 * m, "impulse": 0}[hold]
+    whole = np.zeros((*steps.shape, n + inputs, n + inputs))
+    faster = steps[..., None, None]
+    whole[..., :n, :n] = A * faster
+    if inputs:
+        whole[..., :n, n : n + m] = B / unit * faster
     if hold == "foh":
-        transition, held, ramp = _linear_input(A, B, step)
-        return transition, held - ramp, ramp
-    transition, _ = held_input(A, B, step)
-    return transition, transition @ B, np.zeros_like(B)
-
-
-def _linear_input(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return exp(A h), and what an input held, and one that rises by 1 during `step` h, add to the state."""
-    n, m = B.shape[-2:]
-    # x' = A x + B v, v' = w with w held: the ramp's state v is appended to x.
-    with_ramp = np.zeros((*A.shape[:-2], n + m, n + m))
-    with_ramp[..., :n, :n] = A
-    with_ramp[..., :n, n:] = B
-    rise = np.zeros((n + m, m))
-    rise[n:] = np.eye(m) / step
-    transition, ramp = held_input(with_ramp, rise, step)
-    return transition[..., :n, :n], transition[..., :n, n:], ramp[..., :n, :]
+        whole[..., n : n + m, n + m :] = np.eye(m)
+    power = expm(whole)
+    transition = power[..., :n, :n]
+    if hold == "impulse":
+        jump = transition @ B
+        return transition, jump, np.zeros_like(jump)
+    held = unit * power[..., :n, n : n + m]
+    rise = unit * power[..., :n, n + m :] if hold == "foh" else np.zeros_like(held)
+    return transition, held - rise, rise
 
 
 def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
     (n, m), p, N = B.shape, len(C), u.shape[1]
-    if n == 0:
-        return np.asarray(D @ u)
-    A, B, C, x0 = _balanced(A, B, C, x0)
     # Products a sample: p m L within a block of L, and n² log2(N) / L between the blocks.
     wanted = n * math.sqrt(math.log2(N) / max(1, p * m))
     doublings = min(max(2, round(math.log2(max(1.0, wanted)))), 6)
@@ -168,14 +171,6 @@ def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: Fl
         _accumulate(x, power)
         y = seen @ x + within @ stacked
     return np.ascontiguousarray(y.reshape(L, p, blocks).transpose(1, 2, 0).reshape(p, blocks * L)[:, :N])
-
-
-def _balanced(
-    A: FloatArray, B: FloatArray, C: FloatArray, x0: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the system in balanced states, so that none is lost in products beside larger ones."""
-    s = state_scaling(A, B, C)
-    return A * s / s[:, None], B / s[:, None], C * s, x0 / s
 
 
 def _accumulate(x: FloatArray, power: FloatArray) -> None:
