@@ -106,11 +106,13 @@ def run_campaign(
     ArgumentError
         `workers` or `device` make no sense.
     """
+    from platform_ctrl.simulation.device import expect_device
+
     one_of("device", device, tuple(SIZES))
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers: given {workers}; expected at least one")
     arrow()
-    flight.expect_device(device)
+    expect_device(device)
     crew = workers or (available() if device == "cpu" else 1)
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array
-from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
     from platform_ctrl.scenario import Scenario
-    from platform_ctrl.simulation import Trajectory
+    from platform_ctrl.simulation import Figures, Trajectory
 
 
 def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
@@ -42,25 +41,14 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
     PlatformCtrlError
         A run cannot be set up.
     """
+    from platform_ctrl import simulation
+
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
-    outcomes = [outcome(scenario, trajectory(plan, scenario)) for scenario in scenarios]
-    for name in outcomes[0] if outcomes else ():
-        entries = [one[name] for one in outcomes]
-        columns[name] = np.array(entries, dtype=object if name.endswith("_passed") or name == ENDED else None)
-    return columns
-
-
-def expect_device(device: str) -> None:
-    """Refuse a device that this machine or installation does not have.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
-    if device != "cpu":
-        raise InputError(f"--device {device}: runs are flown on the processor alone; expected cpu")
+    flown = simulation.fly(
+        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
+    )
+    return {**columns, **_outcomes(scenarios, flown)}
 
 
 def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
@@ -79,44 +67,35 @@ def trajectory(plan: Plan, scenario: Scenario) -> Trajectory:
     ArgumentError
         The controllers do not fit the plant.
     """
-    from platform_ctrl.simulation import simulate
+    from platform_ctrl import simulation
 
-    n = len(scenario.platform.gimbals)
-    caged = scenario.mode == "caged"
-    roots = {t.name for t in scenario.platform.torquers if t.root_axis is not None}
-    return simulate(
-        scenario.platform,
-        [K for K in plan.controllers if not (caged and roots & set(K.output_labels))],
-        period=plan.job.sampling.period,
-        delay=scenario.delay,
-        duration=scenario.duration,
-        mode=scenario.mode,
-        Omega_profile=scenario.profile if caged else None,
-        root_torque=None if caged else scenario.torque,
-        seed=int(np.random.SeedSequence((scenario.seed, scenario.run)).generate_state(1, np.uint64)[0]),
-        step=plan.step,
-        q=scenario.q if len(scenario.q) else np.zeros(n),
-        rate=scenario.rate if len(scenario.rate) else np.zeros(n),
-        Omega=None if caged else scenario.Omega,
-        attitude=scenario.attitude,
-        spin=scenario.spin,
-    )
+    used = simulation.acting(plan.controllers, scenario.platform, scenario.mode)
+    return simulation.flight(scenario, used, period=plan.job.sampling.period, step=plan.step)
 
 
-def outcome(scenario: Scenario, flown: Trajectory) -> dict[str, Any]:
-    """Return what a run came to, by the names of the columns."""
-    figures = dict.fromkeys(FIGURES, float("inf"))
-    if flown.completed:
-        limits = np.array([np.inf if t.limit is None else t.limit for t in scenario.platform.torquers])
-        figures["angle"] = float(np.abs(flown.q).max(initial=0.0))
-        figures["attitude"] = float(np.abs(flown.attitude_angles).max(initial=0.0))
-        figures["torque_share"] = float((np.abs(flown.command) / limits).max(initial=0.0))
-    answers = {name: figures[name] <= scenario.limits[name] if name in scenario.limits else None for name in FIGURES}
+def _outcomes(scenarios: Sequence[Scenario], flown: Figures) -> dict[str, Array]:
+    """What the runs came to, by the names of the columns."""
+    done = flown.completed
+    found = {
+        "angle": flown.angle.max(axis=1, initial=0.0),
+        "attitude": flown.attitude.max(axis=1, initial=0.0),
+        "torque_share": flown.torque_share.max(axis=1, initial=0.0),
+    }
+    figures = {name: np.where(done, found[name], np.inf) for name in FIGURES}
+    passed = done.copy()
+    answers: dict[str, Array] = {}
+    for name in FIGURES:
+        limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
+        asked = ~np.isnan(limits)
+        met = figures[name] <= np.where(asked, limits, np.inf)
+        passed &= met | ~asked
+        told = [bool(one) if wanted else None for one, wanted in zip(met, asked, strict=True)]
+        answers[f"{name}_passed"] = np.array(told, dtype=object)
     return {
         **figures,
-        "stop_contacts": int(flown.stop_contacts.sum()),
-        "saturated": float(flown.saturated.max(initial=0) / max(len(flown.t), 1)),
-        **{f"{name}_passed": answer for name, answer in answers.items()},
-        PASSED: flown.completed and all(answer is not False for answer in answers.values()),
-        ENDED: flown.ended,
+        "stop_contacts": flown.stop_contacts.sum(axis=1),
+        "saturated": flown.saturated.max(axis=1, initial=0) / np.maximum(flown.samples, 1),
+        **answers,
+        PASSED: passed,
+        ENDED: np.array(flown.ended, dtype=object),
     }

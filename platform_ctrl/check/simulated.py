@@ -10,8 +10,7 @@ import numpy as np
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.requirements import CheckResult, Requirement
-from platform_ctrl.simulation import Trajectory, flight
-from platform_ctrl.simulation.batch import acting
+from platform_ctrl.simulation import Trajectory, acting, flight
 
 if TYPE_CHECKING:
     import control
