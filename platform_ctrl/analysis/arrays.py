@@ -49,7 +49,7 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
         0.0 if dt is None else float(dt),
     )
     for name, item in zip("ABCD", out[:4], strict=True):
-        if not np.all(np.isfinite(item)):
+        if not np.isfinite(item).all():
             raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
     return out
 

@@ -8,10 +8,11 @@ after another, the states between the blocks, is a prefix sum by doubling.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import state_arrays, state_scaling
 from platform_ctrl.arguments import one_of
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 Hold = Literal["zoh", "foh", "impulse"]
 
-# Steps that differ by less than this, relative, are equal.
-EQUAL = 1e-9
+# Steps that differ by less than this are equal: of the step, and of the times, which are rounded.
+EQUAL, ROUNDING = 1e-9, 1e-15
 # Uneven steps whose matrix exponentials are in memory at a time.
 TOGETHER = 256
 
@@ -88,8 +89,7 @@ def time_response(
     direct = C @ B if hold == "impulse" else D
     steps = np.diff(times)
     step = float(times[-1] - times[0]) / steps.size
-    # The times are rounded as well.
-    if np.abs(steps - step).max() > EQUAL * step + 4.0 * np.finfo(float).eps * np.abs(times).max():
+    if np.abs(steps - step).max() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1])):
         return C @ _one_by_one(A, B, steps, hold, u, x0) + direct @ u
     transition, now, next_ = step_matrices(A, B, step, hold)
     # x - next_ u in place of x: its next value needs no input but the present one.
@@ -152,16 +152,17 @@ def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: Fl
     blocks = -(-N // L)
     with np.errstate(all="ignore"):
         # C A^k from the top down and A^k B from the right to the left.
-        seen, driven, power = C, B, A
-        for _ in range(doublings):
-            seen = np.concatenate([seen, seen @ power])
-            driven = np.concatenate([power @ driven, driven], axis=1)
+        seen, driven, power = np.empty((L * p, n)), np.empty((n, L * m)), A
+        seen[:p], driven[:, (L - 1) * m :] = C, B
+        for k in range(doublings):
+            rows, columns = p << k, m << k
+            np.matmul(seen[:rows], power, out=seen[rows : 2 * rows])
+            driven[:, (L * m - 2 * columns) : (L * m - columns)] = power @ driven[:, L * m - columns :]
             power = power @ power
         impulse = np.zeros((2 * L - 1, p, m))
         impulse[L - 1] = D
         impulse[L:] = (seen[: (L - 1) * p] @ B).reshape(L - 1, p, m)
-        row, column = np.ogrid[:L, :L]
-        within = impulse[L - 1 + row - column].transpose(0, 2, 1, 3).reshape(L * p, L * m)
+        within = impulse[_delays(L)].transpose(0, 2, 1, 3).reshape(L * p, L * m)
         padded = np.zeros((m, blocks * L))
         padded[:, :N] = u
         stacked = padded.reshape(m, blocks, L).transpose(2, 0, 1).reshape(L * m, blocks)
@@ -171,6 +172,12 @@ def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: Fl
         _accumulate(x, power)
         y = seen @ x + within @ stacked
     return np.ascontiguousarray(y.reshape(L, p, blocks).transpose(1, 2, 0).reshape(p, blocks * L)[:, :N])
+
+
+@lru_cache(maxsize=8)
+def _delays(L: int) -> NDArray[np.int64]:
+    """Return row - column of an (L, L) matrix, counted from L - 1."""
+    return np.arange(L - 1, 2 * L - 1)[:, None] - np.arange(L)
 
 
 def _accumulate(x: FloatArray, power: FloatArray) -> None:
