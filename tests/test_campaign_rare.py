@@ -2,14 +2,47 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from scipy import stats
 
+import platform_ctrl as pc
 from platform_ctrl.campaign.cross_entropy import nearest_mixture
+from platform_ctrl.campaign.flight import fly
+from platform_ctrl.campaign.plan import plan
 from platform_ctrl.campaign.rare_events import rare_event
+from platform_ctrl.campaign.rare_flights import flown_ratios, rare_probability
+from platform_ctrl.cli import main
 from platform_ctrl.errors import ArgumentError, SimulationError
 
+TURN = {"mode": "caged", "rate": 0.1, "rise": 0.01, "hold": 0.0, "duration": 0.02}
+JOB = {
+    "schema": 1,
+    "name": "short turns",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 1976},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "classical",
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30}],
+        }
+    ],
+    "manoeuvre": [
+        {"name": "about 3", "axis": 3, **TURN, "limits": {"angle": 0.0014}},
+        {"name": "about 1", "axis": 1, **TURN, "limits": {"torque_share": 1.0}},
+    ],
+    "campaign": {
+        "runs": 24,
+        "seed": 3,
+        "vary": [{"parameter": "manoeuvre.rate", "distribution": "normal", "deviation": 0.1, "relative": True}],
+    },
+}
 METHODS = ("splitting", "cross-entropy")
 
 
@@ -163,3 +196,61 @@ def test_the_mixture_finds_two_clouds_and_its_weights_add_up_to_one():
     drawn = mixture.draw(200_000, rng)
     assert mixture.weights(drawn).mean() == pytest.approx(1.0, abs=0.02)
     assert mixture.weights(drawn).max() <= 10.0 + 1e-9
+
+
+@pytest.fixture(scope="module")
+def planned():
+    job = pc.read_job(JOB)
+    return plan(job, [outcome.closed.controller for outcome in pc.design.loops(job)])
+
+
+def test_the_runs_of_a_rare_event_are_those_of_the_campaign(planned):
+    columns = fly(planned, range(24))
+    turned = columns["manoeuvre"] == "about 3"
+    expected = np.where(turned, columns["angle"] / 0.0014, columns["torque_share"])
+    scenarios = planned.scenarios(0, 24)
+    np.testing.assert_allclose(flown_ratios(planned, scenarios), expected, rtol=1e-9)
+    # Where the angle is not asked it is not violated.
+    alone = flown_ratios(planned, scenarios, "angle")
+    np.testing.assert_allclose(alone, np.where(turned, expected, 0.0), rtol=1e-9)
+
+
+def test_a_rare_event_of_a_campaign_tells_which_inputs_to_fly_again(planned):
+    found = rare_probability(planned, "angle", samples=60, repetitions=2)
+    assert found.requirement == "angle"
+    assert found.evaluations >= 120
+    for point in found.violations[:3]:
+        assert point.run >= planned.runs
+        inputs = planned.inputs_at(point.u[None, :])
+        assert inputs["manoeuvre"][0] == "about 3"
+        again = flown_ratios(planned, planned.scenarios_with(inputs, [point.run]), "angle")[0]
+        assert again == pytest.approx(point.ratio, rel=1e-9)
+    with pytest.raises(ArgumentError, match="expected one of 'angle', 'torque_share'"):
+        rare_probability(planned, "attitude")
+
+
+def test_the_command_writes_statistics_page_and_rare_event(planned, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    from platform_ctrl.report.record import toml
+
+    (tmp_path / "job.toml").write_text(toml(JOB), encoding="utf-8")
+    K = planned.controllers[0]
+    controller = {"name": "9-10", "method": "given", "dt": float(K.dt), "delay": 0.0005, "claims": {}}
+    controller |= {name: np.asarray(getattr(K, name)).tolist() for name in "ABCD"}
+    controller |= {"inputs": list(K.input_labels), "outputs": list(K.output_labels)}
+    (tmp_path / "mine.json").write_text(json.dumps({"schema": 1, "controllers": [controller]}), encoding="utf-8")
+    command = ["campaign", "job.toml", "--controllers", "mine.json", "--workers", "1", "-q"]
+    assert main([*command, "--rare", "attitude"]) == 2
+    assert "expected any, angle, torque_share" in capsys.readouterr().err
+    code = main([*command, "--rare", "any", "--runs-per-level", "50"])
+    record = json.loads((tmp_path / "campaign" / "campaign.json").read_text(encoding="utf-8"))
+    found = record["statistics"]
+    assert code == (0 if found["passed"] else 1)
+    assert found["violation"]["runs"] == found["runs"] == 24
+    assert record["rare"][0]["requirement"] == "any"
+    page = (tmp_path / "campaign" / "campaign.html").read_text(encoding="utf-8")
+    assert "platform-ctrl simulate job.toml --controllers mine.json --run" in page
+    assert "platform-ctrl campaign job.toml --rare any --controllers mine.json" in page
+    printed = capsys.readouterr().out
+    assert "rare event: any requirement" in printed
+    assert "page: campaign/campaign.html" in printed

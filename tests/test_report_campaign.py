@@ -192,7 +192,9 @@ def test_a_rare_event_tells_its_interval_and_what_has_to_come_together(page, sum
     drawn = html.unescape(page[page.index('id="rare"') : page.index('id="figures"')])
     assert tables.chances(rare.low, rare.high) in drawn
     assert tables.moved(summary.plan, rare)[0][0] == "rotor.11.angular_momentum"
-    assert drawn.count("<tr>") >= 3 + len(rare.violations[:5])
+    for one in rare.violations[:5]:
+        assert f"{one.distance:.2f} σ" in drawn
+        assert f'<td class="number">{one.run}</td>' in drawn
 
 
 def test_every_input_and_ending_is_listed(page):

@@ -37,6 +37,7 @@ _FRESH_NOISE = 0.5
 _SHARE = 0.1
 _MOST_LEVELS = 15
 _KEPT = 10
+FEWEST_SAMPLES = 50
 
 
 @value
@@ -175,10 +176,10 @@ def rare_event(
         A figure is not a number: a run could not be carried out.
     """
     one_of("method", method, ("splitting", "cross-entropy"))
-    if samples < 50 or repetitions < 2 or dimension < 0:
+    if samples < FEWEST_SAMPLES or repetitions < 2 or dimension < 0:
         raise ArgumentError(
             f"rare event: given {samples} samples and {repetitions} repetitions of {dimension} inputs; expected at "
-            "least 50 and 2 of 0 or more"
+            f"least {FEWEST_SAMPLES} and 2 of 0 or more"
         )
     flights = Flights(figures, first_run)
     estimates, points = [], []

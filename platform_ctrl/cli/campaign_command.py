@@ -31,7 +31,10 @@ def campaign(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder for campaign.parquet and campaign.json; made if needed."
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
         ),
     ] = CAMPAIGN,
     controllers: Controllers = None,
@@ -68,23 +71,47 @@ def campaign(
         ),
     ] = None,
     restart: Annotated[bool, typer.Option("--restart", help="Forget what is in DIR, and begin anew.")] = False,
+    rare: Annotated[
+        str | None,
+        typer.Option(
+            "--rare",
+            metavar="any|angle|attitude|torque_share",
+            help="After the campaign's runs, fly those that a probability too small to be counted needs: that this "
+            "requirement is violated, or any.",
+            show_default=False,
+        ),
+    ] = None,
+    runs_per_level: Annotated[
+        int, typer.Option("--runs-per-level", metavar="N", help="Of --rare: a level takes a tenth of the probability.")
+    ] = 1000,
+    rare_method: Annotated[
+        str,
+        typer.Option(
+            "--rare-method",
+            metavar="splitting|cross-entropy",
+            help="cross-entropy: splitting, then weighted runs; surer where ten inputs or fewer vary.",
+        ),
+    ] = "splitting",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
     """Fly many runs of a job, with everything that its [campaign] says may vary.
 
-    The controllers exist already. Writes campaign.parquet, one row a run: inputs, figures, verdicts, how it ended; and
-    campaign.json. Stopped or killed at any moment, the same command goes on; with a larger --runs a campaign that is
+    The controllers exist already. Writes campaign.parquet, one row a run: inputs, figures, verdicts, how it ended;
+    campaign.json and the page campaign.html: how probable it is that a requirement is violated, what drives it, and
+    the worst runs. Stopped or killed at any moment, the same command goes on; with a larger --runs a campaign that is
     done is made longer. A run that diverges or cannot be flown has a row that says so.
 
     \b
     platform-ctrl campaign job.toml --runs 10000
     platform-ctrl campaign job.toml --runs 10000 -o night --controllers mine.json
     platform-ctrl campaign job.toml --scheduler tcp://big-machine:8786
+    platform-ctrl campaign job.toml --rare angle               a probability too small to be counted
     platform-ctrl simulate job.toml --run 4711                 one of its runs again, with a figure
 
     Exit code 1 if a run did not meet its limits, diverged or was not flown.
     """  # noqa: D301
+    from platform_ctrl.cli.campaign_outcome import PAGE, delivered, expect_rare, rare_found
     from platform_ctrl.cli.campaign_progress import campaign_progress
     from platform_ctrl.cli.terminal import progress
 
@@ -96,7 +123,8 @@ def campaign(
         from platform_ctrl.check.given import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
-        prepared(out, ("campaign.parquet", "campaign.json"))
+        expect_rare(made, rare, runs_per_level, rare_method)
+        prepared(out, ("campaign.parquet", "campaign.json", PAGE))
     done = 0
 
     def noted(kept: int, amiss: int) -> None:
@@ -119,18 +147,35 @@ def campaign(
     except KeyboardInterrupt:
         typer.echo(f"stopped: {done} of {made.runs} runs are kept in {out}; the same command goes on", err=True)
         raise
-    _show(flown, as_json)
-    return 0 if flown.passed else 1
-
-
-def _show(flown: Campaigned, as_json: bool) -> None:
+    given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
+    files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
+    numbers = {"--runs": runs, "--seed": seed, "--sampling": sampling, "--rare": rare}
+    words = [str(word) for option, one in numbers.items() if one is not None for word in (option, one)]
+    with progress(quiet or as_json, f"reading {flown.table}") as say:
+        found = rare_found(made, rare, runs_per_level, rare_method, workers=workers, device=device, say=say)
+        say(f"drawing the page: {out / PAGE}")
+        summary, record = delivered(
+            made,
+            flown,
+            found,
+            command=["platform-ctrl", "campaign", str(job), *words, *files],
+            again=["platform-ctrl", "simulate", str(job), *files, "--run"],
+        )
     if as_json:
         from platform_ctrl.check.records import laid_out
 
-        typer.echo(laid_out(flown.record))
-        return
+        typer.echo(laid_out(record))
+    else:
+        from platform_ctrl.cli.campaign_tables import show_campaign
+
+        show_campaign(summary)
+        _show_files(flown, out / PAGE)
+    return 0 if flown.passed else 1
+
+
+def _show_files(flown: Campaigned, page: Path) -> None:
     counts: dict[str, Any] = flown.counts
     typer.echo(f"{flown.record['runs']:,} runs: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
     for reason, number in flown.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
-    typer.echo(f"runs: {flown.table}, counts: {flown.table.with_suffix('.json')}")
+    typer.echo(f"page: {page}, runs: {flown.table}, figures: {flown.table.with_suffix('.json')}")

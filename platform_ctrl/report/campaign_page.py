@@ -15,12 +15,14 @@ from platform_ctrl.campaign.table import FIGURES, PASSED
 from platform_ctrl.frozen import value
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report.document import Plate
-from platform_ctrl.report.quantities import plain, power_of_ten
+from platform_ctrl.report.quantities import MINUS, plain, power_of_ten
 from platform_ctrl.report.record import job_data, toml, versions
 from platform_ctrl.writing import write_whole
 
 # Of a small picture beside a number, in pixels.
 _SCALE_WIDTH = 150.0
+# Violations of a rare event that are shown.
+_MOST_PROBABLE = 5
 
 
 @value
@@ -170,17 +172,21 @@ def _within(summary: Summary) -> tuple[list[str], list[tuple[str, list[str]]]]:
 
 def _rare(summary: Summary, rare: RareResult) -> dict[str, Any]:
     names = summary.plan.input_names
-    largest = max((abs(float(x)) for x in rare.shift), default=1.0) or 1.0
-    points = []
-    for point in rare.violations[:5]:
-        inputs = {name: column[0].item() for name, column in summary.plan.inputs_at(point.u[None, :]).items()}
-        points.append((point, [tables.input_words(inputs[name]) for name in names]))
+    shifts = tables.moved(summary.plan, rare)
+    largest = max((abs(shift) for _, shift in shifts), default=0.0) or 1.0
+    shown = rare.violations[:_MOST_PROBABLE]
+    inputs = [summary.plan.inputs_at(one.u[None, :]) for one in shown]
+    points = [
+        ("distance", [f"{one.distance:.2f} σ" for one in shown]),
+        ("over limit", ["diverged" if math.isinf(one.ratio) else plain(one.ratio, 4) for one in shown]),
+        *((name, [tables.input_words(one[name][0].item()) for one in inputs]) for name in names),
+        ("noise of run", [f"{one.run}" for one in shown]),
+    ]
     return {
         "words": tables.rare_words(rare),
         "rows": tables.rare_rows(rare),
-        "moved": [(name, plain(shift, 3), shift / largest) for name, shift in tables.moved(summary.plan, rare)],
-        "names": names,
-        "points": points,
+        "moved": [(name, f"{shift:+.1f}".replace("-", MINUS), shift / largest) for name, shift in shifts],
+        "points": points if shown else [],
         "levels": [[plain(float(level), 3) for level in one.levels] for one in rare.repetitions],
         "repetitions": rare.repetitions,
         "chances": [tables.chance(one.probability) for one in rare.repetitions],

@@ -11,7 +11,7 @@ from platform_ctrl.campaign.rare_events import RareResult
 from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
 from platform_ctrl.campaign.statistics import RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import FIGURES, PASSED
+from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.campaign.worst import RunFigure
 from platform_ctrl.frozen import value
 from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity
@@ -156,8 +156,8 @@ def rare_words(rare: RareResult) -> str:
     """Return a rare event's probability in words."""
     name = requirement_name(rare.requirement)
     if not rare.reached:
-        return f"{name} was never violated: probability below about {chance(rare.high)}"
-    return f"{name} is violated with probability {chance(rare.probability)}, {chances(rare.low, rare.high)}"
+        return f"{name}: never violated, probability below about {chance(rare.high)}"
+    return f"{name}: violated with probability {chance(rare.probability)}, {chances(rare.low, rare.high)}"
 
 
 def influence_rows(one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
@@ -219,7 +219,7 @@ def all_drivers(summary: Summary) -> list[str]:
     strongest: dict[str, float] = {}
     for one in summary.sensitivities:
         for single in one.influences:
-            if one.manoeuvre is None and single.driver and single.parameter != "manoeuvre":
+            if one.manoeuvre is None and single.driver and single.parameter != MANOEUVRE:
                 strongest[single.parameter] = max(strongest.get(single.parameter, 0.0), single.index)
     return sorted(strongest, key=lambda name: -strongest[name])[:4]
 
@@ -265,14 +265,20 @@ def ending_rows(summary: Summary) -> list[tuple[str, str, str]]:
 
 
 def moved(plan: Plan, rare: RareResult, most: int = 8) -> list[tuple[str, float]]:
-    """Return the inputs that violating runs have moved most, in standard deviations."""
+    """Return the inputs that violating runs have moved most, in standard deviations; a fault's towards happening.
+
+    Manoeuvres have no order: they are left out.
+    """
+    faults = {f"fault.{one.fault}" for one in plan.campaign.faults}
     named = zip(plan.input_names, rare.shift.tolist(), strict=True)
-    return sorted(named, key=lambda item: -abs(item[1]))[:most] if rare.violations else []
+    shifts = [(name, -shift if name in faults else shift) for name, shift in named if name != MANOEUVRE]
+    return sorted(shifts, key=lambda item: -abs(item[1]))[:most] if rare.violations else []
 
 
 def moved_words(plan: Plan, rare: RareResult) -> str:
-    """Return them in a line."""
-    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in moved(plan, rare, 4))
+    """Return those that moved by half a standard deviation, in a line."""
+    told = [(name, shift) for name, shift in moved(plan, rare, 4) if abs(shift) >= 0.5]
+    return ", ".join(f"{name} {shift:+.1f} σ".replace("-", MINUS) for name, shift in told)
 
 
 def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
