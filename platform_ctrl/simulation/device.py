@@ -51,7 +51,9 @@ def _cuda() -> Any:
     with _told():
         cuda = import_module("numba.cuda")
         if not cuda.is_available():
-            raise SimulationError("device 'cuda': no CUDA GPU with its driver was found here; expected one, or device 'cpu'")
+            raise SimulationError(
+                "device 'cuda': no CUDA GPU with its driver was found here; expected one, or device 'cpu'"
+            )
     return cuda
 
 

@@ -83,6 +83,7 @@ from platform_ctrl.simulation.kernel.body import (
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential, hyperbolic_tangent
 from platform_ctrl.simulation.kernel.lanes import (
     Number,
+    apart,
     choose,
     greater,
     inlined,
@@ -454,6 +455,7 @@ def derivative(
     not turn: qdot = const (free root) or qdot = 0 (prescribed Omega; its momentum then means nothing). With `bare`
     rotors and force elements are left out.
     """
+    apart()
     n = at.n
     torque = dy + n + 3  # the joints' torques, where their accelerations come to stand
     _outward(links, mem, lane, at, free, bare, y, around)
@@ -545,6 +547,7 @@ def runge_kutta(
     links: Links, mem: FloatArray, lane: int, at: At, free: bool, locking: bool, y: int, step: Number
 ) -> None:
     """One step of the classical Runge-Kutta method, in place; three blocks of surroundings hold what acts."""
+    apart()
     n, size = at.n, at.size
     now, dy, total = at.stages, at.stages + size, at.stages + 2 * size
     block = at.block

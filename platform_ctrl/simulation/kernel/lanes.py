@@ -84,8 +84,9 @@ def compiled(function: F) -> F:
         dispatcher = _njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
         return cast(F, _njit(**_OPTIONS)(function))
-    # By itself numba looks at the function's own file alone and would go on with old code of the other files.
-    dispatcher._cache._cache_file._source_stamp = _stamp()
+    if dispatcher is not function:  # with NUMBA_DISABLE_JIT it is
+        # By itself numba looks at the function's own file alone and would go on with old code of the other files.
+        dispatcher._cache._cache_file._source_stamp = _stamp()
     return cast(F, dispatcher)
 
 
@@ -101,6 +102,25 @@ def internal(function: F) -> F:
 def inlined(function: F) -> F:
     """Compile into every caller."""
     return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
+
+
+def apart() -> None:
+    """Said first by a function that many call: on a graphics processor it stays one, not copied into its callers."""
+
+
+@intrinsic
+def _not_inlined(typing: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        if "nvptx" in builder.module.triple:
+            builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.none(), generate
+
+
+@overload(apart, inline="always", strict=False)
+def _apart() -> Any:
+    return lambda: _not_inlined()
 
 
 def memory(slots: int, columns: int = LANES) -> FloatArray:

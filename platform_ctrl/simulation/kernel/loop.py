@@ -49,6 +49,7 @@ from platform_ctrl.simulation.kernel.lanes import (
     Mask,
     Number,
     anywhere,
+    apart,
     choose,
     compiled,
     greater,
@@ -353,6 +354,7 @@ def _segment(
     contact: bool,
 ) -> bool:
     """Integrate over one segment of a period; return whether any gimbal lies on a stop at its end."""
+    apart()
     step = load(mem, flight.segments + segment, lane)
     nu = shared.targets.shape[0]
     contacts = flight.figures + at.n + 3 + 2 * nu

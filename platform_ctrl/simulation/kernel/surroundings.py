@@ -30,6 +30,7 @@ from platform_ctrl.simulation.kernel.flight import (
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential
 from platform_ctrl.simulation.kernel.lanes import (
     Number,
+    apart,
     choose,
     columns,
     greater,
@@ -161,6 +162,7 @@ def surround(
     t: Number,
 ) -> None:
     """Fill block `row` with what acts at t; with `turning`, vibrations go on by half a substep of the segment."""
+    apart()
     n, block = at.n, at.surroundings + row * at.block
     zero = 0.0 * t
     Omega, force = block + n + 3, block + n + 6
