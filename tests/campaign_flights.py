@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.campaign.columns import kinds_of, schema_of, table_of
+from platform_ctrl.campaign.engine import Campaigned
 from platform_ctrl.campaign.flight import inputs_of
 from platform_ctrl.campaign.plan import Plan, plan
 from platform_ctrl.errors import SimulationError
@@ -54,9 +56,11 @@ def planned(**options: Any) -> Plan:
     return plan(read_job(JOB), (), **options)
 
 
-def flown_quickly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Any]:
-    """Figures made up out of the inputs; the mishaps of the environment's CAMPAIGN_MISHAPS happen first."""
-    mishaps = json.loads(os.environ.get("CAMPAIGN_MISHAPS", "{}"))
+def flown_quickly(
+    plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu", mishaps: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Figures made up out of the inputs; `mishaps`, or those of the environment's CAMPAIGN_MISHAPS, happen first."""
+    mishaps = json.loads(os.environ.get("CAMPAIGN_MISHAPS", "{}")) if mishaps is None else mishaps
     time.sleep(mishaps.get("seconds", 0.0) * len(runs))
     if set(runs) & set(mishaps.get("dies", ())):
         os._exit(9)
@@ -88,3 +92,19 @@ def flown_quickly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: 
         "passed": passed,
         "ended": np.where(diverged, "diverged at t = 0.01 s", "completed").astype(object),
     }
+
+
+def undisturbed(plan: Plan) -> list[dict[str, Any]]:
+    """All runs flown here at once: the rows of a campaign in which nothing goes wrong."""
+    listed: list[dict[str, Any]] = table_of(
+        flown_quickly(plan, range(plan.runs)), schema_of(kinds_of(plan), {})
+    ).to_pylist()
+    return listed
+
+
+def rows(found: Campaigned) -> list[dict[str, Any]]:
+    """The rows of a campaign's table."""
+    import pyarrow.parquet
+
+    listed: list[dict[str, Any]] = pyarrow.parquet.read_table(found.table).to_pylist()
+    return listed

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from campaign_flights import JOB, flown_quickly, planned
-from platform_ctrl.campaign.columns import Columns, Fly, flown, kinds_of, schema_of, table_of
+from campaign_flights import JOB, flown_quickly, planned, rows, undisturbed
+from platform_ctrl.campaign.columns import Columns, Fly, flown
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
 from platform_ctrl.campaign.lock import locked
 from platform_ctrl.campaign.pieces import Pieces
@@ -36,20 +36,6 @@ RUNS = 200
 
 def carried_out(made: Plan, folder: Path, **options: Any) -> Campaigned:
     return run_campaign(made, folder, **{"workers": 1, "fly": flown_quickly} | options)
-
-
-def rows(found: Campaigned) -> list[dict[str, Any]]:
-    import pyarrow.parquet
-
-    listed: list[dict[str, Any]] = pyarrow.parquet.read_table(found.table).to_pylist()
-    return listed
-
-
-def undisturbed(made: Plan, **mishaps: Any) -> list[dict[str, Any]]:
-    """All runs flown here at once."""
-    columns = flown_quickly(made, range(made.runs))
-    listed: list[dict[str, Any]] = table_of(columns, schema_of(kinds_of(made), {})).to_pylist()
-    return listed
 
 
 @pytest.fixture
@@ -160,6 +146,7 @@ def test_killed_at_any_moment_it_goes_on_and_no_run_is_lost_or_flown_twice(
             time.sleep(0.02)
         assert not _alive(pid)
 
+    mishaps(log=str(log))
     log.unlink()
     found = carried_out(made, folder)
     again = [int(line.split()[0]) for line in log.read_text().splitlines()]
@@ -183,7 +170,7 @@ def _alive(pid: int) -> bool:
 def test_a_run_that_workers_die_of_is_isolated_and_the_others_are_flown(
     tmp_path: Path, mishaps: Callable[..., None]
 ) -> None:
-    made = planned(runs=RUNS)
+    made = planned(runs=64)
     expected = undisturbed(made)
     mishaps(dies=[37])
     found = carried_out(made, tmp_path, workers=2)

@@ -14,7 +14,6 @@ from platform_ctrl.campaign.parcel import packed, unpacked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.workers import DIED
 from platform_ctrl.errors import InputError, SimulationError
-from platform_ctrl.reading.mistakes import one_line
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -33,8 +32,9 @@ def flown_by_cluster(
 ) -> Iterator[tuple[range, Columns]]:
     """Fly all pieces on the workers of a Dask scheduler and yield them with their columns as they are done.
 
-    The plan is sent once. A piece whose workers died more often than the scheduler allows is flown again in parts;
-    a run that is alone then is given up and recorded as not flown.
+    The plan is sent once. A piece whose workers died more often than the scheduler allows is flown again in parts. The
+    scheduler blames whatever a lost worker had, also what only waited there: a single run that is blamed is flown again
+    when nothing else is under way, and if it is blamed then, it is recorded as not flown.
 
     Raises
     ------
@@ -71,6 +71,8 @@ class _Cluster:
         self._pieces, self._fly, self._device = pieces, fly, device
         self._address, self._say = address, say
         self._under_way: dict[Any, range] = {}
+        self._suspects: list[range] = []
+        self._alone = False
         self._threads = 0
         self._looked = self._seen = float("-inf")
 
@@ -79,9 +81,9 @@ class _Cluster:
         self._look(first=True)
         # As the result of a task, so that the scheduler makes it anew when the workers that hold it are lost.
         shared = self._client.submit(unpacked, packed(self._plan), pure=False, retries=_RETRIES)
-        while self._pieces.waiting or self._under_way:
+        while self._pieces.waiting or self._under_way or self._suspects:
             self._look()
-            while len(self._under_way) < _AHEAD * self._threads and (piece := self._pieces.next()) is not None:
+            while (piece := self._next()) is not None:
                 arguments = (shared, piece, self._fly, self._device, versions())
                 future = self._client.submit(_piece_flown, *arguments, pure=False, retries=_RETRIES)
                 self._under_way[future] = piece
@@ -89,7 +91,8 @@ class _Cluster:
                 time.sleep(0.2)
                 continue
             try:
-                done = distributed.wait(list(self._under_way), timeout=1.0, return_when="FIRST_COMPLETED").done
+                with self._client.as_current():
+                    done = distributed.wait(list(self._under_way), timeout=1.0, return_when="FIRST_COMPLETED").done
             except distributed.TimeoutError:
                 continue
             except distributed.CancelledError:
@@ -97,20 +100,34 @@ class _Cluster:
             for future in done:
                 yield from self._landed(future, self._under_way.pop(future))
 
+    def _next(self) -> range | None:
+        """Return the piece to be sent now, if any."""
+        if self._pieces.waiting:
+            self._alone = False
+            return self._pieces.next() if len(self._under_way) < _AHEAD * self._threads else None
+        if self._suspects and not self._under_way and self._threads:
+            self._alone = True
+            return self._suspects.pop()
+        return None
+
     def _landed(self, future: Any, piece: range) -> Iterator[tuple[range, Columns]]:
         if future.status == "cancelled":
             raise self._gone()
         error = future.exception() if future.status == "error" else None
         if isinstance(error, self._distributed.scheduler.KilledWorker):
-            run = self._pieces.died(piece, surely=True)
-            if run is not None:
-                yield range(run, run + 1), not_flown(self._plan, run, DIED)
+            if len(piece) > 1:
+                self._pieces.died(piece)
+            elif not self._alone:
+                self._suspects.append(piece)
+            else:
+                yield piece, not_flown(self._plan, piece.start, DIED)
         elif isinstance(error, InputError):
             raise error
         elif error is not None:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise SimulationError(
-                f"--scheduler {self._address}: a worker cannot fly: {type(error).__name__}: {one_line(str(error))}; "
-                "the runs so far are kept, the same command goes on"
+                f"--scheduler {self._address}: a worker cannot fly: {reason}; the runs so far are kept, the same command "
+                "goes on"
             )
         else:
             columns, seconds = future.result()
@@ -174,7 +191,7 @@ def _client(distributed: Any, address: str) -> Any:
             warnings.simplefilter("ignore")
             return distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        reason = one_line(" ".join(str(error).split())) or "no answer"
+        reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
             f"--scheduler {address}: {reason}; expected the address of a Dask scheduler, such as tcp://host:8786"
         ) from None

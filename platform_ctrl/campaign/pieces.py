@@ -67,19 +67,12 @@ class Pieces:
         wanted = SECONDS * len(piece) / max(seconds, 1e-6)
         self._size = int(max(self._smallest, min(wanted // LANES * LANES, 2 * self._size, self._largest)))
 
-    def lost(self, piece: range) -> None:
-        """Take back a piece that nobody flew, through no fault of its own."""
-        self._again.append(piece)
-
-    def died(self, piece: range, surely: bool = False) -> int | None:
-        """Take back the piece of a worker that died; return the run that it died of once that is known.
-
-        `surely`: it died more than once already, with this piece alone.
-        """
+    def died(self, piece: range) -> int | None:
+        """Take back the piece of a worker that died; return the run that it died of once that is known."""
         if len(piece) == 1:
             run = piece.start
             self._deaths[run] = self._deaths.get(run, 0) + 1
-            if surely or self._deaths[run] >= _CHANCES:
+            if self._deaths[run] >= _CHANCES:
                 del self._deaths[run]
                 return run
         length = -(-len(piece) // _PARTS)
