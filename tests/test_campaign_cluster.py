@@ -51,7 +51,10 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             "stderr": log,
             "start_new_session": True,
         }
-        processes = [subprocess.Popen([sys.executable, "-m", *command], **options) for command in commands]
+        processes = [
+            subprocess.Popen([sys.executable, "-m", *command], start_new_session=True, **options)
+            for command in commands
+        ]
         try:
             yield where
         finally:

@@ -126,8 +126,8 @@ class _Cluster:
         elif error is not None:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise SimulationError(
-                f"--scheduler {self._address}: a worker cannot fly: {reason}; the runs so far are kept, the same command "
-                "goes on"
+                f"--scheduler {self._address}: a worker cannot fly: {reason}; the runs so far are kept, the same "
+                "command goes on"
             )
         else:
             columns, seconds = future.result()
