@@ -146,8 +146,8 @@ def _resized(block: FloatArray, size: float) -> FloatArray:
 
 
 def _mean_magnitude(array: FloatArray) -> FloatArray:
-    magnitude = np.abs(array)
-    out: FloatArray = magnitude.reshape(-1, *magnitude.shape[-2:]).mean(axis=0) if magnitude.ndim > 2 else magnitude
+    # Signs do not matter to what balances.
+    out: FloatArray = np.abs(array).reshape(-1, *array.shape[-2:]).mean(axis=0) if array.ndim > 2 else array
     return out
 
 

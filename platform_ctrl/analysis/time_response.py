@@ -1,18 +1,12 @@
-"""Responses over time, exact for inputs that are held, linear or impulses between the samples.
-
-With equal steps a block of L samples is one product: its outputs are O x + T u with the state x before it, the inputs u
-of the block, O = [C; C Phi; C Phi²; ...] and the Toeplitz matrix T of the impulse response. What is left to do one
-after another, the states between the blocks, is a prefix sum by doubling.
-"""
+"""Responses over time, exact for inputs that are held, linear or impulses between the samples."""
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import state_arrays, state_scaling
 from platform_ctrl.arguments import one_of
@@ -66,7 +60,7 @@ def time_response(
         impulses would reach an output at once (D is not zero).
     """
     A, B, C, D, dt = state_arrays(system, "time_response")
-    times = _times(timepts, dt)
+    times, steps = _times(timepts, dt)
     u = np.asarray(inputs, dtype=np.float64)
     u = u[None, :] if u.ndim == 1 else u
     if u.shape != (B.shape[1], times.size) or not np.isfinite(u).all():
@@ -87,20 +81,20 @@ def time_response(
     if hold == "impulse" and D.any():
         raise ArgumentError("time_response: hold = 'impulse' and D is not zero, expected D = 0")
     direct = C @ B if hold == "impulse" else D
-    steps = np.diff(times)
     step = float(times[-1] - times[0]) / steps.size
-    if np.abs(steps - step).max() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1])):
+    if steps.max() - steps.min() > EQUAL * step + ROUNDING * max(abs(times[0]), abs(times[-1])):
         return C @ _one_by_one(A, B, steps, hold, u, x0) + direct @ u
     transition, now, next_ = step_matrices(A, B, step, hold)
     # x - next_ u in place of x: its next value needs no input but the present one.
     return _in_blocks(transition, now + transition @ next_, C, direct + C @ next_, u, x0 - next_ @ u[:, 0])
 
 
-def _times(timepts: ArrayLike, dt: float) -> FloatArray:
+def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Return the times and the steps between them."""
     times = np.asarray(timepts, dtype=np.float64)
     if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
         raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
-    steps = np.diff(times)
+    steps = times[1:] - times[:-1]
     if steps.min() <= 0.0:
         raise ArgumentError("time_response: timepts do not increase, expected increasing times")
     if dt > 0.0 and np.abs(steps - dt).max() > 1e-6 * dt:
@@ -108,7 +102,7 @@ def _times(timepts: ArrayLike, dt: float) -> FloatArray:
             f"time_response: timepts has steps of {steps.min():g} to {steps.max():g} s, "
             f"expected equal steps of the system's dt = {dt:g} s"
         )
-    return times
+    return times, steps
 
 
 def step_matrices(
@@ -144,50 +138,13 @@ def step_matrices(
 
 def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
-    (n, m), p, N = B.shape, len(C), u.shape[1]
-    # Products a sample: p m L within a block of L, and n² log2(N) / L between the blocks.
-    wanted = n * math.sqrt(math.log2(N) / max(1, p * m))
-    doublings = min(max(2, round(math.log2(max(1.0, wanted)))), 6)
-    L = 2**doublings
-    blocks = -(-N // L)
-    with np.errstate(all="ignore"):
-        # C A^k from the top down and A^k B from the right to the left.
-        seen, driven, power = np.empty((L * p, n)), np.empty((n, L * m)), A
-        seen[:p], driven[:, (L - 1) * m :] = C, B
-        for k in range(doublings):
-            rows, columns = p << k, m << k
-            np.matmul(seen[:rows], power, out=seen[rows : 2 * rows])
-            driven[:, (L * m - 2 * columns) : (L * m - columns)] = power @ driven[:, L * m - columns :]
-            power = power @ power
-        impulse = np.zeros((2 * L - 1, p, m))
-        impulse[L - 1] = D
-        impulse[L:] = (seen[: (L - 1) * p] @ B).reshape(L - 1, p, m)
-        within = impulse[_delays(L)].transpose(0, 2, 1, 3).reshape(L * p, L * m)
-        padded = np.zeros((m, blocks * L))
-        padded[:, :N] = u
-        stacked = padded.reshape(m, blocks, L).transpose(2, 0, 1).reshape(L * m, blocks)
-        x = np.empty((n, blocks))
-        x[:, 0] = x0
-        x[:, 1:] = driven @ stacked[:, :-1]
-        _accumulate(x, power)
-        y = seen @ x + within @ stacked
-    return np.ascontiguousarray(y.reshape(L, p, blocks).transpose(1, 2, 0).reshape(p, blocks * L)[:, :N])
+    from platform_ctrl.analysis import sample_blocks
 
-
-@lru_cache(maxsize=8)
-def _delays(L: int) -> NDArray[np.int64]:
-    """Return row - column of an (L, L) matrix, counted from L - 1."""
-    return np.arange(L - 1, 2 * L - 1)[:, None] - np.arange(L)
-
-
-def _accumulate(x: FloatArray, power: FloatArray) -> None:
-    """Turn the columns d[0], d[1], ... in place into x[0] = d[0], x[k+1] = power x[k] + d[k+1]."""
-    reach = 1
-    while reach < x.shape[1]:
-        x[:, reach:] += power @ x[:, :-reach]
-        reach *= 2
-        if reach < x.shape[1]:
-            power = power @ power
+    # Products a sample: p m L within a block of L, and n² / L between the blocks.
+    length = len(A) / math.sqrt(max(1, len(C) * B.shape[1]))
+    doublings = min(max(3, round(math.log2(length))), 6)
+    A, B, C, D, u, x0 = map(np.ascontiguousarray, (A, B, C, D, u, x0))
+    return sample_blocks.outputs(A, B, C, D, u, x0, doublings)
 
 
 def _one_by_one(
