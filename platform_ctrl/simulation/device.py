@@ -67,7 +67,7 @@ def _told() -> Iterator[None]:
     """What numba-cuda, the driver or the linker object to becomes an error of ours, in one line."""
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Grid size")  # few runs do not fill a GPU: they need not
+            warnings.filterwarnings("ignore", message=".*Grid size")  # few runs do not fill a GPU: they need not
             yield
     except SimulationError:
         raise

@@ -22,6 +22,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.simulation.kernel.body import At, Links
 from platform_ctrl.simulation.kernel.dynamics import runge_kutta
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
+from platform_ctrl.simulation.kernel.lanes import kept
 from platform_ctrl.simulation.kernel.loop import fly
 
 cuda: Any = import_module("numba.cuda")
@@ -48,6 +49,13 @@ def flight_kernel(flight: Flight, free: bool) -> Any:
     gives of each; a record without rows; `figures` (N, figures), what comes out.
     """
     return _flight(_rounded(flight.end), free)
+
+
+def _compiled(kernel: Any) -> Any:
+    try:
+        return kept(cuda.jit(cache=True)(kernel))
+    except RuntimeError:  # nowhere to keep it
+        return cuda.jit(kernel)
 
 
 def _rounded(slots: int) -> int:
@@ -87,7 +95,7 @@ def _advance(slots: int) -> Any:
         for i in range(at.size):
             states[run, i] = mem[at.state + i, 0]
 
-    return cuda.jit(advance)
+    return _compiled(advance)
 
 
 @cache
@@ -117,4 +125,4 @@ def _flight(slots: int, free: bool) -> Any:
         for i in range(figures.shape[1]):
             figures[run, i] = mem[flight.figures + i, 0]
 
-    return cuda.jit(flight_of_one)
+    return _compiled(flight_of_one)

@@ -84,10 +84,14 @@ def compiled(function: F) -> F:
         dispatcher = _njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # nowhere to keep a cache: compile in every process
         return cast(F, _njit(**_OPTIONS)(function))
-    if dispatcher is not function:  # with NUMBA_DISABLE_JIT it is
-        # By itself numba looks at the function's own file alone and would go on with old code of the other files.
+    return cast(F, kept(dispatcher))
+
+
+def kept(dispatcher: Any) -> Any:
+    """A function that is cached, with all files of the kernel and not its own alone deciding whether that is old."""
+    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
         dispatcher._cache._cache_file._source_stamp = _stamp()
-    return cast(F, dispatcher)
+    return dispatcher
 
 
 def internal(function: F) -> F:
