@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from platform_ctrl.campaign.distribution import RESOLUTION, Distribution
+from platform_ctrl.campaign.influence import influences
 from platform_ctrl.campaign.probability import clopper_pearson
-from platform_ctrl.campaign.sensitivity import influences, sensitivities
+from platform_ctrl.campaign.sensitivity import sensitivities
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.campaign.table import batches, input_names
 from platform_ctrl.errors import ArgumentError, InputError
@@ -272,3 +273,35 @@ def test_two_violations_are_not_explained():
     table = flown(60)
     table["passed"] = np.arange(60) > 1
     assert all(one.figure != "passed" for one in sensitivities(table, LIMITS))
+
+
+def test_nine_violations_that_share_a_rare_fault_are_explained_and_the_fault_alone_is_called_their_driver():
+    rng = np.random.default_rng(10)
+    fault = rng.random(1500) < 0.03
+    inputs = {f"x{k}": rng.random(1500) for k in range(8)} | {"m": rng.choice(["a", "b", "c"], 1500), "fault": fault}
+    violated = np.zeros(1500)
+    violated[np.flatnonzero(fault)[:9]] = 1.0
+    found = influences(inputs, violated)
+    assert [one.parameter for one in found if one.driver] == ["fault"]
+
+
+def test_chance_violations_have_no_driver():
+    rng = np.random.default_rng(11)
+    wrongly = 0
+    for _ in range(60):
+        inputs = {f"x{k}": rng.random(400) for k in range(5)} | {"fault": rng.random(400) < 0.05}
+        violated = np.zeros(400)
+        violated[rng.choice(400, 7, replace=False)] = 1.0
+        wrongly += any(one.driver for one in influences(inputs, violated))
+    assert wrongly <= 4  # 1 % expected; 5 or more of 60 has a chance below 0.1 %
+
+
+def test_a_few_runs_far_out_do_not_hide_what_drives_the_others():
+    table = flown(2000)
+    table["angle"][7] = 0.0015
+    wild = np.flatnonzero(table["dead torquer"])[:8]
+    table["angle"][wild] *= 150.0
+    one = next(one for one in sensitivities(judged(table), LIMITS) if (one.figure, one.manoeuvre) == ("angle", None))
+    assert one.ranked
+    drivers = [single.parameter for single in one.influences if single.driver]
+    assert drivers[:2] == ["rotor.11.spin", "manoeuvre"] or drivers[:2] == ["manoeuvre", "rotor.11.spin"]

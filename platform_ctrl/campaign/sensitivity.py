@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from platform_ctrl.campaign.influence import Influence, influences
 from platform_ctrl.campaign.statistics import NOT_FLOWN, Limits, limits_of
 from platform_ctrl.campaign.table import (
     ENDED,
@@ -21,49 +22,16 @@ from platform_ctrl.campaign.table import (
     column_names,
     input_names,
 )
-from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
 # Runs that are looked at: the first ones of the campaign, in whatever order the table has them.
 MOST_RUNS = 1 << 16
-# An input is called a driver if noise would look like it in fewer than this share of campaigns, over all inputs.
-SIGNIFICANCE = 0.01
 # Fewer violations than this say nothing about what causes them.
-_FEWEST_EVENTS = 20
+_FEWEST_EVENTS = 5
 _FEWEST_RUNS = 16
-_GROUPS = 20
-
-
-@value
-class Influence:
-    """What one input does to one figure.
-
-    Attributes
-    ----------
-    parameter
-        Name of the input.
-    index, low, high
-        First-order Sobol index: the share of the figure's variance that the input explains on its own, and its 95 %
-        interval (jackknife).
-    rank_correlation
-        Spearman's, −1 to 1: the direction of a monotone influence. NaN for words (which manoeuvre).
-    p_value
-        How probable it is that an input without influence looks like this, all inputs of the figure together (Holm).
-    driver
-        Whether that is below 1 %.
-    """
-
-    parameter: str
-    index: float
-    low: float
-    high: float
-    rank_correlation: float
-    p_value: float
-
-    @property
-    def driver(self) -> bool:
-        """Whether chance alone is no explanation."""
-        return bool(self.p_value < SIGNIFICANCE)
+# Where a hundredth of the runs has this share of the variance, the figure's ranks stand for it: what drives a few runs
+# to a hundred times the limit says nothing of the others, and is seen in whether they violate anything.
+_TAIL, _TAIL_SHARE = 0.01, 0.5
 
 
 @value
@@ -79,7 +47,7 @@ class Sensitivity:
     runs
         How many were looked at.
     ranked
-        Whether the figure's ranks stand for it, because it is not finite in some runs.
+        Whether the figure's ranks stand for it, because some runs diverged or a few have most of its variance.
     influences
         All inputs, the strongest first.
     """
@@ -145,57 +113,6 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
     return tuple(found)
 
 
-def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Influence, ...]:
-    """Return what each input does to `output`, the strongest first.
-
-    Parameters
-    ----------
-    inputs
-        Columns of N numbers, of yes and no, or of words; independent of each other, drawn as the campaign draws them.
-    output : (N,)
-        The figure, finite.
-
-    Raises
-    ------
-    ArgumentError
-        The columns do not have one length, or the output is not finite.
-
-    Notes
-    -----
-    The index: the variance of the output's means over classes of equal numbers of runs along the input, with the share
-    that classes of noise would have taken off (the ε² of an analysis of variance), over the whole variance; its
-    interval by leaving out one of 20 groups of runs at a time. Significance: Kruskal and Wallis's test over the same
-    classes and Spearman's, the smaller of the two doubled, then Holm's rule over the inputs; both tests go by ranks and
-    need no normal output.
-    """
-    y = np.asarray(output, dtype=np.float64)
-    columns = {name: np.asarray(column) for name, column in inputs.items()}
-    for name, column in columns.items():
-        if column.shape != y.shape or y.ndim != 1:
-            raise ArgumentError(f"input {name!r}: given shape {column.shape}; expected that of the output, {y.shape}")
-    if not np.isfinite(y).all():
-        raise ArgumentError("output: given a number that is not finite; expected finite ones, or their ranks")
-    from scipy import stats
-
-    ranks = stats.rankdata(y)
-    events = int(min(np.unique(y, return_counts=True)[1].min(), len(y))) if len(np.unique(y)) == 2 else len(y)
-    singles = []
-    for name, column in columns.items():
-        kind, numeric = _classes(column, events)
-        if kind.max(initial=0) == 0:
-            continue  # the same in every run
-        correlation = float(np.corrcoef(stats.rankdata(column.astype(np.float64)), ranks)[0, 1]) if numeric else np.nan
-        singles.append((name, kind, correlation))
-    adjusted = _holm([_p_value(kind, ranks, correlation) for _, kind, correlation in singles])
-    out = []
-    for (name, kind, correlation), p in zip(singles, adjusted, strict=True):
-        index, low, high = _first_order(kind, y)
-        out.append(
-            Influence(parameter=name, index=index, low=low, high=high, rank_correlation=correlation, p_value=float(p))
-        )
-    return tuple(sorted(out, key=lambda one: (-one.index, one.parameter)))
-
-
 def _first_runs(table: Table, names: Sequence[str]) -> dict[str, Array]:
     present = column_names(table)
     figures = [name for name in FIGURES if name in present]
@@ -237,83 +154,15 @@ def _sensitivity(
         return None
     from scipy import stats
 
-    ranked = not bool(np.isfinite(output).all())
+    ranked = figure != PASSED and _far_out(output)
     used = stats.rankdata(np.where(np.isfinite(output), output, np.inf)) if ranked else output
     found = influences(inputs, used)
     return Sensitivity(figure=figure, manoeuvre=manoeuvre, runs=len(output), ranked=ranked, influences=found)
 
 
-def _classes(column: Array, events: int) -> tuple[NDArray[np.intp], bool]:
-    """Return each run's class along an input, and whether the input has an order.
-
-    Few different values are a class each. Otherwise classes of equal size: enough to follow the input, few enough
-    that each has runs to average over (and rare events to count).
-    """
-    if column.dtype.kind not in "biuf":
-        return np.unique(column.astype(str), return_inverse=True)[1].astype(np.intp), False
-    values, place = np.unique(column, return_inverse=True)
-    number = int(np.clip(min(np.sqrt(len(column)) / 2.0, events / 5.0), 2, 50))
-    if len(values) <= number:
-        return place.astype(np.intp), True
-    # Equal values stay together: a class ends where a value does.
-    return np.asarray(
-        (number * np.searchsorted(np.sort(column), column, side="left")) // len(column), dtype=np.intp
-    ), True
-
-
-def _first_order(kind: NDArray[np.intp], y: FloatArray) -> tuple[float, float, float]:
-    classes, N = int(kind.max()) + 1, len(y)
-    group = np.arange(N) * _GROUPS // N if N >= 2 * _GROUPS else np.arange(N)
-    groups = int(group.max()) + 1
-    y = y - y.mean()
-    place = group * classes + kind
-    number = np.bincount(place, minlength=groups * classes).reshape(groups, classes).astype(np.float64)
-    total = np.bincount(place, y, minlength=groups * classes).reshape(groups, classes)
-    square = np.bincount(group, y * y, minlength=groups)
-    whole = _corrected(number.sum(axis=0), total.sum(axis=0), square.sum())
-    without = np.array(
-        [
-            _corrected(number.sum(axis=0) - number[g], total.sum(axis=0) - total[g], square.sum() - square[g])
-            for g in range(groups)
-        ]
-    )
-    error = float(np.sqrt((groups - 1) / groups * ((without - without.mean()) ** 2).sum()))
-    return float(np.clip(whole, 0.0, 1.0)), max(whole - 1.96 * error, 0.0), min(max(whole + 1.96 * error, 0.0), 1.0)
-
-
-def _corrected(number: FloatArray, total: FloatArray, square: float) -> float:
-    """Return the share of variance between classes, less what classes of noise would have."""
-    N, classes = number.sum(), int((number > 0).sum())
-    variance = square - total.sum() ** 2 / N
-    if variance <= 0.0 or classes >= N:
-        return 0.0
-    between = float((total[number > 0] ** 2 / number[number > 0]).sum() - total.sum() ** 2 / N)
-    return float(1.0 - (1.0 - between / variance) * (N - 1.0) / (N - classes))
-
-
-def _p_value(kind: NDArray[np.intp], ranks: FloatArray, correlation: float) -> float:
-    """Return the smaller p of both tests, doubled where there are two."""
-    from scipy import stats
-
-    N = len(ranks)
-    number = np.bincount(kind).astype(np.float64)
-    total = np.bincount(kind, ranks - ranks.mean())
-    scatter = float(((ranks - ranks.mean()) ** 2).sum())
-    if scatter == 0.0:
-        return 1.0
-    filled = number > 0
-    statistic = (N - 1.0) * float((total[filled] ** 2 / number[filled]).sum()) / scatter
-    by_class = float(stats.chi2.sf(statistic, int(filled.sum()) - 1))
-    if np.isnan(correlation) or N < 3:
-        return by_class
-    monotone = float(2.0 * stats.norm.sf(abs(correlation) * np.sqrt(N - 1.0)))
-    return min(1.0, 2.0 * min(by_class, monotone))
-
-
-def _holm(p_values: Sequence[float]) -> FloatArray:
-    p = np.asarray(p_values, dtype=np.float64)
-    order = np.argsort(p)
-    adjusted = np.maximum.accumulate(np.minimum((len(p) - np.arange(len(p))) * p[order], 1.0))
-    out = np.empty_like(p)
-    out[order] = adjusted
-    return out
+def _far_out(output: FloatArray) -> bool:
+    """Whether some of the runs diverged, or a few have most of the variance."""
+    if not np.isfinite(output).all():
+        return True
+    square = np.sort((output - output.mean()) ** 2)
+    return bool(square[-max(round(_TAIL * len(square)), 1) :].sum() > _TAIL_SHARE * square.sum())

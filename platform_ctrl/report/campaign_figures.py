@@ -29,7 +29,7 @@ _COLUMNS = 3
 _BINS = 48
 # A limit farther away than this many times the largest figure would squeeze the histogram: it is named instead.
 _FAR = 2.5
-# Figures beyond so many times the limit, or the 99.9 % quantile, are counted and not drawn.
+# Figures beyond so many times the limit, or what 90 % of the runs reach, are counted and not drawn.
 _WILD = 2.0
 # Share of a panel beyond the limit, at least: what is said of it stands there.
 _BEYOND_LIMIT = 0.3
@@ -95,10 +95,8 @@ def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
     spread, limit = _spread(one), one.limit
     assert limit is not None
     factor, unit = handy_unit(FIGURES[name][1], limit)
-    usual = one.quantiles[0.999]
-    usual = usual if np.isfinite(usual) else one.quantiles[0.99]
-    top = spread.largest if np.isfinite(spread.largest) else max(usual, 1.2 * limit)
-    top = min(top, _WILD * max(limit, usual if np.isfinite(usual) else limit))
+    usual = one.quantiles[0.9]
+    top = min(spread.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
     low = spread.smallest if np.isfinite(spread.smallest) and spread.smallest > 0.5 * top else 0.0
     near = limit <= _FAR * max(top, 1e-300)
     low, high = 0.98 * low, 1.04 * top
@@ -117,12 +115,13 @@ def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
     linear_axis(axes.yaxis, 4)
     axes.set_title(str(one.manoeuvre))
     axes.set_xlabel(", ".join(filter(None, [FIGURES[name][0], unit])))
-    _note(axes, one, near, factor, unit)
+    _note(axes, one, near, bool(counts[beyond].any()), factor, unit)
 
 
-def _note(axes: Axes, one: RequirementStatistics, near: bool, factor: float, unit: str) -> None:
+def _note(axes: Axes, one: RequirementStatistics, near: bool, drawn: bool, factor: float, unit: str) -> None:
     assert one.limit is not None
-    text = f"{one.violation.events:,} beyond" if one.violation.events else "none beyond"
+    far = "" if drawn else "far "
+    text = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
     limit = f"{plain(factor * one.limit, 4)} {unit}".rstrip()
     text += "" if near else f" the limit, {limit}"
     axes.annotate(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_events import RareResult
-from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
+from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.statistics import RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
