@@ -15,7 +15,9 @@ import argparse
 import dataclasses
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -83,8 +85,7 @@ def main() -> None:
     except SimulationError as error:
         print(f"skipped: {error}")
         return
-    from numba import cuda
-
+    cuda: Any = import_module("numba.cuda")
     start = time.perf_counter()
     few = manoeuvres(given.seconds)
     made = time.perf_counter() - start
