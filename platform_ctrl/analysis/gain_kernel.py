@@ -41,12 +41,14 @@ def _largest_singular_values(H: ComplexArray, out: FloatArray) -> None:
                         beta += W[j, r].real ** 2 + W[j, r].imag ** 2
                         gamma += W[i, r].conjugate() * W[j, r]
                     size = abs(gamma)
-                    # What a small pair still shares does not reach the largest value's digits.
-                    if size <= 1e-15 * max(alpha, beta, 1e-4):
+                    if size == 0.0:
                         continue
-                    turned = True
                     ratio = (beta - alpha) / (2.0 * size)
                     t = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(1.0 + ratio * ratio))
+                    # What the larger one would gain does not reach the largest value's digits.
+                    if abs(t) * size <= 1e-17 * max(alpha, beta, 1e-2):
+                        continue
+                    turned = True
                     c = 1.0 / math.sqrt(1.0 + t * t)
                     s = c * t
                     phase = gamma.conjugate() / size

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays
 from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
-from platform_ctrl.analysis.diagonal_mu import perturbation
+from platform_ctrl.analysis.diagonal_mu import mu_bounds, perturbation
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm_arrays
@@ -166,12 +166,13 @@ def disk_margin(
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
         return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
-    norm, at = hinf_norm_arrays(*disk)
-    own = search_grid(disk, s, at)
+    norm, at = hinf_norm_arrays(*disk, tolerance=1e-9 if m == 1 else 1e-7)
+    # Between given frequencies few more are needed.
+    own = search_grid(disk, s, at, 15.0 if given is None or len(given) < 100 else 5.0)
     grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
     response = peak.response(grid)
-    bounds = peak.bounds(grid, response, 1e-6)
+    bounds = mu_bounds(response)
     proved = True
     if m == 1:
         peak.mu = peak.lower = norm

@@ -27,6 +27,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # Steps of the power iteration from one start, and after how many it is looked at; Newton steps at most.
 STEPS, CHECKED, LOOKS, CENTRES = 48, 3, 6, 80
+# Largest ratio of two scalings: channels that hardly couple ask for no more.
+FARTHEST = 1e12
 
 
 def _compiled(function: F, **options: Any) -> F:
@@ -52,7 +54,7 @@ def mu_bounds(
     kept = np.ones((2, m), dtype=np.complex128)
     d = np.ones(m)
     work = np.empty((7, m, m), dtype=np.complex128)
-    newton = np.empty((m + 2, m))
+    newton = np.empty((m + 3, m))
     for k in range(N):
         size = 0.0
         for i in range(m):
@@ -68,7 +70,7 @@ def mu_bounds(
             continue
         if not (size > 0.0 and size < math.inf):
             continue
-        # Twice at most: from the neighbour's vectors and scalings, then from the matrix's own.
+        # From the neighbour's vectors and scalings, then from the matrix's own.
         upper[k] = math.inf
         lower[k] = 0.0
         for start in range(0 if k > 0 else 1, 2):
@@ -96,7 +98,11 @@ def mu_bounds(
                 D[k, i] = d[i]
                 for j in range(m):
                     S[i, j] = M[k, i, j] * (d[i] / d[j]) / size
-            lower[k] = min(_restarted(S, vectors, Q[k], lower[k], upper[k] * (1.0 - 2.0 * tolerance)), upper[k])
+            enough = upper[k] * (1.0 - 2.0 * tolerance)
+            lower[k] = _from_centre(S, work, vectors, Q[k], lower[k], enough)
+            if lower[k] < enough:
+                lower[k] = _restarted(S, vectors, Q[k], lower[k], enough)
+            lower[k] = min(lower[k], upper[k])
         for i in range(m):
             kept[0, i] = vectors[0, i]
             kept[1, i] = vectors[1, i]
@@ -122,7 +128,7 @@ def _osborne(M: ComplexArray, d: FloatArray) -> None:
                 if j != i:
                     row += (M[i, j].real ** 2 + M[i, j].imag ** 2) / d[j] ** 2
                     column += (M[j, i].real ** 2 + M[j, i].imag ** 2) * d[j] ** 2
-            d[i] = min(max(math.sqrt(math.sqrt(column / row)), 1e-9), 1e9)
+            d[i] = min(max(math.sqrt(math.sqrt(column / row)), 1e-5), 1e5)
     _centred(d)
 
 
@@ -227,9 +233,11 @@ def _climb(
             for i in range(m):
                 Q[i] = _turn(vectors[0, i], vectors[2, i])
         # Channels that take no part keep the scaling that they came with.
+        most, least = 0.0, math.inf
         for i in range(m):
             D[i] = math.sqrt((_modulus(vectors[3, i]) + 1e-7) / (_modulus(vectors[2, i]) + 1e-7))
-        if _below(S, W, D, beta * (1.0 + tolerance)):
+            most, least = max(most, D[i] * d[i]), min(least, D[i] * d[i])
+        if most <= FARTHEST * least and _below(S, W, D, beta * (1.0 + tolerance)):
             for i in range(m):
                 D[i] *= d[i]
             _centred(D)
@@ -284,6 +292,170 @@ def _reached(S: ComplexArray, vectors: ComplexArray) -> float:
 
 
 @_internal
+def _from_centre(
+    S: ComplexArray, work: ComplexArray, vectors: ComplexArray, Q: ComplexArray, best: float, least: float
+) -> float:
+    """Return the lower bound that the scaled matrix S itself offers at the least upper bound; at least `best`.
+
+    There the weights R say which singular vectors x, y = S x of the largest value have |x_i| = |y_i| in the mean. A
+    single x that has it gives the phases. Two coinciding singular values leave a sphere of x, and each channel asks for
+    a plane through it: up to three channels these planes share a line that meets the sphere.
+    """
+    m = len(S)
+    R, V, X, Y = work[2], work[3], work[4], work[5]
+    _eigenvectors(R, V)
+    first = second = 0
+    for i in range(1, m):
+        if R[i, i].real > R[first, first].real:
+            first = i
+    second = 1 if first == 0 else 0
+    for i in range(m):
+        if i != first and R[i, i].real > R[second, second].real:
+            second = i
+    # The mean in the sphere: only its third coordinate is not zero.
+    mean = (R[first, first].real - R[second, second].real) / (R[first, first].real + R[second, second].real)
+    for i in range(m):
+        X[0, i], X[1, i] = V[i, first], V[i, second]
+    for k in range(2):
+        _times(S, X[k], Y[k])
+    # Each channel's plane: |y_i|^2 - |x_i|^2 for x = u1 X1 + u2 X2, in the point of the sphere that stands for u.
+    planes = np.empty((m, 3))
+    for i in range(m):
+        across = Y[0, i].conjugate() * Y[1, i] - X[0, i].conjugate() * X[1, i]
+        planes[i, 0], planes[i, 1] = across.real, -across.imag
+        planes[i, 2] = 0.5 * (_square(Y[0, i]) - _square(X[0, i]) - _square(Y[1, i]) + _square(X[1, i]))
+    q0, q1, q2, length = 1.0, 0.0, 0.0, 1e-24
+    for i in range(m):
+        for j in range(i):
+            c0 = planes[i, 1] * planes[j, 2] - planes[i, 2] * planes[j, 1]
+            c1 = planes[i, 2] * planes[j, 0] - planes[i, 0] * planes[j, 2]
+            c2 = planes[i, 0] * planes[j, 1] - planes[i, 1] * planes[j, 0]
+            if c0 * c0 + c1 * c1 + c2 * c2 > length:
+                q0, q1, q2, length = c0, c1, c2, c0 * c0 + c1 * c1 + c2 * c2
+    if length > 1e-24:
+        length = 1.0 / math.sqrt(length)
+        q0, q1, q2 = q0 * length, q1 * length, q2 * length
+    along = mean * q2
+    root = math.sqrt(max(along * along - mean * mean + 1.0, 0.0))
+    s = np.empty(3)
+    for choice in range(3):
+        far = -along + root * (1.0 - 2.0 * choice)
+        s[0], s[1], s[2] = far * q0, far * q1, mean + far * q2
+        if choice == 2:
+            s[0], s[1], s[2] = 0.0, 0.0, 1.0
+        one = math.sqrt(max(0.5 * (1.0 + s[2]), 0.0))
+        other = complex(s[0], s[1]) / (2.0 * one) if one > 1e-8 else 1.0 + 0j
+        for i in range(m):
+            x = one * X[0, i] + other * X[1, i]
+            y = one * Y[0, i] + other * Y[1, i]
+            vectors[0, i] = vectors[1, i] = x
+            vectors[2, i] = _turn(x, y)
+        found = _radius(S, vectors[2], vectors[3], vectors[0], work[6], least)
+        if found > best:
+            best = found
+            for i in range(m):
+                Q[i] = vectors[2, i]
+    return best
+
+
+@_internal
+def _square(x: complex) -> float:
+    return x.real * x.real + x.imag * x.imag
+
+
+@_internal
+def _radius(
+    S: ComplexArray, Q: ComplexArray, y: ComplexArray, x: ComplexArray, T: ComplexArray, expected: float
+) -> float:
+    """Return |eigenvalue| of Q S next to x and to `expected` by Rayleigh's iteration; 0 if it does not settle."""
+    m = len(x)
+    value = 0j
+    for step in range(6):
+        top, bottom, rest = 0j, 0.0, 0.0
+        for i in range(m):
+            total = 0j
+            for j in range(m):
+                total += S[i, j] * x[j]
+            y[i] = Q[i] * total
+            top += x[i].conjugate() * y[i]
+            bottom += _square(x[i])
+        value = top / bottom
+        for i in range(m):
+            rest += _square(y[i] - value * x[i])
+        if rest < 1e-26 * bottom:
+            return _modulus(value)
+        if step == 5:
+            break
+        for i in range(m):
+            for j in range(m):
+                T[i, j] = Q[i] * S[i, j]
+            # What is looked for is real: the phases turn y to x. Later steps follow the vector alone.
+            T[i, i] -= expected if step == 0 else value
+            y[i] = x[i]
+        # Elimination with pivots; next to an eigenvalue the last pivot is all but zero, which only makes x large.
+        for k in range(m):
+            at = k
+            for i in range(k + 1, m):
+                if _square(T[i, k]) > _square(T[at, k]):
+                    at = i
+            for j in range(m):
+                T[k, j], T[at, j] = T[at, j], T[k, j]
+            y[k], y[at] = y[at], y[k]
+            if _square(T[k, k]) < 1e-34:
+                T[k, k] = 1e-17
+            for i in range(k + 1, m):
+                factor = T[i, k] / T[k, k]
+                for j in range(k + 1, m):
+                    T[i, j] -= factor * T[k, j]
+                y[i] -= factor * y[k]
+        size = 0.0
+        for i in range(m - 1, -1, -1):
+            for j in range(i + 1, m):
+                y[i] -= T[i, j] * y[j]
+            y[i] /= T[i, i]
+            size += _square(y[i])
+        size = 1.0 / math.sqrt(size)
+        for i in range(m):
+            x[i] = y[i] * size
+    return 0.0
+
+
+@_internal
+def _eigenvectors(R: ComplexArray, V: ComplexArray) -> None:
+    """Turn Hermitian R into its eigenvalues on the diagonal, their vectors in the columns of V (Jacobi)."""
+    m = len(R)
+    for i in range(m):
+        for j in range(m):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(12):
+        off = on = 0.0
+        for i in range(m):
+            on += _square(R[i, i])
+            for j in range(i):
+                off += _square(R[i, j])
+        if off <= 1e-28 * on:
+            return
+        for i in range(m):
+            for j in range(i + 1, m):
+                size = _modulus(R[i, j])
+                if size == 0.0:
+                    continue
+                phase = R[i, j].conjugate() / size
+                ratio = (R[j, j].real - R[i, i].real) / (2.0 * size)
+                t = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(1.0 + ratio * ratio))
+                c = 1.0 / math.sqrt(1.0 + t * t)
+                s = c * t
+                for k in range(m):
+                    x, y = R[k, i], R[k, j] * phase
+                    R[k, i], R[k, j] = c * x - s * y, s * x + c * y
+                    x, y = V[k, i], V[k, j] * phase
+                    V[k, i], V[k, j] = c * x - s * y, s * x + c * y
+                for k in range(m):
+                    x, y = R[i, k], R[j, k] * phase.conjugate()
+                    R[i, k], R[j, k] = c * x - s * y, s * x + c * y
+
+
+@_internal
 def _restarted(S: ComplexArray, vectors: ComplexArray, Q: ComplexArray, best: float, enough: float) -> float:
     """Return the best lower bound of longer power iterations from several starts; at least `best` and |S_ii|."""
     m = len(S)
@@ -325,7 +497,7 @@ def _centres(
     """Return the least largest singular value of D M D^-1 over `size`; d becomes that D."""
     m = len(d)
     N, W, R, RW, WRW, NR, F = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
-    gradient, step, hessian = newton[0], newton[1], newton[2:]
+    gradient, step, kept, hessian = newton[0], newton[1], newton[2], newton[3:]
     for i in range(m):
         d[i] = 1.0
         step[i] = 0.0
@@ -351,6 +523,12 @@ def _centres(
         for i in range(m):
             trace += R[i, i].real
         best = level
+        most, least = 0.0, math.inf
+        for i in range(m):
+            kept[i] = d[i]
+            most, least = max(most, d[i]), min(least, d[i])
+        if most > FARTHEST * least:
+            break
         _product(R, W, RW, False)
         _product(W, RW, WRW, False)
         _product(N, R, NR, False)
@@ -362,6 +540,8 @@ def _centres(
             level -= 0.9 / trace
         for i in range(m):
             d[i] *= math.exp(step[i])
+    for i in range(m):
+        d[i] = kept[i]
     _centred(d)
     return math.sqrt(best)
 

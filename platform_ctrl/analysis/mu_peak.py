@@ -14,8 +14,8 @@ from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.frozen import FloatArray
 
 
-def search_grid(system: StateArrays, s: ComplexArray, peak: float) -> FloatArray:
-    """Return frequencies that follow the closed loop's poles, and about 15 a decade between and beyond them."""
+def search_grid(system: StateArrays, s: ComplexArray, peak: float, density: float = 15.0) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and `density` a decade between and beyond them."""
     own = resonances(s)
     own = own[own > 0.0]
     if own.size == 0:
@@ -25,7 +25,7 @@ def search_grid(system: StateArrays, s: ComplexArray, peak: float) -> FloatArray
         high = math.pi / system.dt
         low = min(low, 1e-3 * high)
     low = max(low, 1e-9 * high)
-    fill = np.geomspace(low, high, 2 + int(15 * math.log10(high / low)))
+    fill = np.geomspace(low, high, 2 + int(density * math.log10(high / low)))
     own = np.append(own, peak) if 0.0 < peak < math.inf else own
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
@@ -70,14 +70,18 @@ class MuPeak:
         tops = tops[mu[tops] >= 0.7 * mu.max()]
         tops = tops[np.argsort(-mu[tops])][:hills]
         left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
+        # What told the hills apart may have been less accurate.
+        self.bounds(grid[tops])
         for _ in range(6):
             fan = np.linspace(left, right, 13, axis=1)
             found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
             hopeful = found.max(axis=1) >= 0.999 * self.mu
             fan, at = fan[hopeful], found[hopeful].argmax(axis=1)
             row = np.arange(len(fan))
-            left, right = fan[row, np.maximum(at - 1, 0)], fan[row, np.minimum(at + 1, 12)]
-            if not row.size:
+            below, above = np.maximum(at - 1, 0), np.minimum(at + 1, fan.shape[1] - 1)
+            left, right = fan[row, below], fan[row, above]
+            lowest = np.minimum(found[hopeful][row, below], found[hopeful][row, above])
+            if np.all(lowest >= self.mu * (1.0 - 1e-8)):
                 break
 
     def prove(self, slack: float = 1e-4, most: int = 80) -> bool:

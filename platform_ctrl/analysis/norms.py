@@ -26,6 +26,9 @@ from platform_ctrl.frozen import FloatArray
 if TYPE_CHECKING:
     import control
 
+# Where a climb looks around the best frequency, in widths.
+FAN = np.linspace(-1.0, 1.0, 15)
+
 
 def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
@@ -98,7 +101,7 @@ def hinf_norm_arrays(
             continue
         # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
         before = best
-        best, frequency = _climbed(axis, s, best, frequency)
+        best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance)
         if best <= before * (1.0 + tolerance):
             break
     return best, frequency
@@ -141,24 +144,31 @@ def gains(system: StateArrays, frequency: FloatArray) -> FloatArray:
     return largest_gains(frequency_response_arrays(*system, frequency))
 
 
-def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float) -> tuple[float, float]:
+def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float]:
     """Return the local maximum near `frequency`: fans of frequencies that contract around the best."""
     if not (math.isfinite(frequency) and math.isfinite(best)) or frequency == 0.0:
         return best, frequency
     # The peak cannot be much narrower than the distance to the nearest pole.
     width = float(np.abs(s[np.isfinite(s)] - 1j * frequency).min(initial=frequency))
-    for _ in range(10):
-        fan = np.abs(frequency + width * np.linspace(-1.0, 1.0, 15))
+    centre = frequency
+    for _ in range(12):
+        fan = np.abs(centre + width * FAN)
         fan = fan[fan <= axis.edge]
         sizes = axis.gains(fan)
         i = int(np.argmax(sizes))
         if sizes[i] > best:
             best, frequency = float(sizes[i]), float(fan[i])
         # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
-        drop = best - float(sizes[max(i - 1, 0) : i + 2].min())
-        if drop <= 1e-11 * best or width < 1e-15 * frequency:
+        three = sizes[max(i - 1, 0) : i + 2]
+        if best - float(three.min()) <= slack * best or width < 1e-15 * frequency:
             break
-        width *= 0.2
+        centre = frequency
+        bend = three[0] + three[-1] - 2.0 * sizes[i] if len(three) == 3 else 0.0
+        if bend < 0.0 and 0 < i < len(fan) - 1:
+            centre += 0.25 * (three[0] - three[-1]) / bend * (fan[i + 1] - fan[i - 1])
+            width *= 0.07
+        else:
+            width *= 0.5
     return best, frequency
 
 
