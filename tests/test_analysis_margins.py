@@ -77,7 +77,8 @@ def test_mu_of_a_diagonal_a_triangular_a_rank_one_and_a_zero_matrix() -> None:
     np.testing.assert_allclose(found.upper[[0, 2, 3]], [2.0, np.sum(np.abs(a * b)), 0.0], rtol=2e-6)
     # The bound 1 is approached, not reached, as the scaling of a triangular matrix grows.
     assert 1.0 <= found.upper[1] < 1.01
-    assert found.lower[1] == pytest.approx(1.0, rel=1e-6)
+    # One triple eigenvalue with one eigenvector: rounding moves it by its cube root.
+    assert found.lower[1] == pytest.approx(1.0, rel=3e-5)
 
 
 def test_mu_of_loops_side_by_side_is_that_of_the_worst_of_them() -> None:

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
 from platform_ctrl.analysis.diagonal_mu import mu_bounds, perturbation
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
-from platform_ctrl.analysis.norms import hinf_norm_arrays
+from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -166,19 +166,23 @@ def disk_margin(
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
         return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
-    norm, at = hinf_norm_arrays(*disk, tolerance=1e-9 if m == 1 else 1e-7)
     # Between given frequencies few more are needed.
-    own = search_grid(disk, s, at, 15.0 if given is None or len(given) < 100 else 5.0)
+    own = search_grid(disk, s, 15.0 if given is None or len(given) < 100 else 5.0)
     grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
     response = peak.response(grid)
-    bounds = mu_bounds(response)
+    bounds, gains = mu_bounds(response), largest_gains(response)
     proved = True
     if m == 1:
+        norm, peak.frequency = hinf_norm_arrays(*disk)
         peak.mu = peak.lower = norm
-        peak.frequency = at
         peak.Q = np.ones(1, dtype=np.complex128)
     else:
+        highest = int(np.argmax(gains))
+        norm, at = float(gains[highest]), float(grid[highest])
+        if len(s):
+            norm, at = peak_gain(peak.axis, s, 1e-7, (norm, at))
+        peak.bounds(np.array([at]))
         peak.climb(grid, bounds.upper)
         proved = peak.prove()
     shown = slice(None) if given is None else np.searchsorted(grid, given)
@@ -190,7 +194,7 @@ def disk_margin(
         proved=proved,
         dt=disk.dt,
         frequencies=grid[shown],
-        response=response[shown],
+        gains=gains[shown],
         mu=(bounds.upper[shown], bounds.lower[shown]),
     )
 
@@ -204,7 +208,7 @@ def _margin(
     proved: bool,
     dt: float,
     frequencies: FloatArray,
-    response: ComplexArray,
+    gains: FloatArray,
     mu: tuple[FloatArray, FloatArray],
 ) -> DiskMargin:
     """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
@@ -212,7 +216,7 @@ def _margin(
     lower = _inverse(peak.mu)
     with np.errstate(divide="ignore"):
         lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
-        unstructured_response = 1.0 / largest_gains(response)
+        unstructured_response = 1.0 / gains
     return DiskMargin(
         alpha=lower,
         lower=lower,
@@ -253,16 +257,16 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
         ) from None
     dt = float(data.dt) if data.dt else 0.0
     peak = MuPeak(StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.zeros((m, m)), dt))
-    bounds = peak.bounds(grid, response, 1e-6)
+    bounds, gains = peak.bounds(grid, response, 1e-6), largest_gains(response)
     return _margin(
         peak,
         response[np.searchsorted(grid, peak.frequency)],
-        float(largest_gains(response).max()),
+        float(gains.max()),
         skew=float(skew),
         proved=False,
         dt=dt,
         frequencies=grid,
-        response=response,
+        gains=gains,
         mu=(bounds.upper, bounds.lower),
     )
 

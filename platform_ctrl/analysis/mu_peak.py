@@ -14,7 +14,7 @@ from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.frozen import FloatArray
 
 
-def search_grid(system: StateArrays, s: ComplexArray, peak: float, density: float = 15.0) -> FloatArray:
+def search_grid(system: StateArrays, s: ComplexArray, density: float) -> FloatArray:
     """Return frequencies that follow the closed loop's poles, and `density` a decade between and beyond them."""
     own = resonances(s)
     own = own[own > 0.0]
@@ -26,7 +26,6 @@ def search_grid(system: StateArrays, s: ComplexArray, peak: float, density: floa
         low = min(low, 1e-3 * high)
     low = max(low, 1e-9 * high)
     fill = np.geomspace(low, high, 2 + int(density * math.log10(high / low)))
-    own = np.append(own, peak) if 0.0 < peak < math.inf else own
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 

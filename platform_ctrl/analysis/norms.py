@@ -83,13 +83,31 @@ def hinf_norm_arrays(
     s, on_boundary = boundary_poles(A, dt)
     if np.any(on_boundary):
         return math.inf, float(np.abs(s[on_boundary].imag).min())
-    axis = FrequencyAxis(StateArrays(A, B, C, D, dt))
-    candidates = [np.zeros(1), resonances(s)]
-    if dt > 0.0:
-        candidates.append(np.array([axis.edge]))
-    best, frequency = axis.largest(np.concatenate(candidates))
-    direct = float(np.linalg.norm(D, 2))
-    if dt == 0.0 and direct > best:
+    return peak_gain(FrequencyAxis(StateArrays(A, B, C, D, dt)), s, tolerance)
+
+
+def peak_gain(
+    axis: FrequencyAxis, s: ComplexArray, tolerance: float, known: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """Return the largest gain of a system without poles on the boundary, and its frequency.
+
+    Parameters
+    ----------
+    axis
+        The system, with states.
+    s : complex (n,)
+        Its continuous(-equivalent) poles.
+    tolerance
+        Relative.
+    known
+        A gain near the largest, and its frequency, where these have been looked for; default next to the poles.
+    """
+    if known is None:
+        ends = np.array([0.0] if math.isinf(axis.edge) else [0.0, axis.edge])
+        known = axis.largest(np.concatenate([ends, resonances(s)]))
+    best, frequency = known
+    direct = float(np.linalg.norm(axis.system.D, 2))
+    if axis.system.dt == 0.0 and direct > best:
         best, frequency = direct, math.inf
     if best == 0.0:
         # Nothing comes through at any of the frequencies that its poles single out.
