@@ -16,7 +16,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.simulation.device import Device, expect_device, roll_out
 from platform_ctrl.simulation.packing import pack
-from platform_ctrl.simulation.plant import unit_quaternions
+from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
