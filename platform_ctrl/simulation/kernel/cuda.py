@@ -1,9 +1,9 @@
 """The kernel on a graphics processor: one thread a scenario, the very functions that the processor runs.
 
 numba compiles the functions of the other files for the device too, with a whole number for `lane`. Each thread copies
-its scenario into local memory of its own, works there with column 0, and copies back what has come out. The device
-keeps the local memories of neighbouring threads interleaved, so that what a group of threads reads together lies
-together, and in its first cache, writes included.
+its scenario into local memory of its own, (slots,), works there, and copies back what has come out. The device keeps
+the local memories of neighbouring threads interleaved, so that what a group of threads reads together lies together,
+and in its first cache, writes included.
 
 Products and sums are fused where the device's compiler, not LLVM, sees fit: results agree with the processor's to
 rounding, not to the last bit.
@@ -77,23 +77,23 @@ def _advance(slots: int) -> Any:
         run = cuda.grid(1)
         if run >= states.shape[0]:
             return
-        mem = cuda.local.array((slots, 1), np.float64)
+        mem = cuda.local.array(slots, np.float64)
         for i in range(at.end):
-            mem[i, 0] = 0.0
+            mem[i] = 0.0
         for i in range(constants.shape[0]):
-            mem[i, 0] = constants[i]
+            mem[i] = constants[i]
         for block in range(3):
             row = at.surroundings + block * at.block
             for i in range(around.shape[0]):
-                mem[row + i, 0] = around[i]
+                mem[row + i] = around[i]
             for i in range(force.shape[1]):
-                mem[row + i, 0] = force[run, i]
+                mem[row + i] = force[run, i]
         for i in range(at.size):
-            mem[at.state + i, 0] = states[run, i]
+            mem[at.state + i] = states[run, i]
         for _ in range(steps):
             runge_kutta(links, mem, 0, at, True, False, at.state, step)
         for i in range(at.size):
-            states[run, i] = mem[at.state + i, 0]
+            states[run, i] = mem[at.state + i]
 
     return _compiled(advance)
 
@@ -114,15 +114,15 @@ def _flight(slots: int, free: bool) -> Any:
         run = cuda.grid(1)
         if run >= keys.shape[0]:
             return
-        mem = cuda.local.array((slots, 1), np.float64)
+        mem = cuda.local.array(slots, np.float64)
         for i in range(flight.end):
-            mem[i, 0] = 0.0
+            mem[i] = 0.0
         for i in range(plants.shape[1]):
-            mem[i, 0] = plants[run, i]
+            mem[i] = plants[run, i]
         for i in range(given.shape[1]):
-            mem[at.end + i, 0] = given[run, i]
+            mem[at.end + i] = given[run, i]
         fly(links, shared, keys[run : run + 1], mem, 0, at, flight, free, record)
         for i in range(figures.shape[1]):
-            figures[run, i] = mem[flight.figures + i, 0]
+            figures[run, i] = mem[flight.figures + i]
 
     return _compiled(flight_of_one)

@@ -242,17 +242,20 @@ def _cast(context: Any, builder: Any, given: Any, wanted: Any, number: Any) -> A
     return _widened(builder, given, number)
 
 
-# Memory. `lane` is None for all columns at once, else the number of the column.
+# Memory. `lane` is None for all columns at once, else the number of the column; a memory (slots,) has but one.
 
 
 def load(memory: FloatArray, slot: int, lane: int) -> Number:
     """Return a slot of the memory."""
-    return memory[slot, lane]
+    return memory[slot] if memory.ndim == 1 else memory[slot, lane]
 
 
 def store(memory: FloatArray, slot: int, lane: int, number: Number) -> None:
     """Put a number into a slot of the memory."""
-    memory[slot, lane] = number
+    if memory.ndim == 1:
+        memory[slot] = number
+    else:
+        memory[slot, lane] = number
 
 
 def columns(lane: int) -> tuple[int, int]:
@@ -291,10 +294,37 @@ def _store_row(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
     return types.none(memory, slot, number), generate
 
 
+def _slot(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [slot])
+
+
+# Where a scenario has a memory of its own, a slot is found by one addition: numba's own indexing looks at the sign and
+# the strides of every index, on a graphics processor several times the work of what is computed.
+
+
+@intrinsic
+def _load_slot(typing: Any, memory: Any, slot: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_slot(context, builder, sig.args[0], *args))
+
+    return types.float64(memory, types.intp), generate
+
+
+@intrinsic
+def _store_slot(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _slot(context, builder, sig.args[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return types.none(memory, types.intp, types.float64), generate
+
+
 @overload(load, strict=False)
 def _load(memory: Any, slot: Any, lane: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane: _load_row(memory, slot)
+    if memory.ndim == 1:
+        return lambda memory, slot, lane: _load_slot(memory, slot)
     return lambda memory, slot, lane: memory[slot, lane]
 
 
@@ -302,6 +332,8 @@ def _load(memory: Any, slot: Any, lane: Any) -> Any:
 def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane, number: _store_row(memory, slot, number)
+    if memory.ndim == 1:
+        return lambda memory, slot, lane, number: _store_slot(memory, slot, number)
 
     def put(memory, slot, lane, number):
         memory[slot, lane] = number

@@ -312,30 +312,30 @@ def _record(links: Links, shared: Shared, mem: FloatArray, at: At, flight: Fligh
     """A row for the first column: q, rates, Omega, p, attitude, reading, command, torque, spins, motors' torques."""
     n, nu, column = at.n, shared.targets.shape[0], 0
     for i in range(n):
-        record[i] = mem[at.state + i, 0]
-        record[n + i] = mem[flight.velocity + 3 + i, 0]
-        record[2 * n + 3 + i] = mem[flight.velocity + n + 3 + i, 0]
+        record[i] = load(mem, at.state + i, 0)
+        record[n + i] = load(mem, flight.velocity + 3 + i, 0)
+        record[2 * n + 3 + i] = load(mem, flight.velocity + n + 3 + i, 0)
     for i in range(3):
-        record[2 * n + i] = mem[flight.velocity + i, 0]
+        record[2 * n + i] = load(mem, flight.velocity + i, 0)
     for i in range(4):
-        record[3 * n + 3 + i] = mem[at.state + 2 * n + 3 + i, 0]
+        record[3 * n + 3 + i] = load(mem, at.state + 2 * n + 3 + i, 0)
     column = 3 * n + 7
     for i in range(shared.sensors.shape[0]):
-        record[column + i] = mem[flight.sensor + i * SENSOR + LAST, 0]
+        record[column + i] = load(mem, flight.sensor + i * SENSOR + LAST, 0)
     column += shared.sensors.shape[0]
     for i in range(nu):
-        record[column + i] = mem[flight.command + i, 0]
+        record[column + i] = load(mem, flight.command + i, 0)
     column += 2 * nu
     # The workspace holds the carriers' rates at this sample.
     for r in range(at.servos):
         row, work = at.servo + r * SERVO, at.work + links.servo_carrier[r] * WORK + RATE
-        spin = mem[at.state + 2 * n + 7 + r, 0] / mem[row + C, 0]
+        spin = load(mem, at.state + 2 * n + 7 + r, 0) / load(mem, row + C, 0)
         for i in range(3):
-            spin -= mem[row + i, 0] * mem[work + i, 0]
-        wanted = -mem[row + GAIN, 0] * (spin - mem[row + SPIN, 0])
-        wanted -= mem[row + INTEGRAL, 0] * mem[at.state + 2 * n + 7 + at.servos + r, 0]
+            spin -= load(mem, row + i, 0) * load(mem, work + i, 0)
+        wanted = -load(mem, row + GAIN, 0) * (spin - load(mem, row + SPIN, 0))
+        wanted -= load(mem, row + INTEGRAL, 0) * load(mem, at.state + 2 * n + 7 + at.servos + r, 0)
         record[column + r] = spin
-        limit = mem[row + TORQUE_LIMIT, 0]
+        limit = load(mem, row + TORQUE_LIMIT, 0)
         record[column + at.servos + r] = min(max(wanted, -limit), limit)
 
 
@@ -406,7 +406,7 @@ def _note_torques(shared: Shared, mem: FloatArray, at: At, flight: Flight, recor
         nu = shared.targets.shape[0]
         for i in range(nu):
             column = 3 * at.n + 7 + shared.sensors.shape[0] + nu + i
-            record[k, column] = mem[flight.torquer + i * TORQUER + TORQUE, 0]
+            record[k, column] = load(mem, flight.torquer + i * TORQUER + TORQUE, 0)
 
 
 @internal

@@ -53,8 +53,8 @@ def uniforms(keys: NDArray[np.uint64], mem: FloatArray, lane: int, step: int, ch
     for column in range(first, last):
         seed, run = keys[column, 0], keys[column, 1]
         a, b, c, d = philox(c0, c1, run & _LOW, run >> _HALF, seed & _LOW, seed >> _HALF)
-        mem[slot, column] = _between(a, b)
-        mem[slot + 1, column] = _between(c, d)
+        store(mem, slot, column, _between(a, b))
+        store(mem, slot + 1, column, _between(c, d))
 
 
 @internal

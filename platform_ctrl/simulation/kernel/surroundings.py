@@ -48,7 +48,7 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
     first, last = columns(lane)
     knots, pieces = shared.knots, shared.pieces
     for column in range(first, last):
-        time = min(max(mem[t, column], knots[0]), knots[-1])
+        time = min(max(load(mem, t, column), knots[0]), knots[-1])
         low, high = 0, pieces.shape[0] - 1
         while low < high:
             middle = (low + high + 1) // 2
@@ -59,7 +59,8 @@ def _look_up(shared: Shared, mem: FloatArray, lane: int, t: int, scale: int, res
         s = time - knots[low]
         for i in range(3):
             c = pieces[low, i]
-            mem[result + i, column] = mem[scale, column] * (c[0] + s * (c[1] + s * (c[2] + s * c[3])))
+            number = c[0] + s * (c[1] + s * (c[2] + s * c[3]))
+            store(mem, result + i, column, load(mem, scale, column) * number)
 
 
 @inlined
