@@ -9,6 +9,7 @@ import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.response import Resolvent
 from platform_ctrl.frozen import FloatArray
 
 
@@ -167,3 +168,18 @@ def test_many_points_and_few_give_the_same_numbers() -> None:
     whole = analysis.frequency_response(system, w)
     single = np.concatenate([analysis.frequency_response(system, [one]) for one in w], axis=-1)
     np.testing.assert_allclose(whole, single, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [40, 60])
+def test_long_chains_do_not_leave_the_range_of_numbers(n: int) -> None:
+    # Far above the poles each of n steps of the recurrence multiplies by many powers of ten.
+    rng = np.random.default_rng(n)
+    system = system_of(turned(modes(np.geomspace(0.1, 1e3, n // 2), np.full(n // 2, 0.5)), rng), 1, 1, rng)
+    w = np.array([1e-6, 1.0, 1e8, 1e12])
+    assert deviation(system, w) < 1e-9
+    # And elimination has not been needed for that.
+    resolvent = Resolvent(system.A, system.B, system.C, system.D)
+    for one in w:
+        H = np.empty((1, 1, 1), dtype=np.complex128)
+        poor = resolvent._compiled.quick(resolvent._D, np.array([1j * one]), H, *resolvent._prepared)
+        assert poor.size == 0

@@ -30,8 +30,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 # Points that advance side by side, and the bytes of their workspace: it stays in the nearest cache.
 LANES, LEAST_LANES, WORKSPACE = 128, 32, 40_000
-# Where the recurrence starts, and the square, in units of this one's, below which digits are lost to underflow.
-START, SMALLEST = 2.0**-500, 2.0**-800
+# Doublings along a chain that fourth powers can carry; square of the remainder below which underflow costs digits.
+RANGE, SMALLEST = 240.0, 2.0**-800
 # Rounding of the recurrence, in units of |A| + |z|.
 ROUNDING = 8.0 * 2.0**-53
 # Error above which a point is eliminated: relative to the entry, or to FLOOR times the largest one at that point.
@@ -192,9 +192,34 @@ def prepared(
 
 
 @_reordered
+def _exponents(G: FloatArray, inverse: FloatArray, order: int, zr: float, zi: float, exponents: FloatArray) -> None:
+    """Write the binary exponents of x[-1] (the remainder), x[0], x[1], ... of a chain at one point z."""
+    re, im, shift = np.zeros(order + 1), np.zeros(order + 1), 0.0
+    re[order] = 1.0
+    exponents[order] = 0.0
+    for k in range(order - 1, -1, -1):
+        a, b = zr * inverse[k], zi * inverse[k]
+        real, imaginary = a * re[k + 1] - b * im[k + 1], a * im[k + 1] + b * re[k + 1]
+        for j in range(k, order):
+            real -= G[k, j] * re[j + 1]
+            imaginary -= G[k, j] * im[j + 1]
+        re[k], im[k] = real, imaginary
+        size = abs(real) + abs(imaginary)
+        # On a pole, and beyond all numbers, any exponent will do.
+        exponents[k] = shift + math.floor(math.log2(size)) if 0.0 < size < np.inf else exponents[k + 1]
+        if size > 2.0**200:
+            shift += 200.0
+            for j in range(k, order + 1):
+                re[j] *= 2.0**-200
+                im[j] *= 2.0**-200
+    # The remainder may vanish near a pole: it has no size of its own.
+    exponents[0] = exponents[1]
+
+
+@_reordered
 def _recurrence(
-    G: FloatArray,
-    inverse: FloatArray,
+    chain: FloatArray,
+    inverses: FloatArray,
     beta: float,
     order: int,
     width: int,
@@ -206,12 +231,24 @@ def _recurrence(
 
     The rows of `scale` (3, LANES): real and imaginary part of the factor that x still needs, and |x| with it.
     """
+    zr, zi = z[0, width // 2], z[1, width // 2]
+    exponents, G, inverse, growth = np.zeros(order + 1), chain, inverses, 0.0
+    for k in range(1, order):
+        growth += math.log2(1.0 + (abs(zr) + abs(zi)) * abs(inverse[k]) + abs(G[k, k]) + abs(G[k, k + 1]))
+    if not growth < RANGE:
+        # Each component in units of its size at the middle point.
+        G, inverse = np.zeros(chain.shape), np.empty(order)
+        _exponents(chain, inverses, order, zr, zi, exponents)
+        for k in range(order):
+            inverse[k] = inverses[k] * 2.0 ** (exponents[k + 1] - exponents[k])
+            for j in range(k, order):
+                G[k, j] = chain[k, j] * 2.0 ** (exponents[j + 1] - exponents[k])
     for k in range(order, order + SPARE + 1):
         for t in range(width):
             x[k, 0, t] = 0.0
             x[k, 1, t] = 0.0
     for t in range(width):
-        x[order, 0, t] = START
+        x[order, 0, t] = 1.0
     for k in range(order - 1, -1, -1):
         unit, g = inverse[k], G[k, k]
         g0, g1, g2, g3 = G[k, k + 1], G[k, k + 2], G[k, k + 3], G[k, k + 4]
@@ -229,23 +266,30 @@ def _recurrence(
                 imaginary = (g0 * x[j + 1, 1, t] + g1 * x[j + 2, 1, t]) + (g2 * x[j + 3, 1, t] + g3 * x[j + 4, 1, t])
                 x[k, 0, t] -= real
                 x[k, 1, t] -= imaginary
+    if not growth < RANGE:
+        largest = exponents[0]
+        for k in range(order + 1):
+            largest = max(largest, exponents[k])
+        for k in range(order + 1):
+            unit = 2.0 ** (exponents[k] - largest)
+            for t in range(width):
+                x[k, 0, t] *= unit
+                x[k, 1, t] *= unit
     for t in range(width):
         scale[2, t] = 0.0
     for k in range(1, order + 1, 4):
         for t in range(width):
             r0, r1, r2, r3 = x[k, 0, t], x[k + 1, 0, t], x[k + 2, 0, t], x[k + 3, 0, t]
             i0, i1, i2, i3 = x[k, 1, t], x[k + 1, 1, t], x[k + 2, 1, t], x[k + 3, 1, t]
-            r0, r1, r2, r3 = r0 / START, r1 / START, r2 / START, r3 / START
-            i0, i1, i2, i3 = i0 / START, i1 / START, i2 / START, i3 / START
             real, imaginary = (r0 * r0 + r1 * r1) + (r2 * r2 + r3 * r3), (i0 * i0 + i1 * i1) + (i2 * i2 + i3 * i3)
             scale[2, t] += real + imaginary
     for t in range(width):
-        re, im = x[0, 0, t] / START, x[0, 1, t] / START
+        re, im = x[0, 0, t], x[0, 1, t]
         square = re * re + im * im
         # Lost digits are no digits.
         factor = beta / square if square > SMALLEST else np.inf
-        scale[0, t] = factor * re / START
-        scale[1, t] = -factor * im / START
+        scale[0, t] = factor * re
+        scale[1, t] = -factor * im
         scale[2, t] = abs(factor) * math.sqrt(square * scale[2, t])
 
 
