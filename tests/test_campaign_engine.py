@@ -20,8 +20,7 @@ import numpy as np
 import pytest
 
 import platform_ctrl as pc
-from campaign_flights import JOB, flown_quickly, planned, rows, undisturbed
-from platform_ctrl.campaign.columns import Columns, Fly, flown
+from campaign_flights import JOB, flown_here, flown_quickly, planned, rows, undisturbed
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
 from platform_ctrl.campaign.lock import locked
 from platform_ctrl.campaign.pieces import Pieces
@@ -51,11 +50,6 @@ def mishaps(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fly in this process: quicker, where nothing is said about processes."""
-
-    def flown_here(plan: Plan, pieces: Pieces, fly: Fly, **options: Any) -> Iterator[tuple[range, Columns]]:
-        while (piece := pieces.next()) is not None:
-            yield piece, flown(plan, piece, fly)
-
     monkeypatch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
 
 

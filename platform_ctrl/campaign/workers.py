@@ -100,6 +100,9 @@ def flown_by_processes(
                 if warm:
                     pieces.finished(piece, seconds)
                 deaths, warm = 0, True
+                following = pieces.next()
+                if following is not None:
+                    worker.send(following)  # it flies while what it brought is written
                 yield piece, columns
     finally:
         for worker in crew.values():

@@ -86,8 +86,9 @@ def simulate(
 
         closed = read_controllers(file, read)
         if isinstance(chosen, int):
+            planned = _planned(read, chosen, closed, out)
             say(f"run {chosen} of the campaign")
-            show = _run_flown(read, chosen, closed, out)
+            show = _run_flown(chosen, *planned)
         else:
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_flown(read, chosen, closed, out)
@@ -116,13 +117,12 @@ def _manoeuvre_flown(job: Job, manoeuvre: Manoeuvre, controllers: list[control.S
     return show
 
 
-def _run_flown(job: Job, number: int, controllers: list[control.StateSpace], out: Path | None) -> Shown:
+def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
     from platform_ctrl.campaign.rerun import recorded_row, rerun, unlike
     from platform_ctrl.check import largest
     from platform_ctrl.check.records import laid_out, plain, run_record
 
-    folder = out or CAMPAIGN
-    plan, recorded, note = _plan(job, controllers, folder, named=out is not None)
+    job = plan.job
     found = rerun(plan, number)
     row = recorded_row(folder, number) if recorded else None
     unlikely = [] if row is None else unlike(found, row)
@@ -152,23 +152,27 @@ def _run_flown(job: Job, number: int, controllers: list[control.StateSpace], out
     return show
 
 
-def _plan(job: Job, controllers: list[control.StateSpace], folder: Path, named: bool) -> tuple[Plan, bool, str]:
-    """Return the plan of the campaign in the folder, if one is there; whether it is; and what should be known."""
+def _planned(
+    job: Job, number: int, controllers: list[control.StateSpace], out: Path | None
+) -> tuple[Plan, Path, bool, str]:
+    """Return the plan of the campaign in a folder if there is one, else the job's; the folder; whether; a note."""
     from platform_ctrl.campaign.plan import plan
     from platform_ctrl.campaign.rerun import settings_of, strangers
     from platform_ctrl.campaign.store import RECORD, read_record
 
+    folder = out or CAMPAIGN
     record = read_record(folder)
-    if record is None:
-        return plan(job, controllers), False, ""
-    made = plan(job, controllers, **settings_of(record))
-    odd = strangers(record, made)
-    if not odd:
-        return made, True, ""
-    words = f"{folder / RECORD}: the campaign there was flown with {'; '.join(odd)}"
-    if named:
-        raise InputError(f"{words}; its runs cannot be flown again with what there is now")
-    return plan(job, controllers), False, f"{words}; flown instead: a run of the campaign that the job describes now"
+    made, note = plan(job, controllers, **settings_of(record)), ""
+    odd = [] if record is None else strangers(record, made)
+    if odd:
+        note = f"{folder / RECORD}: the campaign there was flown with {'; '.join(odd)}"
+        if out is not None:
+            raise InputError(f"{note}; its runs cannot be flown again with what there is now")
+        made = plan(job, controllers)
+        note += "; flown instead: a run of the campaign that the job describes now"
+    if number >= made.runs:
+        raise InputError(f"--run {number}: expected a run of the campaign, 0 to {made.runs - 1}")
+    return made, folder, record is not None and not odd, note
 
 
 def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
