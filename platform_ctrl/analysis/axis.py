@@ -115,16 +115,16 @@ def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatA
 
     Where 1 is next to a singular value of D, of the matrix pencil that needs no inverse.
     """
-    if not np.any(D):
-        hamiltonian = np.block([[A, B @ B.T], [-C.T @ C, -A.T]])
-    else:
-        R = np.eye(D.shape[1]) - D.T @ D
-        if np.any(np.abs(np.linalg.eigvalsh(R)) < 1e-8):
-            return pencil_crossings(A, B, C, D, 0.0)
-        inverse = np.linalg.inv(R)
-        F = A + B @ inverse @ D.T @ C
-        S = np.eye(D.shape[0]) + D @ inverse @ D.T
-        hamiltonian = np.block([[F, B @ inverse @ B.T], [-C.T @ S @ C, -F.T]])
+    n, m = B.shape
+    hamiltonian = np.empty((2 * n, 2 * n))
+    R = np.eye(m) - D.T @ D
+    if np.abs(np.linalg.eigvalsh(R)).min() < 1e-8:
+        return pencil_crossings(A, B, C, D, 0.0)
+    driven = B @ np.linalg.inv(R)
+    seen = D.T @ C
+    F = A + driven @ seen
+    hamiltonian[:n, :n], hamiltonian[:n, n:] = F, driven @ B.T
+    hamiltonian[n:, :n], hamiltonian[n:, n:] = -(C.T @ C) - seen.T @ np.linalg.solve(R, seen), -F.T
     if not np.all(np.isfinite(hamiltonian)):
         return np.zeros(0)
     out: FloatArray = np.unique(np.abs(np.linalg.eigvals(hamiltonian).imag))

@@ -7,14 +7,15 @@ spectral radius of Q M over unitary diagonal Q, reached by a perturbation that c
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray
 
 
-@value
-class MuBounds:
+class MuBounds(NamedTuple):
     """Bounds of mu for each of N matrices of m channels.
 
     Attributes

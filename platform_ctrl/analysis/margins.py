@@ -166,8 +166,7 @@ def disk_margin(
     given = None if frequency is None else frequencies(frequency, "disk_margin")
     if spectral_abscissa(s) >= 0.0:
         return _unstable(skew, np.zeros(0) if given is None else given, s, disk)
-    # Between given frequencies few more are needed.
-    own = search_grid(disk, s, 15.0 if given is None or len(given) < 100 else 5.0)
+    own = search_grid(disk, s, 0 if given is None else len(given))
     grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
     response = peak.response(grid)
@@ -176,19 +175,18 @@ def disk_margin(
     if m == 1:
         norm, peak.frequency = hinf_norm_arrays(*disk)
         peak.mu = peak.lower = norm
-        peak.Q = np.ones(1, dtype=np.complex128)
+        peak.M = peak.response(np.array([peak.frequency]))[0]
     else:
         highest = int(np.argmax(gains))
         norm, at = float(gains[highest]), float(grid[highest])
         if len(s):
             norm, at = peak_gain(peak.axis, s, 1e-7, (norm, at))
-        peak.bounds(np.array([at]))
+        peak.bounds(np.array([at, peak.axis.edge]))
         peak.climb(grid, bounds.upper)
         proved = peak.prove()
     shown = slice(None) if given is None else np.searchsorted(grid, given)
     return _margin(
         peak,
-        peak.response(np.array([peak.frequency]))[0],
         norm,
         skew=float(skew),
         proved=proved,
@@ -201,7 +199,6 @@ def disk_margin(
 
 def _margin(
     peak: MuPeak,
-    at_peak: ComplexArray,
     norm: float,
     *,
     skew: float,
@@ -212,7 +209,7 @@ def _margin(
     mu: tuple[FloatArray, FloatArray],
 ) -> DiskMargin:
     """Return the margin of a stable loop from the peak of mu and the bounds of mu at `frequencies`."""
-    delta = perturbation(at_peak, peak.Q)
+    delta = perturbation(peak.M, peak.Q)
     lower = _inverse(peak.mu)
     with np.errstate(divide="ignore"):
         lower_response, upper_response = 1.0 / mu[0], 1.0 / mu[1]
@@ -260,7 +257,6 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     bounds, gains = peak.bounds(grid, response, 1e-6), largest_gains(response)
     return _margin(
         peak,
-        response[np.searchsorted(grid, peak.frequency)],
         float(gains.max()),
         skew=float(skew),
         proved=False,

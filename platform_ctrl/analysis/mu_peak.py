@@ -14,9 +14,14 @@ from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.frozen import FloatArray
 
 
-def search_grid(system: StateArrays, s: ComplexArray, density: float) -> FloatArray:
-    """Return frequencies that follow the closed loop's poles, and `density` a decade between and beyond them."""
-    own = resonances(s)
+def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them.
+
+    Fewer where `known` others, a hundred or more, are looked at anyway: a peak between them is found by its proof.
+    """
+    few = known >= 100
+    finite = s[np.isfinite(s)]
+    own = np.concatenate([np.abs(finite.imag), np.abs(finite)]) if few else resonances(s)
     own = own[own > 0.0]
     if own.size == 0:
         own = np.ones(1)
@@ -25,8 +30,12 @@ def search_grid(system: StateArrays, s: ComplexArray, density: float) -> FloatAr
         high = math.pi / system.dt
         low = min(low, 1e-3 * high)
     low = max(low, 1e-9 * high)
-    fill = np.geomspace(low, high, 2 + int(density * math.log10(high / low)))
+    fill = np.geomspace(low, high, 2 + int((5.0 if few else 15.0) * math.log10(high / low)))
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
+
+
+# Where a climb looks between two frequencies.
+FAN = np.linspace(0.0, 1.0, 13)
 
 
 class MuPeak:
@@ -38,6 +47,8 @@ class MuPeak:
         Upper bound of mu at the highest frequency that was looked at.
     D, Q : (m,)
         The scalings of that bound, and the phases that reach the lower one.
+    M : complex (m, m)
+        The response there.
     lower
         Lower bound of mu there.
     """
@@ -48,14 +59,16 @@ class MuPeak:
         self.mu = self.frequency = self.lower = 0.0
         self.D = np.ones(m)
         self.Q = np.ones(m, dtype=np.complex128)
+        self.M = np.zeros((m, m), dtype=np.complex128)
 
     def bounds(self, frequency: FloatArray, response: ComplexArray | None = None, tolerance: float = 1e-8) -> MuBounds:
         """Return mu's bounds at each frequency, and keep the largest; its response may be known."""
-        found = mu_bounds(self.response(frequency) if response is None else response, tolerance)
+        response = self.response(frequency) if response is None else response
+        found = mu_bounds(response, tolerance)
         i = int(np.argmax(found.upper))
         if found.upper[i] > self.mu:
             self.mu, self.frequency, self.lower = float(found.upper[i]), float(frequency[i]), float(found.lower[i])
-            self.D, self.Q = found.D[i], found.Q[i]
+            self.D, self.Q, self.M = found.D[i], found.Q[i], response[i]
         return found
 
     def response(self, frequency: FloatArray) -> ComplexArray:
@@ -69,10 +82,12 @@ class MuPeak:
         tops = tops[mu[tops] >= 0.7 * mu.max()]
         tops = tops[np.argsort(-mu[tops])][:hills]
         left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
-        # What told the hills apart may have been less accurate.
-        self.bounds(grid[tops])
-        for _ in range(6):
-            fan = np.linspace(left, right, 13, axis=1)
+        for step in range(6):
+            fan = left[:, None] + (right - left)[:, None] * FAN
+            if step == 0:
+                # What told the hills apart may have been less accurate.
+                fan[:, len(FAN) // 2] = grid[tops]
+                fan.sort(axis=1)
             found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
             hopeful = found.max(axis=1) >= 0.999 * self.mu
             fan, at = fan[hopeful], found[hopeful].argmax(axis=1)
@@ -86,10 +101,11 @@ class MuPeak:
     def prove(self, slack: float = 1e-4, most: int = 80) -> bool:
         """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
 
+        The end of the axis has to have been looked at.
+
         With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
         only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).
         """
-        self.bounds(np.array([self.axis.edge]))
         doubtful = [(0.0, self.axis.edge)]
         D = self.D
         for _ in range(most):
