@@ -473,15 +473,15 @@ def derivative(
             _weight(links, mem, lane, at, torque)
             _erections(links, mem, lane, at, torque)
         if at.servos != 0 and not bare:
-            _drives(links, mem, lane, at, True, y, dy)
-        _inward(links, mem, lane, at, True, locking, torque)
+            _drives(links, mem, lane, at, at.yes, y, dy)
+        _inward(links, mem, lane, at, at.yes, locking, torque)
         x, v, z = _root_acceleration(mem, lane, at, around)
         _put(mem, lane, dy + n, x, v, z)
         _put(mem, lane, at.work + ACCELERATION, x, v, z)
-        _accelerate(links, mem, lane, at, True, locking, ACCELERATION, torque)
+        _accelerate(links, mem, lane, at, at.yes, locking, ACCELERATION, torque)
     else:
-        _inward(links, mem, lane, at, False, locking, y + n + 3)
-        _accelerate(links, mem, lane, at, False, locking, RATE, dy)
+        _inward(links, mem, lane, at, at.no, locking, y + n + 3)
+        _accelerate(links, mem, lane, at, at.no, locking, RATE, dy)
         _momenta(links, mem, lane, at, y, around)
         for m in range(n):
             k = links.tree[m, GIMBAL]
@@ -527,7 +527,7 @@ def derivative(
                     load(mem, slot + ACCELERATION + 2, lane),
                 )
         if at.servos != 0:
-            _drives(links, mem, lane, at, False, y, dy)
+            _drives(links, mem, lane, at, at.no, y, dy)
         for i in range(3):
             store(mem, dy + n + i, lane, 0.0 * load(mem, y + n + i, lane))
     _turn(mem, lane, at, y, dy)
@@ -536,7 +536,7 @@ def derivative(
 @internal
 def joint_momenta(links: Links, mem: FloatArray, lane: int, at: At, y: int, around: int, result: int) -> None:
     """Joint momenta dT/dqdot of a state whose v holds the rates; all of it stays in the root's MOMENT."""
-    _outward(links, mem, lane, at, True, False, y, around)
+    _outward(links, mem, lane, at, at.yes, at.no, y, around)
     _momenta(links, mem, lane, at, y, around)
     for k in range(at.n):
         store(mem, result + k, lane, load(mem, at.work + (k + 1) * WORK + MOMENT + 2, lane))

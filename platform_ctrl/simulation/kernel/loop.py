@@ -14,7 +14,6 @@ from platform_ctrl.simulation.kernel.flight import (
     ANGLE,
     AT_ONCE,
     BEGIN,
-    CONTACT,
     DECAY,
     FAULT,
     FIRST,
@@ -383,22 +382,6 @@ def _segment(
     return contact
 
 
-@internal
-def _strikes(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, t: float
-) -> None:
-    """Blows that throw gimbals towards their stops: those due since the last sample."""
-    for f in range(shared.faults.shape[0]):
-        if shared.faults[f, 0] != CONTACT:
-            continue
-        fault = flight.fault + f * FAULT
-        begin = load(mem, fault + BEGIN, lane)
-        due = (begin <= t) & (begin > t - shared.period)
-        if anywhere(due):
-            impulse = load(mem, fault + FIRST, lane)
-            strike(links, mem, lane, at, flight, free, shared.faults[f, 1], choose(due, impulse, 0.0 * impulse))
-
-
 @inlined
 def _note_torques(shared: Shared, mem: FloatArray, at: At, flight: Flight, record: FloatArray, k: int) -> None:
     """Record the torques that act just after a sample."""
@@ -453,7 +436,7 @@ def fly(
     contact = at.no
     for k in range(flight.samples):
         t = k * period
-        _strikes(links, shared, mem, lane, at, flight, free, t)
+        strike(links, shared, mem, lane, at, flight, free, t)
         _survey(links, mem, lane, at, flight, free)
         _read(shared, keys, mem, lane, at, flight, k, t)
         _control(shared, keys, mem, lane, at, flight, k, t)

@@ -5,7 +5,19 @@ from __future__ import annotations
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import derivative, runge_kutta
-from platform_ctrl.simulation.kernel.flight import HIGH, LOW, RESTITUTION, STOP, TOUCHING, Flight
+from platform_ctrl.simulation.kernel.flight import (
+    BEGIN,
+    CONTACT,
+    FAULT,
+    FIRST,
+    HIGH,
+    LOW,
+    RESTITUTION,
+    STOP,
+    TOUCHING,
+    Flight,
+    Shared,
+)
 from platform_ctrl.simulation.kernel.lanes import (
     Mask,
     Number,
@@ -49,18 +61,27 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
 
 @internal
 def strike(
-    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, impulse: Number
+    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, t: float
 ) -> None:
-    """Give joint k an impulse."""
+    """Throw gimbals towards their stops: the blows that are due since the last sample."""
     n = at.n
-    if not free:
-        p = at.state + n + 3 + k
-        store(mem, p, lane, load(mem, p, lane) + impulse)
-        return
-    _response(links, mem, lane, at, flight, free, k, at.stages)
-    for i in range(n + 3):
-        v = at.state + n + i
-        store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
+    for f in range(shared.faults.shape[0]):
+        if shared.faults[f, 0] != CONTACT:
+            continue
+        k, fault = shared.faults[f, 1], flight.fault + f * FAULT
+        begin, impulse = load(mem, fault + BEGIN, lane), load(mem, fault + FIRST, lane)
+        due = (begin <= t) & (begin > t - shared.period)
+        if not anywhere(due):
+            continue
+        impulse = choose(due, impulse, 0.0 * impulse)
+        if not free:
+            p = at.state + n + 3 + k
+            store(mem, p, lane, load(mem, p, lane) + impulse)
+            continue
+        _response(links, mem, lane, at, flight, free, k, at.stages)
+        for i in range(n + 3):
+            v = at.state + n + i
+            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
 
 
 @internal
