@@ -112,6 +112,21 @@ def test_noise_is_one_more_input():
             assert again > 1.0
 
 
+def test_where_noise_decides_the_interval_is_wide_and_it_is_told():
+    def figure(share):
+        def out(u, run):
+            return (np.sqrt(1.0 - share) * stats.norm.ppf(u[:, 0]) + np.sqrt(share) * noise_of(run)) / 4.0
+
+        return out
+
+    little, much = (rare_event(figure(share), 1, samples=300, repetitions=6, seed=3) for share in (0.02, 0.9))
+    assert not little.noise_decides
+    assert much.noise_decides
+    assert much.high / max(much.low, 1e-300) > 20.0 * little.high / little.low
+    for found in (little, much):
+        assert found.low <= stats.norm.sf(4.0) <= found.high
+
+
 def test_noise_alone_can_be_rare():
     found = rare_event(lambda u, run: noise_of(run) / 2.5, 0, samples=600, repetitions=4, seed=6)
     assert found.low <= stats.norm.sf(2.5) <= found.high

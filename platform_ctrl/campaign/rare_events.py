@@ -8,26 +8,26 @@ Zwirglmaier and Straub do (same journal, 41, 2015).
 Noise is one more random input, infinitely many numbers that no one wants to list: the run's number stands for all of
 them. A candidate keeps its predecessor's noise or draws a fresh one, each in half of the moves. Both leave the
 distribution as it is, hence their mixture too. Fresh noise alone would seldom be accepted where the noise matters;
-kept noise alone would never leave the few realisations that the first level happened to draw.
+kept noise alone would never leave the few realisations that the first level happened to draw. Noise that decides more
+than the inputs do cannot be led to the limit step by step: `RareResult.noise_decides` tells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.arguments import one_of, short
 from platform_ctrl.campaign.probability import CONFIDENCE, clopper_pearson
+from platform_ctrl.campaign.rare_result import RareMethod, RarePoint, RareResult, Repetition
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray
 
 RunNumbers = NDArray[np.int64]
 # Points of the unit cube (N, d) and the numbers of their noise (N,) to figures over their limits (N,).
 Figures = Callable[[FloatArray, RunNumbers], FloatArray]
-RareMethod = Literal["splitting", "cross-entropy"]
 
 # A run violates when its figure over the limit is above 1.
 VIOLATED = float(np.nextafter(1.0, 2.0))
@@ -38,96 +38,6 @@ _SHARE = 0.1
 _MOST_LEVELS = 15
 _KEPT = 10
 FEWEST_SAMPLES = 50
-
-
-@value
-class RarePoint:
-    """Inputs that violate a requirement.
-
-    Attributes
-    ----------
-    u : (d,)
-        The point of the unit cube: the inputs through their distributions.
-    run
-        Number of the noise.
-    ratio
-        Figure over limit, above 1; infinite if it diverged.
-    distance
-        From the most probable inputs, in standard deviations.
-    """
-
-    u: FloatArray
-    run: int
-    ratio: float
-    distance: float
-
-
-@value
-class Repetition:
-    """One estimate of the probability, independent of the others.
-
-    Attributes
-    ----------
-    probability
-        The estimate; 0 where the limit was not reached.
-    below
-        The estimate; where the limit was not reached, an upper bound of what lies beyond the last level.
-    levels : (k,)
-        Figures over the limit that the levels stood at.
-    variation
-        Coefficient of variation as this repetition itself sees it.
-    evaluations
-        Runs that it took.
-    """
-
-    probability: float
-    below: float
-    levels: FloatArray
-    variation: float
-    evaluations: int
-
-
-@value
-class RareResult:
-    """A probability that is too small to be counted.
-
-    Attributes
-    ----------
-    requirement
-        ``"angle"``, ``"attitude"``, ``"torque_share"``; None: any of them.
-    method
-        ``"splitting"`` or ``"cross-entropy"``.
-    probability, low, high, confidence
-        The mean of all repetitions, and where the true value lies by their scatter. With probability 0, `high` is what
-        the last level reached allows.
-    variation
-        Coefficient of variation of the mean.
-    repetitions
-        The single estimates.
-    evaluations
-        Runs that were flown for it.
-    violations
-        The most probable inputs that violate it, the nearest first: where to look.
-    shift : (d,)
-        Mean of the violating inputs in standard deviations of each: which inputs, moved where, make it happen.
-    """
-
-    requirement: str | None = None
-    method: RareMethod
-    probability: float
-    low: float
-    high: float
-    confidence: float
-    variation: float
-    repetitions: tuple[Repetition, ...]
-    evaluations: int
-    violations: tuple[RarePoint, ...]
-    shift: FloatArray
-
-    @property
-    def reached(self) -> int:
-        """How many repetitions reached the limit."""
-        return sum(one.probability > 0.0 for one in self.repetitions)
 
 
 def rare_event(
@@ -278,6 +188,7 @@ def _split(flights: Flights, dimension: int, samples: int, generator: np.random.
         levels=np.array(levels),
         variation=float(np.sqrt(variance)),
         evaluations=flights.flown - before,
+        noises=len(np.unique(cloud.run[violated])),
     )
     return estimate, cloud.at(violated)
 
@@ -299,6 +210,7 @@ def _weighted(
         levels=before.levels,
         variation=float(weights.std()) / np.sqrt(samples) / probability if probability else 0.0,
         evaluations=before.evaluations + samples,
+        noises=before.noises,
     )
     return estimate, violating
 
@@ -379,7 +291,7 @@ def _together(
 def _interval(
     estimates: tuple[Repetition, ...], found: FloatArray, samples: int, confidence: float
 ) -> tuple[float, float, float]:
-    """Return bounds and coefficient of variation of the mean: Student's in the logarithm."""
+    """Return bounds and coefficient of variation of the mean."""
     from scipy import stats
 
     mean, number = float(found.mean()), len(found)
@@ -389,13 +301,22 @@ def _interval(
         # Frequent enough to be counted at once.
         counted = clopper_pearson(round(mean * samples * number), samples * number, confidence)
         return counted.low, counted.high, float(np.sqrt((1.0 - mean) / (mean * samples * number)))
-    between = float(found.var(ddof=1)) / number
-    within = float(np.mean([(one.variation * one.probability) ** 2 for one in estimates])) / number
-    # Whichever is larger: few repetitions may agree by chance, and one alone does not see what all of it missed.
-    variation = float(np.sqrt(max(between, within))) / mean
+    own = np.array([one.variation for one in estimates])
+    within = float(np.mean((own * found) ** 2))
+    variation = float(np.sqrt(max(found.var(ddof=1), within) / number)) / mean
+    # A product of shares scatters in its logarithm: Cox's interval of a log-normal mean with Student's t (Olsson, J. of
+    # Statistics Education 13, 2005), which grows as it should where the mean rests on a few large estimates. Either
+    # scatter may be the larger: few repetitions agree by chance, and one alone does not see what all of it missed.
+    logarithms = np.log([one.probability or one.below for one in estimates])
+    scatter = max(float(logarithms.var(ddof=1)), float(np.log1p(np.mean(own[found > 0.0] ** 2))))
     quantile = float(stats.t.ppf(0.5 + 0.5 * confidence, number - 1))
-    factor = float(np.exp(quantile * np.sqrt(np.log1p(variation**2))))
-    return mean / factor, min(mean * factor, 1.0), variation
+    half = quantile * np.sqrt(scatter / number + scatter**2 / (2.0 * (number - 1)))
+    middle = float(logarithms.mean()) + 0.5 * scatter
+    low, high = float(np.exp(middle - half)), min(float(np.exp(min(middle + half, 0.0))), 1.0)
+    if not found.all():
+        # Nothing is known of the logarithm of zero; by Markov's inequality the mean is seldom so many times the truth.
+        low = 0.5 * (1.0 - confidence) * mean
+    return min(low, mean), max(high, mean), variation
 
 
 def _nearest(violating: Cloud) -> tuple[tuple[RarePoint, ...], FloatArray]:

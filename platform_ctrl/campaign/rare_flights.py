@@ -10,7 +10,8 @@ import numpy as np
 from platform_ctrl.arguments import known_name
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE
-from platform_ctrl.campaign.rare_events import RareMethod, RareResult, RunNumbers, rare_event
+from platform_ctrl.campaign.rare_events import RunNumbers, rare_event
+from platform_ctrl.campaign.rare_result import RareMethod, RareResult
 from platform_ctrl.campaign.table import FIGURES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray

@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
-from platform_ctrl.campaign.rare_events import RareResult
+from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
 from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.campaign.table import Table
@@ -136,8 +136,15 @@ def rare_record(plan: Plan, rare: RareResult) -> Record:
         "confidence": rare.confidence,
         "variation": rare.variation,
         "runs": rare.evaluations,
+        "noise_decides": rare.noise_decides,
         "repetitions": [
-            {"probability": one.probability, "variation": one.variation, "levels": one.levels, "runs": one.evaluations}
+            {
+                "probability": one.probability,
+                "variation": one.variation,
+                "levels": one.levels,
+                "runs": one.evaluations,
+                "noises": one.noises,
+            }
             for one in rare.repetitions
         ],
         "shift": dict(zip(plan.input_names, rare.shift, strict=True)),

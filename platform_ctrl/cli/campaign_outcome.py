@@ -13,7 +13,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 if TYPE_CHECKING:
     from platform_ctrl.campaign.engine import Campaigned
     from platform_ctrl.campaign.plan import Plan
-    from platform_ctrl.campaign.rare_events import RareMethod, RareResult
+    from platform_ctrl.campaign.rare_result import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
 

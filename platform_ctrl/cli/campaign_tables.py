@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from platform_ctrl.campaign.rare_events import RareResult
+    from platform_ctrl.campaign.rare_result import RareResult
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.report.campaign_tables import ProbabilityRow
 

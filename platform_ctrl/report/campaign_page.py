@@ -9,7 +9,7 @@ from typing import Any
 
 from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.probability import Probability
-from platform_ctrl.campaign.rare_events import RareResult
+from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, PASSED
 from platform_ctrl.frozen import value

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import Probability
-from platform_ctrl.campaign.rare_events import RareResult
+from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.statistics import RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
@@ -295,4 +295,8 @@ def rare_rows(rare: RareResult) -> list[tuple[str, str]]:
         ("repetitions", f"{count(len(rare.repetitions), 'repetition')}, {rare.reached} reached the limit"),
         ("runs flown", f"{rare.evaluations:,}"),
     ]
+    if rare.noise_decides:
+        few = sorted(one.noises for one in rare.repetitions)[len(rare.repetitions) // 2]
+        words = f"violating runs rest on {count(few, 'realisation')} of it: it decides, and the interval is too narrow"
+        rows.append(("noise", f"{words}; fly more runs a level"))
     return rows

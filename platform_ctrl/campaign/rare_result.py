@@ -1,0 +1,116 @@
+"""What is known of a probability that is too small to be counted."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.frozen import FloatArray, value
+
+RareMethod = Literal["splitting", "cross-entropy"]
+
+# Fewer realisations of the noise among the violating runs of a repetition say that noise decides.
+_FEWEST_NOISES = 10
+
+
+@value
+class RarePoint:
+    """Inputs that violate a requirement.
+
+    Attributes
+    ----------
+    u : (d,)
+        The point of the unit cube: the inputs through their distributions.
+    run
+        Number of the noise.
+    ratio
+        Figure over limit, above 1; infinite if it diverged.
+    distance
+        From the most probable inputs, in standard deviations.
+    """
+
+    u: FloatArray
+    run: int
+    ratio: float
+    distance: float
+
+
+@value
+class Repetition:
+    """One estimate of the probability, independent of the others.
+
+    Attributes
+    ----------
+    probability
+        The estimate; 0 where the limit was not reached.
+    below
+        The estimate; where the limit was not reached, an upper bound of what lies beyond the last level.
+    levels : (k,)
+        Figures over the limit that the levels stood at.
+    variation
+        Coefficient of variation as this repetition itself sees it.
+    evaluations
+        Runs that it took.
+    noises
+        How many realisations of the noise there are among its violating runs.
+    """
+
+    probability: float
+    below: float
+    levels: FloatArray
+    variation: float
+    evaluations: int
+    noises: int
+
+
+@value
+class RareResult:
+    """A probability that is too small to be counted.
+
+    Attributes
+    ----------
+    requirement
+        ``"angle"``, ``"attitude"``, ``"torque_share"``; None: any of them.
+    method
+        ``"splitting"`` or ``"cross-entropy"``.
+    probability, low, high, confidence
+        The mean of all repetitions, and where the true value lies by their scatter. With probability 0, `high` is what
+        the last level reached allows.
+    variation
+        Coefficient of variation of the mean.
+    repetitions
+        The single estimates.
+    evaluations
+        Runs that were flown for it.
+    violations
+        The most probable inputs that violate it, the nearest first: where to look.
+    shift : (d,)
+        Mean of the violating inputs in standard deviations of each: which inputs, moved where, make it happen.
+    """
+
+    requirement: str | None = None
+    method: RareMethod
+    probability: float
+    low: float
+    high: float
+    confidence: float
+    variation: float
+    repetitions: tuple[Repetition, ...]
+    evaluations: int
+    violations: tuple[RarePoint, ...]
+    shift: FloatArray
+
+    @property
+    def reached(self) -> int:
+        """How many repetitions reached the limit."""
+        return sum(one.probability > 0.0 for one in self.repetitions)
+
+    @property
+    def noise_decides(self) -> bool:
+        """Whether the violating runs rest on so few realisations of the noise that the interval is too narrow.
+
+        Then noise matters more than all inputs, and chains cannot lead it step by step.
+        """
+        noises = [one.noises for one in self.repetitions if one.probability > 0.0]
+        return bool(noises) and bool(np.median(noises) < _FEWEST_NOISES)
