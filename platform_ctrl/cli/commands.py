@@ -128,7 +128,10 @@ def design(
         prepared(out, (RESULT, REPORT))
         from platform_ctrl.check import checked
         from platform_ctrl.design import loops
+        from platform_ctrl.simulation.warming import warm_up
 
+        if read.manoeuvres:
+            warm_up()
         result = checked(read, loops(read, say), say)
         show = _delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)])
     return show()

@@ -17,6 +17,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
 from platform_ctrl.simulation.flight_plan import Batch, Controller, Prepared, batch, controller_rows, prepared
+from platform_ctrl.simulation.warming import wait_until_warm
 
 if TYPE_CHECKING:
     import control
@@ -175,6 +176,8 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
     from platform_ctrl.simulation.kernel.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
+    wait_until_warm()
+
     runs = len(together.given)
     groups = math.ceil(runs / LANES)
     # The last group is filled up with scenarios that are flown again.
@@ -215,6 +218,8 @@ def recorded(member: Prepared, controller: Controller, period: float, noise: boo
     """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
     from platform_ctrl.simulation.kernel.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
+
+    wait_until_warm()
 
     together = batch([member], controller, period, noise)
     at, flight = together.packed.at, together.flight

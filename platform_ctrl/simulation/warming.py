@@ -1,0 +1,41 @@
+"""The kernel is compiled once an installation, which takes a while: beside other work, in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+_compiling: list[subprocess.Popen[bytes]] = []
+
+
+def warm_up() -> None:
+    """Begin to compile the kernel, unless it has been or is being compiled.
+
+    The other process keeps what it has compiled where this one will look for it. If it fails, nothing is lost but time.
+    """
+    kept = Path(__file__).parent / "kernel" / "__pycache__"
+    if _compiling or any(kept.glob("loop.fly_groups*.nbi")):
+        return
+    command = [sys.executable, "-c", f"from {__name__} import compile_kernel; compile_kernel()"]
+    quiet = subprocess.DEVNULL
+    try:
+        _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
+    except OSError:
+        return
+
+
+def wait_until_warm() -> None:
+    """Wait until the other process has compiled the kernel, if there is one."""
+    while _compiling:
+        _compiling.pop().wait()
+
+
+def compile_kernel() -> None:
+    """Fly one scenario for an instant, for which the kernel is compiled or taken from its cache."""
+    from platform_ctrl.reading import read_platform
+    from platform_ctrl.scenario import Scenario
+    from platform_ctrl.simulation.batch import fly
+
+    platform = read_platform("gimballed_gyro")
+    fly([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
