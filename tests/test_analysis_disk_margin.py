@@ -139,3 +139,14 @@ def test_a_margin_narrower_than_any_grid_is_found_whatever_frequencies_are_asked
     assert full.alpha <= analysis.disk_margin(L, frequency=near).lower_response.min() * (1.0 + 1e-4)
     assert full.proved
     assert asked.proved
+
+
+def test_a_loop_that_no_gain_destabilises_says_so() -> None:
+    # L = 0 needs an infinite gain, at infinite frequency where it is smallest; L = I has S - T = 0.
+    small = analysis.disk_margin(control.ss(np.diag([-1.0, -1e9]), np.eye(2), np.eye(2), 0))
+    assert small.alpha == pytest.approx(2.0)
+    unit = analysis.disk_margin(control.ss([], [], [], np.eye(2)))
+    assert unit.alpha == unit.upper == math.inf
+    for found in (small, unit):
+        with pytest.raises(PlatformCtrlError, match="infinite"):
+            found.destabilising()

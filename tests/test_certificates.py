@@ -343,13 +343,17 @@ def test_a_statement_never_says_more_than_is_proved() -> None:
 
 def test_matrices_beyond_floating_point_are_refused_without_a_warning() -> None:
     B, C, D = np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))
-    for A in ([[-1e-300, 1e6], [0.0, -1e9]], [[-1e-300, 0.0], [0.0, -1e300]], [[-1e308, 0.0], [0.0, -1e308]]):
+    huge = [[-1e308, 0.0], [0.0, -1e308]]
+    for A in ([[-1e-300, 1e6], [0.0, -1e9]], [[-1e-300, 0.0], [0.0, -1e300]], huge):
         with pytest.raises(NotCertifiedError):
             stability_certificate(A, 1e-3)
         with pytest.raises(NotCertifiedError):
             norm_certificate(A, B, C, D)
+    for A in ([[-1e-300, 1e6], [0.0, -1e9]], [[-1e-300, 0.0], [0.0, -1e300]]):
         with pytest.raises(NotCertifiedError):
             h2_certificate(A, B, C)
+    # Scaled without overflow this one is within reach: its H2 norm is 2/sqrt(2e308).
+    assert 1.5e-154 < h2_certificate(huge, B, C).bound < 1e-99
     assert stability_certificate(np.array([[-1e-12, 1e6], [0.0, -1e9]])).verify().proved
 
 

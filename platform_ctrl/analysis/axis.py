@@ -78,11 +78,13 @@ class FrequencyAxis:
         Parameters
         ----------
         level
-            > 0.
+            Without a crossing unless > 0.
         scaling : (m,), optional
             d: of diag(d) H diag(d)^-1 instead of the square system H itself.
         """
         dt = self.system.dt
+        if len(self.system.A) == 0 or not level > 0.0:
+            return np.zeros(0)
         system: Matrices = self.system[:4]
         if dt > 0.0:
             try:
@@ -165,7 +167,8 @@ def pencil_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
 def _over(level: float, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
     """Return the system over `level`, shared by input and output: both halves of its Hamiltonian are equally large."""
     root = math.sqrt(level)
-    return A, B / root, C / root, D / level
+    with np.errstate(over="ignore"):
+        return A, B / root, C / root, D / level
 
 
 def _rescaled(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, scaling: FloatArray | None) -> Matrices:

@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 
 
 def disk_factors(delta: ComplexArray, skew: float) -> ComplexArray:
-    """Return the factors f of perturbations delta; infinite where the disk reaches an infinite gain."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((1.0 + 0.5 * (1.0 - skew) * delta) / (1.0 - 0.5 * (1.0 + skew) * delta), dtype=np.complex128)
+    """Return the factors f of perturbations delta; infinite where the disk reaches an infinite gain or delta is."""
+    out = np.full(delta.shape, complex(math.inf, 0.0))
+    below = 1.0 - 0.5 * (1.0 + skew) * np.where(np.isfinite(delta), delta, 0.0)
+    finite = np.isfinite(delta) & (np.abs(below) > 1e-12)
+    out[finite] = (1.0 + 0.5 * (1.0 - skew) * delta[finite]) / below[finite]
+    return out
 
 
 def worst_factors(factors: ComplexArray, frequency: float, skew: float, dt: float) -> control.StateSpace:

@@ -53,7 +53,7 @@ class DiskMargin:
     perturbation : complex (m,)
         Factors of the channels' loop gains, of disk size `upper`, that put a closed-loop pole at `frequency` on the
         stability boundary. A complex factor is gain |f| and phase arg f at that frequency; see `is_real` and
-        `destabilising`.
+        `destabilising`. Infinite where only an infinite gain does, or nothing.
     dt
         Sample period of the loop, s; 0: continuous.
     frequencies : (N,)
