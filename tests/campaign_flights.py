@@ -120,7 +120,10 @@ def flown_quickly(
 def flown_here(plan: Plan, pieces: Pieces, fly: Fly, **options: Any) -> Iterator[tuple[range, Columns]]:
     """Fly in this process, where nothing is said about processes: in place of `flown_by_processes`."""
     while (piece := pieces.next()) is not None:
-        yield piece, flown(plan, piece, fly)
+        began = time.perf_counter()
+        columns = flown(plan, piece, fly)
+        pieces.finished(piece, time.perf_counter() - began)
+        yield piece, columns
 
 
 def undisturbed(plan: Plan) -> list[dict[str, Any]]:

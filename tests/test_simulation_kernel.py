@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from kernel_entries import derivatives, entries, momenta, put, run, space, whole_state
 from platform_ctrl.description import Gimbal, Platform, Rotor
+from platform_ctrl.lanes import LANES, choose, load, store
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.kernel import dynamics, functions
-from platform_ctrl.simulation.kernel.lanes import LANES, choose, load, store
 from platform_ctrl.simulation.packing import pack
 from test_simulation_forces import a_state, along_coordinates, furnished
 from tree_cases import platforms

@@ -56,7 +56,7 @@ class Store:
         self._stamp = json.dumps(about, sort_keys=True)
         self._schema = schema_of(kinds, {_KEY: self._stamp})
         self._parts: dict[range, Path] = {}
-        self._base = 0
+        self._base = self._kept_runs = 0
 
     @property
     def table(self) -> Path:
@@ -66,7 +66,7 @@ class Store:
     @property
     def done(self) -> int:
         """How many runs are kept."""
-        return self._base + sum(map(len, self._parts))
+        return self._kept_runs
 
     @property
     def gaps(self) -> list[range]:
@@ -81,7 +81,7 @@ class Store:
         """Find what earlier processes left: a table, whole parts; whatever is damaged is removed and flown again."""
         for unfinished in (*self.folder.glob(f".{TABLE}.*.tmp"), *self.folder.glob(f"{PARTS}/.*.tmp")):
             unfinished.unlink(missing_ok=True)
-        self._base = self._whole_rows()
+        self._base = self._kept_runs = self._whole_rows()
         reached = self._base
         for path in sorted((self.folder / PARTS).glob("*")):
             named = _PART.fullmatch(path.name)
@@ -91,6 +91,7 @@ class Store:
             fits = reached <= runs.start < runs.stop <= self.runs
             if fits and _digest(path.read_bytes()) == named[3]:
                 self._parts[runs] = path
+                self._kept_runs += len(runs)
                 reached = runs.stop
             else:
                 path.unlink()
@@ -109,11 +110,12 @@ class Store:
         content = out.getvalue().to_pybytes()
         folder = self.folder / PARTS
         path = folder / f"{runs.start:012d}-{runs.stop:012d}.{_digest(content)}.parquet"
-        with self._kept(folder):
+        with self._telling(folder):
             folder.mkdir(exist_ok=True)
             with _replaced(path) as file:
                 file.write(content)
         self._parts[runs] = path
+        self._kept_runs += len(runs)
 
     def finish(self) -> None:
         """Make the table of all runs, in their order, write the record, and remove the parts.
@@ -125,7 +127,7 @@ class Store:
         """
         counts: Counter[str] = Counter()
         if self._parts or self._base < self.runs:
-            with self._kept(self.table):
+            with self._telling(self.table):
                 self._merge(counts)
         else:
             for table in self._base_tables():
@@ -138,7 +140,7 @@ class Store:
             "counts": {name: counts[name] for name in names},
             "reasons": {name: counts[name] for name in reasons},
         }
-        with self._kept(self.folder / RECORD):
+        with self._telling(self.folder / RECORD):
             write_record(self.folder, self.record)
         with suppress(OSError):  # what cannot be removed is recognised next time
             for path in self._parts.values():
@@ -194,7 +196,7 @@ class Store:
         return rows if rows <= self.runs else 0
 
     @contextmanager
-    def _kept(self, path: Path) -> Iterator[None]:
+    def _telling(self, path: Path) -> Iterator[None]:
         try:
             yield
         except OSError as error:

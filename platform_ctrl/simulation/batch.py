@@ -173,7 +173,7 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
         from platform_ctrl.simulation.device import flown_on_cuda
 
         return flown_on_cuda(together)
-    from platform_ctrl.simulation.kernel.lanes import LANES, memory
+    from platform_ctrl.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()
@@ -216,7 +216,7 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
-    from platform_ctrl.simulation.kernel.lanes import LANES, memory
+    from platform_ctrl.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()

@@ -13,9 +13,9 @@ from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import HalfCosine, Mode, Scenario
+from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.batch import merged, recorded
 from platform_ctrl.simulation.flight_plan import prepared
-from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.scenario import Fault, FaultKind, HalfCosine, Scenario
+from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.kernel import flight as layout
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
 from platform_ctrl.simulation.packing import Packed, frames_of, pack
-from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 

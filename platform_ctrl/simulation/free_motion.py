@@ -14,9 +14,9 @@ from platform_ctrl.arguments import positive, real_array
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.device import Device, expect_device, roll_out
 from platform_ctrl.simulation.packing import pack
-from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
@@ -117,8 +117,8 @@ def rollout(
     check_elements(platform, step, free=True)
     expect_device(device)
 
+    from platform_ctrl.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.advance import advance
-    from platform_ctrl.simulation.kernel.lanes import LANES, memory
 
     plant = pack(platform)
     states = with_rotor_states(plant, np.concatenate([angles, rates, turned], axis=1), spins)

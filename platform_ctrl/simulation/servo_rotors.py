@@ -70,8 +70,8 @@ def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
     """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
     rates = np.empty((*states.shape[:-1], plant.at.servos))
     if rates.size:
+        from platform_ctrl.lanes import memory
         from platform_ctrl.simulation.kernel.advance import carrier_rates
-        from platform_ctrl.simulation.kernel.lanes import memory
 
         flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)
         carrier_rates(*plant, memory(plant.at.end), flat, rates.reshape(-1, plant.at.servos))

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import kept
 from platform_ctrl.simulation.kernel.body import At, Links
 from platform_ctrl.simulation.kernel.dynamics import runge_kutta
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
-from platform_ctrl.simulation.kernel.lanes import kept
 from platform_ctrl.simulation.kernel.loop import fly
 
 cuda: Any = import_module("numba.cuda")

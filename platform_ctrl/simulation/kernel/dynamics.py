@@ -31,6 +31,18 @@ Non-positive pivots give NaN, which the callers take as divergence.
 from __future__ import annotations
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import (
+    Number,
+    apart,
+    choose,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    root,
+    store,
+)
 from platform_ctrl.simulation.kernel.body import (
     ACCELERATION,
     BODY,
@@ -81,18 +93,6 @@ from platform_ctrl.simulation.kernel.body import (
     Z,
 )
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential, hyperbolic_tangent
-from platform_ctrl.simulation.kernel.lanes import (
-    Number,
-    apart,
-    choose,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    root,
-    store,
-)
 
 Vector = tuple[Number, Number, Number]
 

@@ -6,7 +6,7 @@ there Taylor's series in the nested form, long enough for a double.
 
 from __future__ import annotations
 
-from platform_ctrl.simulation.kernel.lanes import (
+from platform_ctrl.lanes import (
     Number,
     choose,
     inlined,

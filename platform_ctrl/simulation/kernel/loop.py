@@ -8,6 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import (
+    Mask,
+    Number,
+    anywhere,
+    apart,
+    choose,
+    compiled,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    root,
+    store,
+    whole,
+)
 from platform_ctrl.simulation.kernel.body import GAIN, INTEGRAL, RATE, SERVO, SPIN, TORQUE_LIMIT, WORK, At, C, Links
 from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.flight import (
@@ -44,22 +60,6 @@ from platform_ctrl.simulation.kernel.flight import (
     Shared,
 )
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine
-from platform_ctrl.simulation.kernel.lanes import (
-    Mask,
-    Number,
-    anywhere,
-    apart,
-    choose,
-    compiled,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    root,
-    store,
-    whole,
-)
 from platform_ctrl.simulation.kernel.noise import LOSS, PHASE_OF_LINE, PICKOFF, normals, uniforms
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
 from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, hand_on, surround

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import columns, inlined, internal, load, root, store
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, logarithm
-from platform_ctrl.simulation.kernel.lanes import columns, inlined, internal, load, root, store
 
 # What a count is used for: the upper half of its channel.
 PICKOFF, LOSS, PHASE_OF_LINE = 0, 1 << 16, 2 << 16

@@ -3,6 +3,18 @@
 from __future__ import annotations
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import (
+    Mask,
+    Number,
+    anywhere,
+    choose,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    store,
+)
 from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import derivative, runge_kutta
 from platform_ctrl.simulation.kernel.flight import (
@@ -17,18 +29,6 @@ from platform_ctrl.simulation.kernel.flight import (
     TOUCHING,
     Flight,
     Shared,
-)
-from platform_ctrl.simulation.kernel.lanes import (
-    Mask,
-    Number,
-    anywhere,
-    choose,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    store,
 )
 
 

@@ -5,6 +5,18 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import (
+    Number,
+    apart,
+    choose,
+    columns,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    store,
+)
 from platform_ctrl.simulation.kernel.body import SERVO, SPIN, At
 from platform_ctrl.simulation.kernel.flight import (
     AMPLITUDE,
@@ -28,18 +40,6 @@ from platform_ctrl.simulation.kernel.flight import (
     Shared,
 )
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine, exponential
-from platform_ctrl.simulation.kernel.lanes import (
-    Number,
-    apart,
-    choose,
-    columns,
-    greater,
-    inlined,
-    internal,
-    lesser,
-    load,
-    store,
-)
 
 
 @inlined
