@@ -180,7 +180,7 @@ def disk_margin(
         highest = int(np.argmax(gains))
         norm, at = float(gains[highest]), float(grid[highest])
         if len(s):
-            norm, at = peak_gain(peak.axis, s, 1e-7, (norm, at))
+            norm, at = peak_gain(peak.axis, s, 1e-6, (norm, at))
         peak.bounds(np.array([at, peak.axis.edge]))
         peak.climb(grid, bounds.upper)
         proved = peak.prove()

@@ -113,15 +113,12 @@ def peak_gain(
         # Nothing comes through at any of the frequencies that its poles single out.
         return 0.0, 0.0
     for _ in range(60):
-        found, at = axis.largest(_between(axis.crossings(best * (1.0 + tolerance))))
-        if found > best * (1.0 + tolerance):
-            best, frequency = found, at
-            continue
-        # Nothing above the level. A last look around the peak, for the digits that the Hamiltonian may lack.
-        before = best
+        # Up the hill first: the Hamiltonian then mostly has only to show that there is no higher one.
         best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance)
-        if best <= before * (1.0 + tolerance):
+        found, at = axis.largest(_between(axis.crossings(best * (1.0 + tolerance))))
+        if found <= best * (1.0 + tolerance):
             break
+        best, frequency = found, at
     return best, frequency
 
 
