@@ -172,6 +172,30 @@ def test_a_thread_of_the_simulator_flies_its_scenario_as_the_processor_does(tmp_
     agree(Figures(**there, period=5e-4), here)
 
 
+@pytest.mark.skipif(find_spec("numba_cuda") is None, reason="numba-cuda is not installed")
+def test_the_device_code_compiles_without_a_gpu_and_keeps_what_it_knows_of_the_plant(monkeypatch):
+    from types import SimpleNamespace
+
+    from numba import cuda, float64, int64
+    from numba.cuda.cudadrv import nvvm
+
+    from platform_ctrl.simulation.kernel.cuda import advance_kernel
+    from platform_ctrl.simulation.packing import pack
+
+    if not nvvm.is_available():
+        pytest.skip("libNVVM is not installed")
+    hopper = SimpleNamespace(compute_capability=(9, 0))
+    monkeypatch.setattr("numba.cuda.dispatcher.get_current_device", lambda: hopper)
+    plant, other = pack(read_platform("three_gyro_platform")), pack(read_platform("suspended_platform"))
+    kernel = advance_kernel(plant.links, plant.at)
+    assert advance_kernel(plant.links, plant.at) is kernel
+    assert advance_kernel(other.links, other.at) is not kernel
+    arguments = (float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64, int64)
+    code, returned = cuda.compile_ptx(kernel.py_func, arguments, cc=(9, 0))
+    assert ".entry" in code
+    assert str(returned) == "none"
+
+
 @needs_gpu
 @pytest.mark.parametrize("mode", ["caged", "stabilised"])
 def test_the_gpu_flies_scenarios_as_the_processor_does(mode):

@@ -98,8 +98,7 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
     with _told():
         from platform_ctrl.simulation.kernel.cuda import THREADS, advance_kernel
 
-        kernel = advance_kernel(plant.at)
-        links = _there(cuda, plant.links)
+        kernel = advance_kernel(plant.links, plant.at)
         constants, around = cuda.to_device(plant.constants), cuda.to_device(plant.around)
         for first in range(0, len(states), _RUNS):
             part = slice(first, first + _RUNS)
@@ -108,7 +107,7 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
             for k, mark in enumerate(marks):
                 if mark > done:
                     kernel[math.ceil(here.shape[0] / THREADS), THREADS](
-                        links, plant.at, constants, around, here, acting, step, mark - done
+                        constants, around, here, acting, step, mark - done
                     )
                     done = mark
                 along[part, k] = here.copy_to_host()
@@ -124,13 +123,13 @@ def flown_on_cuda(together: Batch) -> FloatArray:
         There is no GPU or no numba-cuda here, or they fail.
     """
     cuda = _cuda()
-    at, flight = together.packed.at, together.flight
+    flight = together.flight
     figures = np.empty((len(together.given), flight.end - flight.figures))
     with _told():
         from platform_ctrl.simulation.kernel.cuda import THREADS, flight_kernel
 
-        kernel = flight_kernel(flight, together.free)
-        links, shared = _there(cuda, together.packed.links), _there(cuda, together.shared)
+        kernel = flight_kernel(together.packed.links, together.packed.at, flight, together.free)
+        shared = _there(cuda, together.shared)
         record = cuda.to_device(np.zeros((0, 0)))
         for first in range(0, len(figures), _RUNS):
             part = slice(first, first + _RUNS)
@@ -139,9 +138,7 @@ def flown_on_cuda(together: Batch) -> FloatArray:
                 for rows in (together.keys, together.plants, together.given)
             )
             out = cuda.device_array(figures[part].shape)
-            kernel[math.ceil(out.shape[0] / THREADS), THREADS](
-                links, shared, at, flight, keys, plants, given, record, out
-            )
+            kernel[math.ceil(out.shape[0] / THREADS), THREADS](shared, flight, keys, plants, given, record, out)
             figures[part] = out.copy_to_host()
     return figures
 

@@ -11,6 +11,7 @@ rounding, not to the last bit.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -33,46 +34,46 @@ THREADS = 128
 _ROUNDING = 64
 
 
-def advance_kernel(at: At) -> Any:
+def advance_kernel(links: Links, at: At) -> Any:
     """Return the kernel that moves runs of a plant with a free root on.
 
-    Its arguments: links, at, constants, around; `states` (N, size), moved in place; their `force` (N, 3 + n); step,
-    steps.
+    Its arguments: constants, around; `states` (N, size), moved in place; their `force` (N, 3 + n); step, steps.
     """
-    return _advance(_rounded(at.end))
+    return _kernel(_advance, links, at, _rounded(at.end))
 
 
-def flight_kernel(flight: Flight, free: bool) -> Any:
+def flight_kernel(links: Links, at: At, flight: Flight, free: bool) -> Any:
     """Return the kernel that flies scenarios of a batch.
 
-    Its arguments: links, shared, at, flight; `keys` (N, 2); `plants` (N, at.work) and `given` (N, given), what the host
-    gives of each; a record without rows; `figures` (N, figures), what comes out.
+    Its arguments: shared, flight; `keys` (N, 2); `plants` (N, at.work) and `given` (N, given), what the host gives of
+    each; a record without rows; `figures` (N, figures), what comes out.
     """
-    return _flight(_rounded(flight.end), free)
-
-
-def _compiled(kernel: Any) -> Any:
-    try:
-        return kept(cuda.jit(cache=True)(kernel))
-    except RuntimeError:  # nowhere to keep it
-        return cuda.jit(kernel)
+    return _kernel(_flight, links, at, _rounded(flight.end), free)
 
 
 def _rounded(slots: int) -> int:
     return -(-slots // _ROUNDING) * _ROUNDING
 
 
+def _kernel(make: Callable[..., Any], links: Links, at: At, *more: int) -> Any:
+    if import_module("numba").config.ENABLE_CUDASIM:
+        return cuda.jit(make(links, at, *more))
+    from platform_ctrl.simulation.kernel.fixed import Fixed
+
+    return _compiled(make, Fixed(links), Fixed(at), *more)
+
+
 @cache
-def _advance(slots: int) -> Any:
+def _compiled(make: Callable[..., Any], *known: Any) -> Any:
+    try:
+        return kept(cuda.jit(cache=True)(make(*known)))
+    except RuntimeError:  # nowhere to keep it
+        return cuda.jit(make(*known))
+
+
+def _advance(links: Links, at: At, slots: int) -> Any:
     def advance(
-        links: Links,
-        at: At,
-        constants: FloatArray,
-        around: FloatArray,
-        states: FloatArray,
-        force: FloatArray,
-        step: float,
-        steps: int,
+        constants: FloatArray, around: FloatArray, states: FloatArray, force: FloatArray, step: float, steps: int
     ) -> None:
         run = cuda.grid(1)
         if run >= states.shape[0]:
@@ -95,15 +96,12 @@ def _advance(slots: int) -> Any:
         for i in range(at.size):
             states[run, i] = mem[at.state + i]
 
-    return _compiled(advance)
+    return advance
 
 
-@cache
-def _flight(slots: int, free: bool) -> Any:
+def _flight(links: Links, at: At, slots: int, free: bool) -> Any:
     def flight_of_one(
-        links: Links,
         shared: Shared,
-        at: At,
         flight: Flight,
         keys: NDArray[np.uint64],
         plants: FloatArray,
@@ -125,4 +123,4 @@ def _flight(slots: int, free: bool) -> Any:
         for i in range(figures.shape[1]):
             figures[run, i] = mem[flight.figures + i]
 
-    return _compiled(flight_of_one)
+    return flight_of_one
