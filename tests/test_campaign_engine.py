@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import tomllib
+import tracemalloc
 import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +23,7 @@ import pytest
 import platform_ctrl as pc
 from campaign_flights import JOB, flown_here, flown_quickly, planned, rows, undisturbed
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
+from platform_ctrl.campaign.flight import inputs_of
 from platform_ctrl.campaign.lock import locked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.plan import Plan, plan
@@ -410,3 +412,31 @@ def test_a_piece_whose_worker_died_is_cut_until_the_run_is_alone() -> None:
     assert found == guilty
     assert sorted([*flown, guilty]) == list(range(4096))
     assert deaths <= 6
+
+
+def test_inputs_are_drawn_for_the_runs_of_a_piece_alone() -> None:
+    asked = []
+
+    def inputs(first: int, last: int) -> dict[str, Any]:
+        asked.append((first, last))
+        return {"x": np.arange(first, last, dtype=np.float64)}
+
+    stand_in: Any = types.SimpleNamespace(inputs=inputs)
+    assert inputs_of(stand_in, [1003, 1001])["x"].tolist() == [1003.0, 1001.0]
+    assert inputs_of(stand_in, [])["x"].size == 0
+    assert asked == [(1001, 1004), (0, 0)]
+
+
+@pytest.mark.usefixtures("here")
+def test_memory_does_not_grow_with_the_campaign(tmp_path: Path) -> None:
+    import pyarrow
+
+    carried_out(planned(runs=20_000, sampling="random"), tmp_path / "first")
+    peaks = []
+    for runs in (20_000, 80_000):
+        tracemalloc.start()
+        carried_out(planned(runs=runs, sampling="random"), tmp_path / str(runs))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.5 * peaks[0]
+    assert pyarrow.total_allocated_bytes() < 1 << 20

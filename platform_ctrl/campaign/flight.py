@@ -54,8 +54,8 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
 def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
     """Return the columns ``run`` and inputs of some runs."""
     numbers = np.asarray(runs, dtype=np.int64)
-    first = int(numbers.min(initial=0))
-    inputs = plan.inputs(first, int(numbers.max(initial=first - 1)) + 1)
+    first, last = (int(numbers.min()), int(numbers.max()) + 1) if len(numbers) else (0, 0)
+    inputs = plan.inputs(first, last)
     return {RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
 
 

@@ -352,14 +352,22 @@ def _forget(folder: Path) -> None:
 
 
 def _count(counts: Counter[str], table: Any) -> None:
-    endings = [str(ended) for ended in table.column(ENDED).to_pylist()]
-    for ended in endings:
-        counts["not flown" if ended.startswith(NOT_FLOWN) else "diverged" if ended != "completed" else ended] += 1
-        if ended.startswith(NOT_FLOWN) and (ended in counts or len(counts) < _COUNTED):
-            counts[ended] += 1
-    passed = table.column(PASSED).to_pylist().count(True)
-    counts["passed"] += passed
-    counts["not passed"] += len(endings) - passed - sum(ended.startswith(NOT_FLOWN) for ended in endings)
+    import pyarrow.compute
+
+    number = pyarrow.compute.sum
+    ended, passed = table.column(ENDED), table.column(PASSED)
+    missing = pyarrow.compute.starts_with(ended, NOT_FLOWN)
+    found = {
+        "completed": number(pyarrow.compute.equal(ended, "completed")).as_py(),
+        "not flown": number(missing).as_py(),
+        "passed": number(passed).as_py() or 0,
+    }
+    found["diverged"] = table.num_rows - found["completed"] - found["not flown"]
+    found["not passed"] = table.num_rows - found["passed"] - found["not flown"]
+    counts.update(found)
+    for entry in ended.filter(missing).value_counts().to_pylist() if found["not flown"] else ():
+        if entry["values"] in counts or len(counts) < _COUNTED:
+            counts[entry["values"]] += entry["counts"]
 
 
 def _digest(content: bytes) -> str:
