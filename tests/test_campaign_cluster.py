@@ -44,15 +44,15 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         ["distributed.cli.dask_worker", where, "--nworkers", "2", "--nthreads", "1", *alone],
     ]
     with (folder / "log").open("wb") as log:
-        options: dict[str, Any] = {
-            "cwd": folder,
-            "env": environment,
-            "stdout": log,
-            "stderr": log,
-            "start_new_session": True,
-        }
         processes = [
-            subprocess.Popen([sys.executable, "-m", *command], start_new_session=True, **options)
+            subprocess.Popen(
+                [sys.executable, "-m", *command],
+                cwd=folder,
+                env=environment,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
             for command in commands
         ]
         try:
