@@ -75,7 +75,7 @@ def test_what_is_proved_is_what_is_claimed(
 def small() -> tuple[Any, tuple[LoopOutcome, ...]]:
     """One loop of the main job, without spread and manoeuvres."""
     data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
-    for name in ("spread", "operation", "coupled", "manoeuvre"):
+    for name in ("spread", "operation", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
     loop |= {
@@ -236,7 +236,7 @@ def test_an_unstable_coupled_system_claims_nothing(small: tuple[Any, tuple[LoopO
 
 def test_an_unstable_loop_is_not_certified() -> None:
     data = tomllib.loads(Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8"))
-    for name in ("spread", "coupled", "manoeuvre"):
+    for name in ("spread", "coupled", "manoeuvre", "fault", "campaign"):
         data.pop(name, None)
     [loop] = [loop for loop in data["loop"] if loop["name"] == "caging 9-10"]
     loop |= {

@@ -37,7 +37,7 @@ def test_a_smooth_table_is_the_natural_cubic_spline() -> None:
     t = np.linspace(0.0, 2.0, 301)
     np.testing.assert_allclose(table(True).at(t), CubicSpline(T, VALUES, bc_type="natural")(t), atol=1e-13)
     # Natural ends: no curvature there.
-    first, last = table(True).coefficients[0], table(True).coefficients[-1]
+    first, last = table(True).pieces[0], table(True).pieces[-1]
     np.testing.assert_allclose(first[:, 2], 0.0, atol=1e-13)
     np.testing.assert_allclose(2 * last[:, 2] + 6 * last[:, 3] * 0.5, 0.0, atol=1e-12)
 
