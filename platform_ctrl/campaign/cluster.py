@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -45,12 +46,17 @@ def flown_by_cluster(
     """
     distributed = _distributed()
     client = _client(distributed, address)
+    # That a scheduler has gone is told once, by the error.
+    told = logging.getLogger("distributed.client")
+    before = told.level
+    told.setLevel(logging.CRITICAL)
     try:
         yield from _Cluster(distributed, client, plan, pieces, fly, device, address, say).flown()
     finally:
         with suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             client.close(timeout=_TIMEOUT)
+        told.setLevel(before)
 
 
 class _Cluster:
