@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from platform_ctrl.campaign.flight import inputs_of
-from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array
-from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array, arrow
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.reading.mistakes import one_line
 
 if TYPE_CHECKING:
@@ -60,24 +60,6 @@ def _reason(error: Exception) -> str:
     text = one_line(" ".join(str(error).split()))
     title = "" if isinstance(error, PlatformCtrlError) else type(error).__name__ + (": " if text else "")
     return (title + text)[:_LONGEST]
-
-
-def arrow() -> Any:
-    """Return the module pyarrow.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(
-            "a campaign's table is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]'"
-        ) from None
-    return pyarrow
 
 
 def schema_of(kinds: Mapping[str, Kind], metadata: Mapping[str, str]) -> Any:

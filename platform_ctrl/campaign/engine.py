@@ -7,16 +7,16 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from platform_ctrl.arguments import one_of
 from platform_ctrl.campaign import flight
-from platform_ctrl.campaign.columns import NOT_FLOWN, Fly, arrow, kinds_of
+from platform_ctrl.campaign.columns import NOT_FLOWN, Fly, kinds_of
 from platform_ctrl.campaign.identity import identity, versions
-from platform_ctrl.campaign.pieces import SIZES, Pieces
+from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.store import Record, opened
-from platform_ctrl.campaign.table import ENDED
-from platform_ctrl.campaign.workers import available, flown_by_processes
+from platform_ctrl.campaign.table import ENDED, arrow
+from platform_ctrl.campaign.workers import flown_by_processes
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
+from platform_ctrl.simulation.device import expect_device, processors
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -106,14 +106,11 @@ def run_campaign(
     ArgumentError
         `workers` or `device` make no sense.
     """
-    from platform_ctrl.simulation.device import expect_device
-
-    one_of("device", device, tuple(SIZES))
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers: given {workers}; expected at least one")
     arrow()
     expect_device(device)
-    crew = workers or (available() if device == "cpu" else 1)
+    crew = workers or (processors() if device == "cpu" else 1)
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)
     with opened(folder, identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:

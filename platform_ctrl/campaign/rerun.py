@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign import flight
-from platform_ctrl.campaign.columns import arrow
 from platform_ctrl.campaign.identity import identity, versions
 from platform_ctrl.campaign.store import TABLE, Record, differences
-from platform_ctrl.campaign.table import MANOEUVRE, RUN
+from platform_ctrl.campaign.table import MANOEUVRE, RUN, arrow
 from platform_ctrl.check.simulated import Run, judged
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import value

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.campaign.columns import NOT_FLOWN, Columns, Kind, arrow, schema_of, table_of
+from platform_ctrl.campaign.columns import NOT_FLOWN, Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.identity import Identity
 from platform_ctrl.campaign.lock import locked
-from platform_ctrl.campaign.table import ENDED, PASSED, RUN
+from platform_ctrl.campaign.table import ENDED, PASSED, RUN, arrow
 from platform_ctrl.errors import InputError
 from platform_ctrl.writing import write_whole
 

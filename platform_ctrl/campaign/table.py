@@ -31,6 +31,24 @@ Array = NDArray[Any]
 Table = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str, Any]
 
 
+def arrow() -> Any:
+    """Return the module pyarrow.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            "a campaign's table is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]'"
+        ) from None
+    return pyarrow
+
+
 def column_names(table: Table) -> tuple[str, ...]:
     """Return the names of the table's columns.
 
@@ -106,16 +124,13 @@ def _answers(column: Array) -> Array:
 
 
 def _dataset(table: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Any:
-    try:
-        from pyarrow import ArrowException, dataset
-    except ImportError:
-        raise InputError(
-            "a campaign's table is Parquet and pyarrow is not installed: pip install 'platform_ctrl[campaign]'"
-        ) from None
+    pa = arrow()
+    from pyarrow import dataset
+
     given = os.fspath(table) if isinstance(table, str | os.PathLike) else [os.fspath(path) for path in table]
     try:
         return dataset.dataset(given, format="parquet")
-    except (ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"{short(given)}: cannot be read as Parquet: {str(error).splitlines()[0]}") from None
 
 

@@ -16,6 +16,7 @@ from platform_ctrl.campaign.columns import Columns, Fly, flown, not_flown
 from platform_ctrl.campaign.parcel import packed, unpacked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.errors import SimulationError
+from platform_ctrl.simulation.device import processors
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -25,13 +26,6 @@ DIED = "worker died"
 _DEATHS = 24
 # How long a process may take from closing its pipe to its end, s.
 _FAREWELL = 5.0
-
-
-def available() -> int:
-    """Return the number of processors that this process may use."""
-    with suppress(AttributeError):  # not on every system
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def flown_by_processes(
@@ -51,7 +45,7 @@ def flown_by_processes(
     context = multiprocessing.get_context("spawn")
     crew: dict[Connection, _Worker] = {}
     deaths, warm = 0, False
-    threads = available() if device == "cuda" else 1
+    threads = processors() if device == "cuda" else 1
 
     try:
         while True:

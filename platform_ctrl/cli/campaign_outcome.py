@@ -59,7 +59,7 @@ def rare_found(
     if requirement is None:
         return ()
     from platform_ctrl.campaign.rare_flights import rare_probability
-    from platform_ctrl.campaign.workers import available
+    from platform_ctrl.simulation.device import processors
 
     return (
         rare_probability(
@@ -67,7 +67,7 @@ def rare_found(
             None if requirement == ANY else requirement,
             samples=runs_per_level,
             method=cast("RareMethod", method),
-            threads=workers or available(),
+            threads=workers or processors(),
             device=device,
             say=say,
         ),

@@ -16,6 +16,7 @@ from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
+from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.flight_plan import Batch, Controller, Prepared, batch, controller_rows, prepared
 from platform_ctrl.simulation.warming import wait_until_warm
 
@@ -104,10 +105,11 @@ def fly(
     ------
     ArgumentError
         As `simulate`; the plants differ in what they are made of.
+    SimulationError
+        The device is not there.
     """
     period, longest = positive("period", period), positive("step", step)
-    if device not in ("cpu", "cuda"):
-        raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
+    expect_device(device)
     groups: dict[tuple[object, ...], list[int]] = {}
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):

@@ -6,6 +6,7 @@ Nothing of it is loaded before a run asks for it.
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -42,6 +43,11 @@ def expect_device(device: object) -> None:
         raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
     if device == "cuda":
         _cuda()
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _cuda() -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import operator
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -15,7 +14,7 @@ from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.simulation.attitude import unit_quaternions
-from platform_ctrl.simulation.device import Device, expect_device, roll_out
+from platform_ctrl.simulation.device import Device, expect_device, processors, roll_out
 from platform_ctrl.simulation.packing import pack
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
@@ -111,7 +110,7 @@ def rollout(
     step = positive("step", step)
     steps = _count("steps", steps, 0)
     every = None if every is None else _count("every", every, 1)
-    threads = _processors() if threads is None else _count("threads", threads, 1)
+    threads = processors() if threads is None else _count("threads", threads, 1)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step(platform, step, free=True)
     check_elements(platform, step, free=True)
@@ -151,10 +150,6 @@ def rollout(
         attitude_history=along[..., 2 * n + 3 : 2 * n + 7],
         spin_history=spins_along,
     )
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _count(what: str, given: int, least: int) -> int:
