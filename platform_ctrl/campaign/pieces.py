@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-# Scenarios that the kernel flies side by side: a piece of fewer costs as much.
+# Scenarios that the kernel flies side by side, as in `platform_ctrl.lanes`, which would load numba: a piece of fewer
+# costs as much.
 LANES = 8
 # Smallest and largest piece by device: a GPU wants many runs at once.
 SIZES = {"cpu": (LANES, 4096), "cuda": (1 << 12, 1 << 17)}

@@ -58,11 +58,6 @@ class Sensitivity:
     ranked: bool
     influences: tuple[Influence, ...]
 
-    @property
-    def explained(self) -> float:
-        """Sum of the drivers' indices; what is missing from 1 is interaction, noise, or too small to be told."""
-        return float(sum(one.index for one in self.influences if one.driver))
-
 
 def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
     """Return what drives each requirement, over all manoeuvres and within each.

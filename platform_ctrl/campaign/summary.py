@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from typing import Any
-
-import numpy as np
 
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
@@ -15,6 +11,7 @@ from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
 from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
 from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.worst import RunFigure
+from platform_ctrl.check.records import plain
 from platform_ctrl.frozen import value
 
 Record = dict[str, Any]
@@ -121,8 +118,8 @@ def summary_record(summary: Summary) -> Record:
         ],
         "rare": [rare_record(summary.plan, one) for one in summary.rare],
     }
-    plain: Record = _plain(record)
-    return plain
+    out: Record = plain(record)
+    return out
 
 
 def rare_record(plan: Plan, rare: RareResult) -> Record:
@@ -159,8 +156,8 @@ def rare_record(plan: Plan, rare: RareResult) -> Record:
             for one in rare.violations
         ],
     }
-    plain: Record = _plain(record)
-    return plain
+    out: Record = plain(record)
+    return out
 
 
 def _requirement(one: RequirementStatistics) -> Record:
@@ -189,18 +186,3 @@ def _run(one: RunFigure) -> Record:
         "ratio": one.ratio,
         "ended": one.ended,
     }
-
-
-def _plain(item: Any) -> Any:
-    match item:
-        case Mapping():
-            return {str(key): _plain(entry) for key, entry in item.items()}
-        case np.ndarray():
-            return _plain(item.tolist())
-        case list() | tuple():
-            return [_plain(entry) for entry in item]
-        case np.generic():
-            return _plain(item.item())
-        case float():
-            return item if math.isfinite(item) else None
-    return item
