@@ -61,12 +61,12 @@ def platform_ctrl(
     """Design the control loops of gimballed platforms with fast rotors, and check them on the coupled non-linear plant.
 
     \b
-    platform-ctrl models                          which plants come with it
-    platform-ctrl equations three_gyro_platform   its equations in symbols, by the paper's numbers
-    platform-ctrl design job.toml -o out          design, check, report: out/report.html
-    platform-ctrl check job.toml                  the same verdicts for out/result.json, after the job has changed
-    platform-ctrl simulate job.toml --run turn    one manoeuvre of the job, with the same controllers
-    platform-ctrl campaign job.toml --runs 10000  many runs with everything that may vary
+    platform-ctrl models                              which plants come with it
+    platform-ctrl equations three_gyro_platform       its equations in symbols, by the paper's numbers
+    platform-ctrl design job.toml -o out              design, check, report: out/report.html
+    platform-ctrl check job.toml                      the same verdicts for out/result.json, after the job has changed
+    platform-ctrl simulate job.toml --manoeuvre turn  one manoeuvre of the job, with the same controllers
+    platform-ctrl campaign job.toml --runs 10000      many runs with everything that may vary
     """  # noqa: D301
 
 
