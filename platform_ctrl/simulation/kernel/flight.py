@@ -35,9 +35,9 @@ LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, TORQUER = 0, 1, 2, 4, 6, 7, 8
 LOW, HIGH, RESTITUTION, TOUCHING, STOP = 0, 1, 2, 3, 4
 # Slots of a fault: begin, end, its two numbers; what is stuck.
 BEGIN, UNTIL, FIRST, SECOND, STUCK, FAULT = 0, 1, 2, 3, 4, 5
-# Slots of a rotor whose speed is not steady: L s in the carrier's axes (servo: nominal spin); share of it that is
-# there, and how fast that changes.
-SHARE, SHARE_RATE, ROTOR = 3, 4, 5
+# Slots of a rotor whose speed is not steady: L s in the carrier's axes (servo: nominal spin); share of it that is there
+# at the end of a step, and at the end of the step before.
+SHARE, LAST_SHARE, ROTOR = 3, 4, 5
 # Slots of a line of a vibration: amplitude; cosine and sine of its turn in half a substep of each segment; and of its
 # phase.
 AMPLITUDE, TURN, PHASE, LINE = 0, 1, 5, 7

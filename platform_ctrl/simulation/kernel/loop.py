@@ -62,7 +62,7 @@ from platform_ctrl.simulation.kernel.flight import (
 from platform_ctrl.simulation.kernel.functions import cosine_and_sine
 from platform_ctrl.simulation.kernel.noise import LOSS, PHASE_OF_LINE, PICKOFF, normals, uniforms
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
-from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, hand_on, surround
+from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, follow_rotors, hand_on, surround
 
 Keys = NDArray[np.uint64]
 
@@ -359,6 +359,8 @@ def _segment(
     contacts = flight.figures + at.n + 3 + 2 * nu
     for m in range(count):
         hand_on(shared, mem, lane, at, flight, free)
+        if at.course != 0:
+            follow_rotors(shared, mem, lane, at, flight, start + (m + 1.0) * step, step)
         _torques(shared, mem, lane, at, flight, 0)
         for row in range(1, 3):
             _work_on(shared, mem, lane, flight, segment)
@@ -424,6 +426,11 @@ def fly(
         store(mem, flight.line + j * LINE + PHASE + 1, lane, s)
     for row in range(2, 3):  # the end of the step before the first
         surround(shared, mem, lane, at, flight, free, row, row, at.no, zero)
+    if at.course != 0:
+        # The moment before the first: a step that leaves everything as it is.
+        for _ in range(2):
+            follow_rotors(shared, mem, lane, at, flight, zero, zero + 1.0)
+            hand_on(shared, mem, lane, at, flight, free)
     if not free:
         end = at.surroundings + 2 * at.block
         for i in range(3):

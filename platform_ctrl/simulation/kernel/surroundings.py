@@ -24,6 +24,7 @@ from platform_ctrl.simulation.kernel.flight import (
     FAULT,
     FIRST,
     HOLD,
+    LAST_SHARE,
     LINE,
     PHASE,
     RIPPLE,
@@ -33,7 +34,6 @@ from platform_ctrl.simulation.kernel.flight import (
     SCALE,
     SECOND,
     SHARE,
-    SHARE_RATE,
     TURN,
     UNTIL,
     Flight,
@@ -77,48 +77,59 @@ def _half_cosine(mem: FloatArray, lane: int, flight: Flight, t: Number) -> Numbe
 
 
 @inlined
-def _speeds(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, block: int, t: Number) -> None:
-    """The rotors' momenta at t: run-down, run-up and ripple of those that fail."""
-    n = at.n
+def _shares(shared: Shared, mem: FloatArray, lane: int, flight: Flight, t: Number) -> None:
+    """How much of their speed the failing rotors have at t; LAST_SHARE takes what SHARE was."""
     for r in range(shared.rotors.shape[0]):
-        store(mem, flight.rotor + r * ROTOR + SHARE, lane, 0.0 * t + 1.0)
-        store(mem, flight.rotor + r * ROTOR + SHARE_RATE, lane, 0.0 * t)
+        slot = flight.rotor + r * ROTOR
+        store(mem, slot + LAST_SHARE, lane, load(mem, slot + SHARE, lane))
+        store(mem, slot + SHARE, lane, 0.0 * t + 1.0)
     for f in range(shared.faults.shape[0]):
         kind = shared.faults[f, 0]
         if kind > RIPPLE:
             continue
-        row, rotor = flight.fault + f * FAULT, flight.rotor + shared.faults[f, 1] * ROTOR
+        row, slot = flight.fault + f * FAULT, flight.rotor + shared.faults[f, 1] * ROTOR + SHARE
         begin, until = load(mem, row + BEGIN, lane), load(mem, row + UNTIL, lane)
         a, b = load(mem, row + FIRST, lane), load(mem, row + SECOND, lane)
         begun = t >= begin
         since = choose(begun, t - begin, 0.0 * t)
         if kind == RIPPLE:
-            c, s = cosine_and_sine(b * since)
-            on = begun & (t < until)
-            share, rate = choose(on, 1.0 + a * s, 0.0 * t + 1.0), choose(on, a * b * c, 0.0 * t)
+            _, s = cosine_and_sine(b * since)
+            share = choose(begun & (t < until), 1.0 + a * s, 0.0 * t + 1.0)
         else:
             left = (1.0 - a) * exponential(-since / b)
-            slope = choose(begun, left / b, 0.0 * t)
-            share = choose(begun, a + left, 0.0 * t + 1.0)
-            rate = -slope
-            if kind == RUN_UP:
-                share, rate = choose(begun, 1.0 - left, a), slope
-        G, rate_of_G = load(mem, rotor + SHARE, lane), load(mem, rotor + SHARE_RATE, lane)
-        store(mem, rotor + SHARE, lane, G * share)
-        store(mem, rotor + SHARE_RATE, lane, rate_of_G * share + G * rate)
+            before, after = (a, 1.0 - left) if kind == RUN_UP else (0.0 * a + 1.0, a + left)
+            share = choose(begun, after, before)
+        store(mem, slot, lane, load(mem, slot, lane) * share)
+
+
+@internal
+def follow_rotors(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, t: Number, step: Number) -> None:
+    """Fill all three blocks with the rotors' momenta during the step that ends at t.
+
+    They change evenly during a step: what the motors hand to the carriers is then exactly what the rotors lose,
+    wherever a fault begins or ends.
+    """
+    n = at.n
+    _shares(shared, mem, lane, flight, t)
+    first, block = at.surroundings + n + 9, at.block
     for i in range(3 * (n + 1)):
-        store(mem, block + n + 9 + i, lane, load(mem, flight.steady + n + 9 + i, lane))
-        store(mem, block + 4 * n + 12 + i, lane, 0.0 * t)
+        store(mem, first + 2 * block + i, lane, load(mem, flight.steady + n + 9 + i, lane))
     for r in range(shared.rotors.shape[0]):
         rotor, body, servo = flight.rotor + r * ROTOR, shared.rotors[r, 0], shared.rotors[r, 1]
-        share, rate = load(mem, rotor + SHARE, lane), load(mem, rotor + SHARE_RATE, lane)
+        share = load(mem, rotor + SHARE, lane)
         if servo >= 0:
-            store(mem, at.servo + servo * SERVO + SPIN, lane, share * load(mem, rotor, lane))
+            mean = 0.5 * (load(mem, rotor + LAST_SHARE, lane) + share)
+            store(mem, at.servo + servo * SERVO + SPIN, lane, mean * load(mem, rotor, lane))
             continue
         for i in range(3):
-            L, h = load(mem, rotor + i, lane), block + n + 9 + 3 * body + i
-            store(mem, h, lane, load(mem, h, lane) + (share - 1.0) * L)
-            store(mem, h + 3 * (n + 1), lane, load(mem, h + 3 * (n + 1), lane) + rate * L)
+            h = first + 2 * block + 3 * body + i
+            store(mem, h, lane, load(mem, h, lane) + (share - 1.0) * load(mem, rotor + i, lane))
+    for i in range(3 * (n + 1)):
+        before, after = load(mem, first + i, lane), load(mem, first + 2 * block + i, lane)
+        store(mem, first + block + i, lane, 0.5 * (before + after))
+        rate = (after - before) / step
+        for row in range(3):
+            store(mem, first + row * block + 3 * (n + 1) + i, lane, rate)
 
 
 @internal
@@ -143,7 +154,7 @@ def hand_on(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, 
         for i in range(n + 6, n + 9):
             store(mem, block + i, lane, load(mem, end + i, lane))
     if at.course != 0:
-        for i in range(n + 9, at.block):
+        for i in range(n + 9, 4 * n + 12):
             store(mem, block + i, lane, load(mem, end + i, lane))
     for i in range(3):
         store(mem, flight.table + i, lane, load(mem, flight.table + 6 + i, lane))
@@ -200,5 +211,3 @@ def surround(
             if component >= 3 or not free:
                 target = Omega + component  # specific force stands behind Omega
                 store(mem, target, lane, load(mem, target, lane) + load(mem, slot + AMPLITUDE, lane) * c)
-    if at.course != 0:
-        _speeds(shared, mem, lane, at, flight, block, t)
