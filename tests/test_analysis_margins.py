@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.diagonal_mu import mu_bounds
+from random_loops import stable_loop
 
 seeds = st.integers(0, 2**31 - 1)
 
@@ -19,15 +20,6 @@ seeds = st.integers(0, 2**31 - 1)
 def complex_matrices(seed: int, count: int, m: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return rng.normal(size=(count, m, m)) + 1j * rng.normal(size=(count, m, m))
-
-
-def stable_loop(seed: int, m: int, n: int, dt: float = 0.0) -> control.StateSpace:
-    """Return a random strictly proper L whose closed loop is stable: the closed loop is drawn, then opened."""
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(n, n))
-    A = 0.9 * A / np.abs(np.linalg.eigvals(A)).max() if dt else A - (np.linalg.eigvals(A).real.max() + 0.3) * np.eye(n)
-    B, C = rng.normal(size=(n, m)), rng.normal(size=(m, n))
-    return control.ss(A + B @ C, B, C, 0, dt)
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])
