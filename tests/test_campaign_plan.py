@@ -570,7 +570,7 @@ def test_what_makes_no_plan_is_refused_in_one_line(ask: Any, words: str) -> None
 
 
 def test_what_a_plant_file_accepts_is_accepted() -> None:
-    planned(
+    made = planned(
         uniform("rotor.6.axial_inertia", 0.9, 1.1),
         uniform("rotor.6.transverse_inertia", 0.95, 1.1),
         uniform("friction.5.coulomb", 0.5, 1.2),
@@ -579,3 +579,4 @@ def test_what_a_plant_file_accepts_is_accepted() -> None:
         Vary(parameter="torquer.Q5.limit", distribution="log-normal", numbers={"median": 0.2, "deviation": 0.3}),
         uniform("manoeuvre.rate", -1.0, 1.0),
     )
+    assert len(made.varied) == 7
