@@ -23,16 +23,8 @@ GIMBAL, PARENT, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, SKEW = range(12)
 BODY, UNBALANCE = 9, 6
 # Slots of a joint's constants.
 STIFFNESS, PRELOAD, VISCOUS, COULOMB, BREAKAWAY, PER_COULOMB_RATE, PER_STRIBECK_RATE, CAGE, JOINT = (
-    0,
-    1,
-    2,
-    3,
-    5,
-    7,
-    8,
-    9,
-    13,
-)
+    0, 1, 2, 3, 5, 7, 8, 9, 13,
+)  # fmt: skip
 # Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
 C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
 # Slots of an erection's constants: sensing axis; then these.

@@ -292,7 +292,7 @@ def _outward(links: Links, mem: FloatArray, lane: int, at: At, free: bool, bare:
 
 
 @inlined
-def _weight(links: Links, mem: FloatArray, lane: int, at: At, torque: int) -> None:
+def _weight(mem: FloatArray, lane: int, at: At) -> None:
     """Add the unbalances' moments on the carriers to MOMENT, with the sign of what has to be held."""
     for b in range(at.n + 1):
         slot = at.work + b * WORK
@@ -470,7 +470,7 @@ def derivative(
                 Q = Q + _joint_torque(mem, lane, at, at.joint + k * JOINT, load(mem, y + k, lane), rate)
             store(mem, torque + k, lane, Q)
         if at.weight != 0 and not bare:
-            _weight(links, mem, lane, at, torque)
+            _weight(mem, lane, at)
             _erections(links, mem, lane, at, torque)
         if at.servos != 0 and not bare:
             _drives(links, mem, lane, at, at.yes, y, dy)
@@ -507,7 +507,7 @@ def derivative(
                 )
                 zero = 0.0 * load(mem, slot + MOMENT, lane)
                 _put(mem, lane, slot + MOMENT, zero, zero, zero)
-            _weight(links, mem, lane, at, torque)
+            _weight(mem, lane, at)
             for m in range(n - 1, -1, -1):
                 k = links.tree[m, GIMBAL]
                 slot = at.work + (k + 1) * WORK

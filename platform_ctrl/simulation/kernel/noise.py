@@ -26,6 +26,8 @@ _PER_53 = 2.0**-53
 _TURN = 2.0 * math.pi
 
 Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+# (columns, 2): seed and run of each scenario.
+Keys = NDArray[np.uint64]
 
 
 @inlined
@@ -46,8 +48,8 @@ def _between(high: np.uint64, low: np.uint64) -> float:
 
 
 @internal
-def uniforms(keys: NDArray[np.uint64], mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
-    """Two numbers between 0 and 1 into `slot` and the next; `keys` (columns, 2): seed and run of each scenario."""
+def uniforms(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
+    """Two numbers between 0 and 1 into `slot` and the next."""
     first, last = columns(lane)
     c0, c1 = np.uint64(step) & _LOW, np.uint64(channel)
     for column in range(first, last):
@@ -58,7 +60,7 @@ def uniforms(keys: NDArray[np.uint64], mem: FloatArray, lane: int, step: int, ch
 
 
 @internal
-def normals(keys: NDArray[np.uint64], mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
+def normals(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
     """Two independent standard normal numbers into `slot` and the next."""
     uniforms(keys, mem, lane, step, channel, slot)
     size = root(-2.0 * logarithm(load(mem, slot, lane)))
