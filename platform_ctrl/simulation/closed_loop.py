@@ -32,8 +32,8 @@ class Trajectory:
         Sample instants, s.
     q, rate, p : (N, n)
         Gimbal angles, rad; their rates, rad/s; joint momenta ∂T/∂q̇, N m s.
-    reading : (N, pick-offs)
-        What the pick-offs said, rad: noise and quantisation included.
+    reading : (N, sensors)
+        What the pick-offs said, rad, and behind them the rate sensors, rad/s: noise and quantisation included.
     command, torque : (N, torquers)
         The controllers' output computed from this sample's readings, before limiting; and the torque that acts just
         after this instant: delayed, limited, then lagged. N m.
@@ -42,7 +42,7 @@ class Trajectory:
     rotor_spin, rotor_torque : (N, servo rotors)
         Spins against the carriers, rad/s, and the torques of their motors, N m.
     angle_names, pickoff_names, torquer_names, rotor_names
-        What the columns are; torquers and servo rotors in the plant's order.
+        What the columns are, each in the plant's order; `pickoff_names` are those of all sensors.
     saturated : (torquers,)
         Number of samples whose command reached the torquer's limit.
     stop_contacts : (n,)
@@ -112,24 +112,26 @@ def simulate(
 ) -> Trajectory:
     """Run sampled controllers on the exact non-linear plant: force elements act, servo rotors run their speed loops.
 
-    At t = k `period` the pick-offs are read (angle + white noise, then quantisation) and the controllers are evaluated
-    in their order, u = K y with no hidden sign. `delay` seconds later their torque command takes effect and is held
-    until the next one does: it is limited to ± the torquer's limit first, and the limited command then passes the
-    torquer's first-order lag. Before the first command takes effect the torquers are silent; controllers start at
-    rest. The plant is integrated by the classical Runge-Kutta method; sample instants and the instants at which
-    commands take effect always lie on its grid, and the lag is integrated exactly.
+    At t = k `period` pick-offs and rate sensors are read (angle or rate + white noise, then quantisation) and the
+    controllers are evaluated in their order, u = K y with no hidden sign. `delay` seconds later their torque command
+    takes effect and is held until the next one does: it is limited to ± the torquer's limit first; the limited command
+    is followed no faster than the torquer's rate limit, and then passes its first-order lag. Before the first command
+    takes effect the torquers are silent; controllers start at rest. The plant is integrated by the classical
+    Runge-Kutta method; sample instants and the instants at which commands take effect always lie on its grid, and the
+    lag is integrated exactly.
 
-    A gimbal that has gone past a stop at the end of a substep is put back on it and loses its outward rate by an
-    impulse at that joint: a perfectly inelastic impact, known to a substep in time, that keeps the other joint momenta
-    and, with a free root, the angular momentum. While the gimbal presses against the stop its joint is locked.
+    A gimbal that has gone past a stop at the end of a substep is put back on it and its outward rate is turned by an
+    impulse at that joint into its `restitution` times as much inward, 0 by default: an impact, known to a substep in
+    time, that keeps the other joint momenta and, with a free root, the angular momentum. While the gimbal presses
+    against the stop its joint is locked.
 
     Parameters
     ----------
     platform
         The plant.
     controllers
-        Discrete state spaces with dt = `period`. Inputs: angles that a pick-off measures, or outputs of a controller
-        earlier in the list (that step's value, before limiting). Outputs: torquers, or signals that a later
+        Discrete state spaces with dt = `period`. Inputs: angles and rates that sensors measure, or outputs of a
+        controller earlier in the list (that step's value, before limiting). Outputs: torquers, or signals that a later
         controller takes in.
     period, delay, duration
         Sample period, delay from sample to torque (may exceed a period), length of the run, s.
@@ -141,7 +143,7 @@ def simulate(
     root_torque : (3,), optional
         Stabilised: constant torque on the platform in its own axes from t = 0 on, N m.
     seed, noise
-        Seed of the pick-off noise; whether there is any.
+        Seed of the sensors' noise; whether there is any.
     step
         Longest substep, s; default 1e-4. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor,
         2.7 times the shortest time constant of friction and cages.
