@@ -19,7 +19,7 @@ from pathlib import Path
 
 from side_by_side import DisagreementError, Outcome, Section, measured, quantity, versions
 
-PARTS = ("engine_linear", "engine_norms", "engine_kernel")
+PARTS = ("engine_linear", "engine_norms", "engine_kernel", "engine_flights")
 PACKAGES = ("numpy", "scipy", "numba", "control", "slycot", "mujoco")
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 HEADER = ("what", "ours", "beside", "theirs", "ratio", "target", "agree to")
