@@ -29,8 +29,9 @@ ANGLE, GIMBAL_RATE, ROOT_RATE = range(3)
 # Slots of a sensor: rms of a sample, quantisation; the last reading, and the last one delivered.
 RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3
 # Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
-# a substep of each segment; what it works towards, where it has slewed to, torque.
-LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9
+# a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
+# substep of each segment by which the lag is behind at its end.
+LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11
 # Slots of a stop: low, high, restitution; whether the gimbal lies on it.
 LOW, HIGH, RESTITUTION, TOUCHING, STOP = 0, 1, 2, 3, 4
 # Slots of a fault: begin, end, its two numbers; what is stuck.

@@ -41,7 +41,7 @@ from platform_ctrl.simulation.kernel.noise import LOSS, PHASE_OF_LINE, Keys, uni
 from platform_ctrl.simulation.kernel.sensors import read
 from platform_ctrl.simulation.kernel.stops import hold, meet_stops, strike
 from platform_ctrl.simulation.kernel.surroundings import begin_surroundings, follow_rotors, hand_on, surround
-from platform_ctrl.simulation.kernel.torquers import new_torque, put_torques, work_on
+from platform_ctrl.simulation.kernel.torquers import new_torque, put_torques, ready_torquers, torquers_fail, work_on
 
 
 @internal
@@ -105,6 +105,7 @@ def _segment(
     free: bool,
     segment: int,
     count: int,
+    source: int,
     start: Number,
     contact: bool,
 ) -> bool:
@@ -113,7 +114,10 @@ def _segment(
     step = load(mem, flight.segments + segment, lane)
     nu = shared.targets.shape[0]
     contacts = flight.figures + at.n + 3 + 2 * nu
+    failing = torquers_fail(shared)
     for m in range(count):
+        if failing and m > 0:
+            new_torque(shared, mem, lane, flight, segment, source, start + m * step)
         hand_on(shared, mem, lane, at, flight, free)
         if at.course != 0:
             follow_rotors(shared, mem, lane, at, flight, start + (m + 1.0) * step, step)
@@ -164,6 +168,7 @@ def fly(
     for i in range(at.size):
         store(mem, at.state + i, lane, load(mem, flight.start + i, lane))
     store(mem, flight.alive, lane, zero + 1.0)
+    ready_torquers(shared, mem, lane, flight)
     begin_surroundings(shared, mem, lane, at, flight)
     for j in range(shared.lines.shape[0]):
         uniforms(keys, mem, lane, j, PHASE_OF_LINE + j, flight.random)
@@ -189,7 +194,7 @@ def fly(
     contact = at.no
     for k in range(flight.samples):
         t = k * period
-        strike(links, shared, mem, lane, at, flight, free, t)
+        strike(links, shared, mem, lane, at, flight, free, k)
         _survey(links, mem, lane, at, flight, free)
         read(shared, keys, mem, lane, at, flight, k, t)
         _control(shared, keys, mem, lane, at, flight, k, t)
@@ -210,12 +215,13 @@ def fly(
             count = flight.before if segment == 0 else flight.after
             if count == 0:
                 continue
-            new_torque(shared, mem, lane, flight, segment, k - flight.whole - 1 + segment, start)
+            source = k - flight.whole - 1 + segment
+            new_torque(shared, mem, lane, flight, segment, source, start)
             if not noted:
                 note_torques(shared, mem, at, flight, record, k)
                 noted = True
             if k < flight.samples - 1:
-                contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, start, contact)
+                contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, source, start, contact)
                 start = start + count * load(mem, flight.segments + segment, lane)
 
 

@@ -61,7 +61,7 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
 
 @internal
 def strike(
-    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, t: float
+    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, sample: int
 ) -> None:
     """Throw gimbals towards their stops: the blows that are due since the last sample."""
     n = at.n
@@ -70,7 +70,7 @@ def strike(
             continue
         k, fault = shared.faults[f, 1], flight.fault + f * FAULT
         begin, impulse = load(mem, fault + BEGIN, lane), load(mem, fault + FIRST, lane)
-        due = (begin <= t) & (begin > t - shared.period)
+        due = (begin <= sample * shared.period) & (begin > (sample - 1) * shared.period)
         if not anywhere(due):
             continue
         impulse = choose(due, impulse, 0.0 * impulse)
@@ -140,7 +140,8 @@ def meet_stops(
         inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
         store(mem, here, lane, choose(past, inside, q))
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
-        store(mem, contacts + k, lane, load(mem, contacts + k, lane) + fresh)
+        counted = fresh * load(mem, flight.alive, lane)
+        store(mem, contacts + k, lane, load(mem, contacts + k, lane) + counted)
         touching = choose(past, zero + 1.0, zero)
         if held:
             touching = greater(touching, load(mem, at.work + (k + 1) * WORK + LOCKED, lane))

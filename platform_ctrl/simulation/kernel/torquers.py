@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import Number, choose, greater, inlined, internal, lesser, load, store
+from platform_ctrl.lanes import Number, apart, choose, greater, inlined, internal, lesser, load, store
 from platform_ctrl.simulation.kernel.body import At
 from platform_ctrl.simulation.kernel.faults import acts
 from platform_ctrl.simulation.kernel.flight import (
     AT_ONCE,
+    BEHIND,
     DECAY,
     FAULT,
     FIRST,
     HELD,
+    SECOND,
     SLEW,
     SLEWED,
     STUCK,
@@ -22,39 +24,77 @@ from platform_ctrl.simulation.kernel.flight import (
     Flight,
     Shared,
 )
+from platform_ctrl.simulation.kernel.functions import logarithm
+
+
+@internal
+def ready_torquers(shared: Shared, mem: FloatArray, lane: int, flight: Flight) -> None:
+    """Find how far the lags stay behind a torque that slews."""
+    for i in range(shared.targets.shape[0]):
+        for segment in range(2):
+            slot = flight.torquer + i * TORQUER + segment
+            decay = load(mem, slot + DECAY, lane)
+            zero = 0.0 * decay
+            lagging = (decay > 0.0) & (decay < 1.0)
+            behind = (decay - 1.0) / logarithm(choose(lagging, decay, zero + 0.5))
+            store(mem, slot + BEHIND, lane, choose(lagging, behind, choose(decay > 0.0, zero + 1.0, zero)))
+
+
+@inlined
+def torquers_fail(shared: Shared) -> bool:
+    """Whether any torquer of any scenario fails."""
+    failing = False
+    for f in range(shared.faults.shape[0]):
+        failing = failing or TORQUER_DEAD <= shared.faults[f, 0] <= TORQUER_WEAK
+    return failing
+
+
+@inlined
+def _toward(wanted: Number, here: Number, reach: Number) -> Number:
+    return greater(lesser(wanted, here + reach), here - reach)
 
 
 @internal
 def new_torque(
     shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int, source: int, t: Number
 ) -> None:
-    """What the torquers work towards in a segment: the limited command of sample `source`, and what fails of it."""
+    """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
+    apart()
     nu = shared.targets.shape[0]
     for i in range(nu):
         slot = flight.torquer + i * TORQUER
         held = 0.0 * t
+        fixed, level = held, held
         if source >= 0:
             held = load(mem, flight.ring + source % (flight.whole + 2) * nu + i, lane)
+        torque = load(mem, slot + TORQUE, lane)
         for f in range(shared.faults.shape[0]):
             kind = shared.faults[f, 0]
             if kind < TORQUER_DEAD or kind > TORQUER_WEAK or shared.faults[f, 1] != i:
                 continue
             fault = flight.fault + f * FAULT
             on = acts(mem, lane, fault, t)
-            if kind == TORQUER_DEAD:
-                held = choose(on, 0.0 * held, held)
-            elif kind == TORQUER_WEAK:
+            if kind == TORQUER_WEAK:
                 held = choose(on, load(mem, fault + FIRST, lane) * held, held)
+                continue
+            fixed = choose(on, 0.0 * t + 1.0, fixed)
+            if kind == TORQUER_DEAD:
+                level = choose(on, 0.0 * t, level)
             else:
-                stuck = choose(on, load(mem, fault + STUCK, lane), load(mem, slot + TORQUE, lane))
+                # SECOND: whether it is stuck already.
+                fresh = on & (load(mem, fault + SECOND, lane) < 0.5)
+                stuck = choose(fresh, torque, load(mem, fault + STUCK, lane))
                 store(mem, fault + STUCK, lane, stuck)
-                held = choose(on, stuck, held)
+                store(mem, fault + SECOND, lane, choose(fresh, 0.0 * t + 1.0, load(mem, fault + SECOND, lane)))
+                level = choose(on, stuck, level)
+        sound = fixed < 0.5
+        held = choose(sound, held, level)
         store(mem, slot + HELD, lane, held)
-        slewed, at_once = load(mem, slot + SLEWED, lane), load(mem, slot + AT_ONCE, lane)
-        slewed = slewed + lesser(greater(held - slewed, -at_once), at_once)
+        slewed = _toward(held, load(mem, slot + SLEWED, lane), load(mem, slot + AT_ONCE, lane))
+        slewed = choose(sound, slewed, level)
         store(mem, slot + SLEWED, lane, slewed)
-        lagging = load(mem, slot + DECAY + segment, lane) > 0.0
-        store(mem, slot + TORQUE, lane, choose(lagging, load(mem, slot + TORQUE, lane), slewed))
+        lagging = sound & (load(mem, slot + DECAY + segment, lane) > 0.0)
+        store(mem, slot + TORQUE, lane, choose(lagging, torque, slewed))
 
 
 @inlined
@@ -73,11 +113,12 @@ def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flig
 
 @inlined
 def work_on(shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int) -> None:
-    """Let the torquers go on by half a substep of the segment."""
+    """Let the torquers go on by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
     for i in range(shared.targets.shape[0]):
         slot = flight.torquer + i * TORQUER
-        held, slewed = load(mem, slot + HELD, lane), load(mem, slot + SLEWED, lane)
-        slew, decay = load(mem, slot + SLEW + segment, lane), load(mem, slot + DECAY + segment, lane)
-        slewed = slewed + lesser(greater(held - slewed, -slew), slew)
-        store(mem, slot + SLEWED, lane, slewed)
-        store(mem, slot + TORQUE, lane, slewed + (load(mem, slot + TORQUE, lane) - slewed) * decay)
+        before = load(mem, slot + SLEWED, lane)
+        decay, behind = load(mem, slot + DECAY + segment, lane), load(mem, slot + BEHIND + segment, lane)
+        after = _toward(load(mem, slot + HELD, lane), before, load(mem, slot + SLEW + segment, lane))
+        store(mem, slot + SLEWED, lane, after)
+        torque = after + (load(mem, slot + TORQUE, lane) - before) * decay - (after - before) * behind
+        store(mem, slot + TORQUE, lane, torque)
