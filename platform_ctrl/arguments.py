@@ -69,6 +69,21 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     return number
 
 
+def whole(name: str, given: object, least: int, most: int | None = None) -> int:
+    """Return a whole number from `least` to `most`; None: there is no largest.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else, or lies outside.
+    """
+    number = int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else None
+    if number is None or number < least or (most is not None and number > most):
+        expected = f">= {least}" if most is None else f"from {least} to {most}"
+        raise ArgumentError(f"{name}: given {short(given)}; expected a whole number {expected}")
+    return number
+
+
 def one_of(name: str, given: object, options: Sequence[str]) -> None:
     """Judge a word that selects something.
 

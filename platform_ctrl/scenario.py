@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.frozen import FloatArray, read_only, value
 
 Mode = Literal["caged", "stabilised"]
@@ -129,7 +129,9 @@ class Vibration:
         low, high = math.log(self.frequencies_hz[0]), math.log(self.frequencies_hz[-1])
         edges = np.exp(np.linspace(low, high, self.lines + 1))
         middle = np.sqrt(edges[:-1] * edges[1:])
-        density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
+        density = np.zeros(self.lines)
+        if self.densities.any():  # else it has been scaled to nothing
+            density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
         return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
 
 
@@ -260,6 +262,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Fill in the angles and rates that were left out."""
+        expect_platform(self.platform)
         n = len(self.platform.gimbals)
         for name in ("q", "rate"):
             given = getattr(self, name)

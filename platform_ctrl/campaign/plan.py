@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import known_name, one_of, positive, short
+from platform_ctrl.arguments import known_name, one_of, positive, whole
 from platform_ctrl.campaign.draws import MOST_RUNS, chosen, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -81,8 +81,8 @@ class Plan:
         ArgumentError
             The campaign has no such runs.
         """
-        first = _whole("first run", first, 0, self.runs)
-        last = _whole("end of the runs", last, first, self.runs)
+        first = whole("first run", first, 0, self.runs)
+        last = whole("end of the runs", last, first, self.runs)
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
     def inputs_at(self, points: FloatArray) -> Columns:
@@ -142,7 +142,7 @@ class Plan:
         ArgumentError
             The campaign has no such run.
         """
-        run = _whole("run", run, 0, self.runs - 1)
+        run = whole("run", run, 0, self.runs - 1)
         return self.scenarios(run, run + 1)[0]
 
 
@@ -187,11 +187,11 @@ def plan(
         raise ArgumentError(line)
     known = parameters(nominal, job.fault_events)
     by_name = {fault.name: fault for fault in job.fault_events}
-    number = _whole("seed", campaign.seed if seed is None else seed, 0, 2**63 - 1)
+    number = whole("seed", campaign.seed if seed is None else seed, 0, 2**63 - 1)
     return Plan(
         job=job,
         controllers=tuple(controllers),
-        runs=_whole("runs", campaign.runs if runs is None else runs, 1, MOST_RUNS),
+        runs=whole("runs", campaign.runs if runs is None else runs, 1, MOST_RUNS),
         seed=number,
         sampling=chosen_sampling,
         step=positive("step", campaign.step),
@@ -208,9 +208,3 @@ def _seed_of(seed: int, use: Literal["inputs", "noise"]) -> int:
     return int(
         np.random.SeedSequence((seed, ("inputs", "noise").index(use))).generate_state(1, np.uint64)[0] >> np.uint64(1)
     )
-
-
-def _whole(name: str, given: object, lowest: int, highest: int) -> int:
-    if isinstance(given, bool) or not isinstance(given, int | np.integer) or not lowest <= given <= highest:
-        raise ArgumentError(f"{name}: given {short(given)}; expected a whole number from {lowest} to {highest}")
-    return int(given)

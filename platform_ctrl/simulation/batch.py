@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.joining import joined_arrays
-from platform_ctrl.arguments import positive
+from platform_ctrl.arguments import positive, whole
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -109,7 +109,10 @@ def fly(
         The device is not there.
     """
     period, longest = positive("period", period), positive("step", step)
+    threads = whole("threads", threads, 1)
     expect_device(device)
+    if isinstance(scenarios, Scenario):
+        raise ArgumentError("scenarios: given one Scenario; expected a sequence of them")
     groups: dict[tuple[object, ...], list[int]] = {}
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
@@ -146,7 +149,8 @@ def fly(
 def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: Mode) -> list[control.StateSpace]:
     """Return the controllers that act in a mode: caged, those on the root do not."""
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    return [K for K in controllers if mode == "stabilised" or not (roots & set(K.output_labels))]
+    # What is no controller stays: where they are joined it is told.
+    return [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
 
 
 def merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode) -> Controller:

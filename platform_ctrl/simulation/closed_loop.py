@@ -229,9 +229,10 @@ def flight(
     ArgumentError
         As `simulate`.
     """
+    period, step = positive("period", period), positive("step", step)
+    member = prepared(scenario, period, step)
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)
-    member = prepared(scenario, period, step)
     record, figures = recorded(member, merged(platform, controllers, period, scenario.mode), period, noise)
     counts = np.rint(figures[n + 3 + len(platform.torquers) :]).astype(np.int64)
     saturated, contacts, done = counts[: len(platform.torquers)], counts[-1 - n : -1], int(counts[-1])

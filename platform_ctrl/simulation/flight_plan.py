@@ -9,16 +9,15 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import positive
-from platform_ctrl.description import PickOff, Platform
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.description import PickOff
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.scenario import Fault, FaultKind, HalfCosine, Scenario
+from platform_ctrl.scenario import Fault, FaultKind, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.kernel import flight as layout
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
 from platform_ctrl.simulation.packing import Packed, frames_of, pack
+from platform_ctrl.simulation.scenario_checks import expect_scenario, packed_profile, part_of
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
@@ -93,34 +92,21 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
     Raises
     ------
     ArgumentError
-        Initial values of the wrong shape or beyond a stop, faults of parts that the plant does not have, a step that
-        is too long for the plant.
+        It is no scenario that can be flown, or the step is too long for the plant.
     """
+    expect_scenario(scenario)
     platform, free = scenario.platform, scenario.mode == "stabilised"
-    when = timing(
-        positive("duration", scenario.duration, zero=True),
-        period,
-        positive("delay", scenario.delay, zero=True),
-        longest,
-    )
-    for gimbal, angle in zip(platform.gimbals, scenario.q, strict=True):
-        if gimbal.stops is not None and not gimbal.stops[0] <= angle <= gimbal.stops[1]:
-            raise ArgumentError(
-                f"q: {gimbal.angle} starts at {angle:.6g} rad; expected it between its stops {gimbal.stops}"
-            )
-    if any(one.kind == "rate" for one in scenario.vibrations) and free:
-        raise ArgumentError("vibration: of kind 'rate' in mode 'stabilised', where the root is free; expected 'force'")
+    when = timing(scenario.duration, period, scenario.delay, longest)
     check_step(platform, max(when.steps), free)
     check_elements(platform, max(when.steps), free)
     packed = pack(platform)
     state = np.concatenate([scenario.q, scenario.Omega, scenario.rate, unit_quaternions(scenario.attitude, (4,))])
+    spins = initial_spins(platform, scenario.spin, (packed.at.servos,))
     if packed.at.servos:
-        spins = initial_spins(platform, scenario.spin, (packed.at.servos,))
         state = with_rotor_states(packed, state[None], spins[None])[0]
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:
         part = fault.part or ""
-        _part(platform, fault)
         faults[fault.kind, part, sum(key[:2] == (fault.kind, part) for key in faults)] = fault
     table = scenario.torque_table if free else scenario.Omega_table
     key = (
@@ -136,30 +122,6 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
     )
     return Prepared(scenario, packed, when, faults, state, key)
-
-
-def _part(platform: Platform, fault: Fault) -> int:
-    """Index of the part that a fault happens to.
-
-    Raises
-    ------
-    ArgumentError
-        The plant has no such part.
-    """
-    kind = fault.kind
-    if kind == "controller overrun":
-        return 0
-    if kind.startswith(("rotor", "speed")):
-        what, names = "rotor", [r.name for r in platform.rotors]
-    elif kind.startswith("torquer"):
-        what, names = "torquer", [t.name for t in platform.torquers]
-    elif kind.startswith("pick-off"):
-        what, names = "sensor", [s.name for s in platform.sensors]
-    else:
-        what, names = "gimbal", list(platform.gimbal_names)
-    if fault.part not in names:
-        raise ArgumentError(f"fault {fault.name!r}: given {what} {fault.part!r}; expected one of {', '.join(names)}")
-    return names.index(fault.part)
 
 
 class Batch(NamedTuple):
@@ -219,7 +181,7 @@ def _shared(
     for kind, part, again in order:
         index = KINDS.index(kind)
         fault = next(member.faults[kind, part, again] for member in members if (kind, part, again) in member.faults)
-        place = rotors.index(part) if index <= layout.RIPPLE else _part(platform, fault)
+        place = rotors.index(part) if index <= layout.RIPPLE else part_of(platform, fault)
         channel = 64 * place + 8 * (index - layout.PICKOFF_DEAD) + again if index >= layout.PICKOFF_DEAD else 0
         faults.append((index, place, channel))
     lines = [(v.axis - 1 if v.kind == "rate" else v.axis + 2) for v in scenario.vibrations for _ in range(v.lines)]
@@ -376,24 +338,3 @@ def _put_lines(scenario: Scenario, rows: FloatArray, half: FloatArray) -> None:
             own[:, layout.TURN + 2 * segment] = np.cos(omega * half[segment])
             own[:, layout.TURN + 2 * segment + 1] = np.sin(omega * half[segment])
         place += vibration.lines
-
-
-def packed_profile(profile: HalfCosine) -> FloatArray:
-    """Return the rate vector, the rise and the hold of a half-cosine.
-
-    Raises
-    ------
-    ArgumentError
-        It is something else, or one of its numbers is out of range.
-    """
-    if not isinstance(profile, HalfCosine):
-        raise ArgumentError(f"Omega_profile: given {profile!r}; expected a HalfCosine")
-    if profile.axis not in (1, 2, 3):
-        raise ArgumentError(f"Omega_profile: axis is {profile.axis!r}; expected 1, 2 or 3")
-    if not math.isfinite(profile.rate):
-        raise ArgumentError(f"Omega_profile: rate is {profile.rate!r}; expected a finite number")
-    packed = np.zeros(5)
-    packed[profile.axis - 1] = profile.rate
-    packed[3] = positive("Omega_profile: rise", profile.rise, zero=True)
-    packed[4] = positive("Omega_profile: hold", profile.hold, zero=True)
-    return packed

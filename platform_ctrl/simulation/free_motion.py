@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import operator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import positive, real_array
+from platform_ctrl.arguments import positive, real_array, whole
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -108,9 +107,9 @@ def rollout(
     turned = unit_quaternions(attitude, (runs, 4))
     held = np.ascontiguousarray(real_array("force", force, (runs, n + 3), 0.0))
     step = positive("step", step)
-    steps = _count("steps", steps, 0)
-    every = None if every is None else _count("every", every, 1)
-    threads = processors() if threads is None else _count("threads", threads, 1)
+    steps = whole("steps", steps, 0)
+    every = None if every is None else whole("every", every, 1)
+    threads = processors() if threads is None else whole("threads", threads, 1)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
     check_step(platform, step, free=True)
     check_elements(platform, step, free=True)
@@ -150,13 +149,3 @@ def rollout(
         attitude_history=along[..., 2 * n + 3 : 2 * n + 7],
         spin_history=spins_along,
     )
-
-
-def _count(what: str, given: int, least: int) -> int:
-    try:
-        number = operator.index(given)
-    except TypeError:
-        raise ArgumentError(f"{what}: given {given!r}; expected a whole number >= {least}") from None
-    if number < least:
-        raise ArgumentError(f"{what}: given {given!r}; expected a whole number >= {least}")
-    return number

@@ -1,0 +1,120 @@
+"""What is no scenario that can be flown is refused in one line, alone and in a batch, before the kernel sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration, flight, fly
+
+PERIOD = 5e-4
+
+
+def scenario(**other) -> Scenario:
+    given = {"platform": pc.read_platform("three_gyro_platform"), "mode": "caged", "duration": 0.0, "delay": 0.0}
+    return Scenario(**(given | other))
+
+
+def fault(kind: str, part: str | None, **numbers) -> dict:
+    return {"faults": (Fault(**({"name": "it", "kind": kind, "part": part, "at": 0.0} | numbers)),)}
+
+
+def vibration(**other) -> dict:
+    given = {"kind": "rate", "axis": 1, "frequencies_hz": np.array([1.0, 9.0]), "densities": np.array([1.0, 1.0])}
+    return {"vibrations": (Vibration(**(given | other)),)}
+
+
+def table(t, values, **other) -> TimeTable:
+    return TimeTable(t=np.array(t), values=np.array(values), **other)
+
+
+REFUSED = {
+    "angles": ({"q": [0.0]}, r"q: given shape \(1,\); expected \(5,\)"),
+    "an angle beyond a stop": ({"q": [1.0, 0, 0, 0, 0]}, "q: alpha4 starts at 1 rad; expected it between its stops"),
+    "rates": ({"rate": [np.nan] * 5}, "rate: given a number that is not finite"),
+    "Omega": ({"mode": "stabilised", "Omega": [0.1]}, r"Omega: given shape \(1,\); expected \(3,\)"),
+    "a prescribed Omega": ({"Omega": [0.1, 0.0, 0.0]}, "Omega: given in mode 'caged', where Omega is prescribed"),
+    "spins": ({"spin": [1.0]}, r"spin: given shape \(1,\); expected \(0,\)"),
+    "attitude": ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude: given a norm of 1.41421; expected unit quaternions"),
+    "mode": ({"mode": "free"}, "mode: given 'free'; expected 'caged' or 'stabilised'"),
+    "duration": ({"duration": -1.0}, "duration: given -1.0; expected a finite number >= 0"),
+    "delay": ({"delay": np.inf}, "delay: given inf; expected a finite number >= 0"),
+    "seed": ({"seed": 1.5}, "seed: given 1.5; expected a whole number"),
+    "run": ({"run": -1}, "run: given -1; expected a whole number"),
+    "torque": ({"torque": [0.1, 0.0, 0.0]}, "torque: given in mode 'caged'"),
+    "profile": (
+        {"mode": "stabilised", "profile": HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.0)},
+        "profile: given in mode 'stabilised', where the root is free; expected torque or torque_table",
+    ),
+    "a profile's axis": (
+        {"profile": HalfCosine(axis=4, rate=1.0, rise=0.1, hold=0.0)},
+        "axis is 4; expected 1, 2 or 3",
+    ),
+    "a table's rows": (
+        {"Omega_table": table([0.0, 1.0], np.zeros((3, 3)))},
+        r"Omega_table: values: given shape \(3, 3\); expected \(2, 3\)",
+    ),
+    "a table's times": (
+        {"Omega_table": table([1.0, 0.0], np.zeros((2, 3)))},
+        r"Omega_table: t is \[1.0, 0.0\]; expected times that increase",
+    ),
+    "one point of a spline": (
+        {"mode": "stabilised", "torque_table": table([0.0], np.zeros((1, 3)), smooth=True)},
+        "torque_table: t is .*; expected two times or more",
+    ),
+    "a vibration's axis": (vibration(axis=5), "vibration: axis is 5; expected 1, 2 or 3"),
+    "a vibration's kind": (vibration(kind="angle"), "vibration: kind: given 'angle'; expected 'rate' or 'force'"),
+    "a vibration's mode": ({"mode": "stabilised", **vibration()}, "of kind 'rate' in mode 'stabilised'"),
+    "a vibration from 0 Hz": (
+        vibration(frequencies_hz=np.array([0.0, 9.0])),
+        "expected two or more that increase, > 0",
+    ),
+    "a density of 0": (vibration(densities=np.array([0.0, 1.0])), "expected numbers > 0, or all of them 0"),
+    "lines": (vibration(lines=0), "vibration: lines: given 0; expected a whole number >= 1"),
+    "a fault's kind": (fault("broken", "Q9"), "fault 'it': kind: given 'broken'; expected 'rotor run-down'"),
+    "a fault's part": (fault("torquer dead", "Q3"), "fault 'it': given torquer 'Q3'; expected one of Q4"),
+    "a fault's end": (fault("torquer dead", "Q9", at=1.0, until=0.5), "until is 0.5; expected a time after at = 1 s"),
+    "a time constant": (fault("rotor run-down", "11"), "time_constant: given 0.0; expected a finite number > 0"),
+    "a probability": (fault("controller overrun", None, probability=1.5), "expected a number from 0 to 1"),
+    "a share": (fault("torquer weak", "Q9", share=np.nan), "share is nan; expected a finite number"),
+}
+
+
+@pytest.mark.parametrize(("other", "message"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_cannot_be_flown_is_refused_in_one_line(other: dict, message: str) -> None:
+    for refused in (
+        lambda: flight(scenario(**other), [], period=PERIOD),
+        lambda: fly([scenario(**other)], [], period=PERIOD),
+    ):
+        with pytest.raises(ArgumentError, match=message) as caught:
+            refused()
+        assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("refused", "message"),
+    [
+        (lambda: flight(3, [], period=PERIOD), "scenario: given 3; expected a Scenario"),
+        (lambda: fly(scenario(), [], period=PERIOD), "scenarios: given one Scenario; expected a sequence of them"),
+        (lambda: fly([scenario()], [3], period=PERIOD), "got int, expected a control.StateSpace"),
+        (lambda: fly([scenario()], [], period=PERIOD, threads=0), "threads: given 0; expected a whole number >= 1"),
+        (lambda: flight(scenario(), [], period=0.0), "period: given 0.0; expected a finite number > 0"),
+        (lambda: flight(scenario(), [], period=PERIOD, step=-1.0), "step: given -1.0; expected a finite number > 0"),
+        (
+            lambda: scenario(platform="three_gyro_platform"),
+            "platform: given 'three_gyro_platform'; expected a Platform",
+        ),
+    ],
+)
+def test_arguments_that_mean_nothing_are_refused(refused, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        refused()
+
+
+def test_a_vibration_scaled_to_nothing_moves_nothing() -> None:
+    still = Vibration(kind="rate", axis=1, frequencies_hz=np.array([1.0, 9.0]), densities=np.zeros(2))
+    omega, amplitude = still.amplitudes
+    assert np.all(omega > 0.0)
+    assert not amplitude.any()
