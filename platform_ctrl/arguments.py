@@ -36,18 +36,29 @@ def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], defau
     """
     if given is None and default is not None:
         return np.full(shape, default)
-    try:
-        array = np.asarray(given)
-        if array.dtype.kind not in "iuf":
-            raise TypeError
-        array = array.astype(np.float64)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {short(given)}; expected real numbers of shape {shape}") from None
+    array = np.array(real_numbers(name, given, f" of shape {shape}"))
     if array.shape != shape:
         raise ArgumentError(f"{name}: given shape {array.shape}; expected {shape}")
     if not np.all(np.isfinite(array)):
         raise ArgumentError(f"{name}: given a number that is not finite; expected {shape} finite numbers")
     return array
+
+
+def real_numbers(name: str, given: object, more: str = "") -> FloatArray:
+    """Return `given` as a float64 array of any shape, `given` itself if it is one; finite or not.
+
+    Raises
+    ------
+    ArgumentError
+        Not numbers, complex ones, or rows of different lengths; `more` is what else is expected.
+    """
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind not in "iuf":
+            raise TypeError
+        return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name}: given {short(given)}; expected real numbers{more}") from None
 
 
 def positive(name: str, given: float, zero: bool = False) -> float:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.arguments import real_numbers
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.frozen import FloatArray, read_only, value
 
@@ -73,6 +74,11 @@ class TimeTable:
     smooth: bool = False
     scale: float = 1.0
 
+    def __post_init__(self) -> None:
+        """Keep what was given as arrays."""
+        for name in ("t", "values"):
+            object.__setattr__(self, name, read_only(real_numbers(name, getattr(self, name))))
+
     @property
     def pieces(self) -> FloatArray:
         """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point; unscaled."""
@@ -122,6 +128,11 @@ class Vibration:
     frequencies_hz: FloatArray
     densities: FloatArray
     lines: int = 64
+
+    def __post_init__(self) -> None:
+        """Keep what was given as arrays."""
+        for name in ("frequencies_hz", "densities"):
+            object.__setattr__(self, name, read_only(real_numbers(name, getattr(self, name))))
 
     @property
     def amplitudes(self) -> tuple[FloatArray, FloatArray]:
@@ -264,9 +275,8 @@ class Scenario:
         """Fill in the angles and rates that were left out."""
         expect_platform(self.platform)
         n = len(self.platform.gimbals)
-        for name in ("q", "rate"):
-            given = getattr(self, name)
-            object.__setattr__(self, name, read_only(given if len(given) else np.zeros(n)))
-        for name in ("torque", "Omega", "attitude", "spin"):
+        for name in ("q", "rate", "torque", "Omega", "attitude", "spin"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, read_only(getattr(self, name)))
+                given = real_numbers(name, getattr(self, name))
+                left_out = name in ("q", "rate") and not given.size
+                object.__setattr__(self, name, read_only(np.zeros(n) if left_out else given))

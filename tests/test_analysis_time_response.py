@@ -127,3 +127,19 @@ def test_an_impulse_gives_the_impulse_response() -> None:
 def test_what_cannot_be_is_refused(hold: Hold, D: float, says: str) -> None:
     with pytest.raises(PlatformCtrlError, match=says):
         analysis.time_response(control.ss([[-1.0]], [[1.0]], [[1.0]], D), [0.0, 1.0], [0.0, 1.0], hold=hold)
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda system: analysis.time_response(system, "0 1", [1, 2]), "timepts: given '0 1'; expected real numbers"),
+        (lambda system: analysis.time_response(system, [0, 1], [[1], [1, 2]]), "inputs: given .*; expected real"),
+        (lambda system: analysis.time_response(system, [0, 1], [1j, 2]), "inputs: given .*; expected real numbers"),
+        (lambda system: analysis.time_response(system, [0, 1], [1, 2], initial_state="x"), "initial_state: given 'x'"),
+        (lambda system: analysis.frequency_response(system, "a"), "frequency: given 'a'; expected real numbers"),
+        (lambda system: analysis.disk_margin(system, skew="a"), "skew = 'a', expected a finite number"),
+    ],
+)
+def test_what_are_no_numbers_is_refused_in_one_line(ask, says: str) -> None:
+    with pytest.raises(PlatformCtrlError, match=says):
+        ask(control.ss(-1, 1, 1, 0))

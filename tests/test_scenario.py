@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
 from platform_ctrl import read_platform
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.scenario import Scenario, TimeTable, Vibration
 
 T = np.array([0.0, 0.2, 0.5, 1.5, 2.0])
@@ -94,3 +95,13 @@ def test_a_run_begins_at_rest_unless_it_is_said_otherwise() -> None:
         assert not getattr(scenario, name).flags.writeable
     assert scenario.Omega[1] == 0.1
     assert scenario.spin is None
+
+
+def test_lists_become_arrays_and_what_are_no_numbers_is_refused() -> None:
+    assert TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2, 3]]).at(0.5).tolist() == [0.5, 1.0, 1.5]
+    shaking = Vibration(kind="force", axis=1, frequencies_hz=[1, 10], densities=[2, 2], lines=4)
+    assert shaking.amplitudes[1].shape == (4,)
+    with pytest.raises(ArgumentError, match=r"values: given .*; expected real numbers"):
+        TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2]])
+    with pytest.raises(ArgumentError, match="q: given 'alpha4'; expected real numbers"):
+        Scenario(platform=read_platform("gimballed_gyro"), mode="caged", duration=1.0, delay=0.0, q="alpha4")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.arguments import real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -95,7 +96,7 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
     """Return `frequency` as a vector of finite numbers >= 0, rad/s, or raise `ArgumentError`."""
-    out = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+    out = np.atleast_1d(real_numbers(f"{where}: frequency", frequency))
     if out.ndim != 1 or not np.all(np.isfinite(out)) or np.any(out < 0.0):
         raise ArgumentError(
             f"{where}: frequency has shape {np.shape(frequency)}, expected a vector of finite numbers >= 0 in rad/s"

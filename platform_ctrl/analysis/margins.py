@@ -8,6 +8,7 @@ diagonal perturbations; skew = 0 gives (S - T)/2 (Seiler, Packard and Gahinet, I
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -151,7 +152,7 @@ def disk_margin(
     ArgumentError
         If the loop transfer is not square, I + D is singular, or `skew` or `frequency` is not finite.
     """
-    if not math.isfinite(skew):
+    if not isinstance(skew, Real) or not math.isfinite(skew):
         raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
     if hasattr(loop_transfer, "frdata"):
         return _margin_of_data(loop_transfer, skew, frequency)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import state_arrays, state_scaling
-from platform_ctrl.arguments import one_of
+from platform_ctrl.arguments import one_of, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -61,13 +61,13 @@ def time_response(
     """
     A, B, C, D, dt = state_arrays(system, "time_response")
     times, steps = _times(timepts, dt)
-    u = np.asarray(inputs, dtype=np.float64)
+    u = real_numbers("time_response: inputs", inputs)
     u = u[None, :] if u.ndim == 1 else u
     if u.shape != (B.shape[1], times.size) or not np.isfinite(u).all():
         raise ArgumentError(
             f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
         )
-    x0 = np.zeros(len(A)) if initial_state is None else np.asarray(initial_state, dtype=np.float64)
+    x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
     if x0.shape != (len(A),) or not np.isfinite(x0).all():
         raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
     one_of("time_response: hold", hold, ("zoh", "foh", "impulse"))
@@ -91,7 +91,7 @@ def time_response(
 
 def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return the times and the steps between them."""
-    times = np.asarray(timepts, dtype=np.float64)
+    times = real_numbers("time_response: timepts", timepts)
     if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
         raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
     steps = times[1:] - times[:-1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.arguments import positive
+from platform_ctrl.arguments import positive, whole
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
 
@@ -60,7 +60,7 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     hypercube fill the space more evenly than that: the estimate scatters less, the bounds err on the safe side as a
     rule, but nobody guarantees it.
     """
-    if not 0 <= events <= runs:
+    if whole("events", events, 0) > whole("runs", runs, 0):
         raise ArgumentError(f"events: given {events} of {runs} runs; expected 0 <= events <= runs")
     if not 0.0 < positive("confidence", confidence) < 1.0:
         raise ArgumentError(f"confidence: given {confidence}; expected a number between 0 and 1")
