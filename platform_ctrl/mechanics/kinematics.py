@@ -67,9 +67,10 @@ def topology(platform: Platform) -> Topology:
     return _topology(platform)
 
 
+# Plants of a campaign are many and their tree is one.
 @lru_cache(maxsize=256)
-def _topology(platform: Platform) -> Topology:
-    parents = platform.parents
+def _tree(parents: tuple[int, ...]) -> tuple[tuple[int, ...], NDArray[np.bool_], NDArray[np.bool_]] | None:
+    """Order, `on_path` and `above` of a Topology; None: the parents form a ring."""
     n = len(parents)
     order: list[int] = []
     on_path = np.zeros((1 + n, n), dtype=bool)
@@ -77,7 +78,7 @@ def _topology(platform: Platform) -> Topology:
     while waiting:
         ready = [k for k in waiting if parents[k] < 0 or parents[k] in order]
         if not ready:
-            raise ArgumentError(f"platform {platform.name!r}: the gimbals' parents form a ring; expected a tree")
+            return None
         for k in ready:
             on_path[1 + k] = on_path[1 + parents[k]]
             on_path[1 + k, k] = True
@@ -85,20 +86,34 @@ def _topology(platform: Platform) -> Topology:
         waiting = [k for k in waiting if k not in ready]
     above = on_path[1:].T.copy()
     np.fill_diagonal(above, False)
+    on_path.flags.writeable = above.flags.writeable = False
+    return tuple(order), on_path, above
+
+
+@lru_cache(maxsize=256)
+def _topology(platform: Platform) -> Topology:
+    parents = platform.parents
+    n = len(parents)
+    tree = _tree(tuple(parents.tolist()))
+    if tree is None:
+        raise ArgumentError(f"platform {platform.name!r}: the gimbals' parents form a ring; expected a tree")
+    order, on_path, above = tree
     rotors = platform.rotors
     carriers = 1 + platform.carriers
     inertias = np.array([platform.root_inertia, *(g.inertia for g in platform.gimbals)], dtype=np.float64)
-    for rotor, body in zip(rotors, carriers, strict=True):
-        inertias[body] += rotor.transverse_inertia * (np.eye(3) - np.outer(rotor.axis, rotor.axis))
+    spin_axes = np.array([r.axis for r in rotors]).reshape(len(rotors), 3)
+    transverse = np.array([r.transverse_inertia for r in rotors])
+    across = np.eye(3) - spin_axes[:, :, None] * spin_axes[:, None, :]
+    np.add.at(inertias, carriers, transverse[:, None, None] * across)
     return Topology(
-        order=tuple(order),
+        order=order,
         parents=parents,
         on_path=on_path,
         above=above,
         carriers=carriers,
         axes=np.array([g.axis for g in platform.gimbals]).reshape(n, 3),
         inertias=inertias,
-        spin_axes=np.array([r.axis for r in rotors]).reshape(len(rotors), 3),
+        spin_axes=spin_axes,
         C=np.array([r.axial_inertia for r in rotors], dtype=np.float64),
         L=np.array([r.angular_momentum for r in rotors], dtype=np.float64),
         regulated=np.array([r.control != "free" for r in rotors], dtype=bool),
@@ -153,3 +168,15 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     jacobians[:, :, 3:] = tree.on_path[:, None, :] * axes.T
     spin_axes = np.einsum("rij,rj->ri", rotations[tree.carriers], tree.spin_axes)
     return Kinematics(rotations=rotations, axes=axes, spin_axes=spin_axes, jacobians=jacobians)
+
+
+def upright(platform: Platform) -> Kinematics:
+    """Return the directions of everything with all angles zero: `kinematics` there, faster."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    jacobians = np.zeros((1 + n, 3, 3 + n))
+    jacobians[:, :, :3] = np.eye(3)
+    jacobians[:, :, 3:] = tree.on_path[:, None, :] * tree.axes.T
+    rotations = np.zeros((1 + n, 3, 3))
+    rotations[:] = np.eye(3)
+    return Kinematics(rotations=rotations, axes=tree.axes, spin_axes=tree.spin_axes, jacobians=jacobians)

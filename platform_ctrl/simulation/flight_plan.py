@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from platform_ctrl.description import PickOff
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.scenario import Fault, FaultKind, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.kernel import flight as layout
@@ -300,7 +299,7 @@ def _given(
     for row, key in zip(part(flight.fault, len(order), layout.FAULT), order, strict=True):
         row[: layout.STUCK] = _numbers(member.faults.get(key), key)
     by_name = {r.name: r for r in platform.rotors}
-    frames = frames_of(topology(platform)) if rotors else np.zeros((0, 3, 3))
+    frames = frames_of(platform) if rotors else np.zeros((0, 3, 3))
     for row, name, (body, servo) in zip(
         part(flight.rotor, len(rotors), layout.ROTOR), rotors, shared.rotors, strict=True
     ):

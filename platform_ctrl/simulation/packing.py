@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, read_only
 from platform_ctrl.mechanics.kinematics import Topology, topology
 from platform_ctrl.simulation.kernel import body as layout
 from platform_ctrl.simulation.kernel.body import At, Links
@@ -35,8 +36,8 @@ def pack(platform: Platform) -> Packed:
     """Return a platform as the kernel wants it."""
     tree = topology(platform)
     n = len(tree.parents)
-    frames = frames_of(tree)
-    links = _links(platform, tree, frames)
+    frames = frames_of(platform)
+    links = _links(platform, tree)
     at = _at(platform, n)
     constants = np.zeros(at.work)
     around = np.zeros(at.block)
@@ -65,9 +66,20 @@ def pack(platform: Platform) -> Packed:
     return Packed(links, at, constants, around)
 
 
-def frames_of(tree: Topology) -> FloatArray:
+def frames_of(platform: Platform) -> FloatArray:
     """Return the rotations (1 + n, 3, 3) from the bodies' axes in the file to those of the kernel."""
-    return np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
+    return _frames(_axes(platform))
+
+
+def _axes(platform: Platform) -> bytes:
+    """Return the gimbals' axes as something that a cache can look up."""
+    return b"".join(np.asarray(gimbal.axis, dtype=np.float64).tobytes() for gimbal in platform.gimbals)
+
+
+# What depends on the tree alone is worked out once for all the plants of a campaign.
+@lru_cache(maxsize=256)
+def _frames(axes: bytes) -> FloatArray:
+    return read_only([np.eye(3), *(_frame(axis) for axis in np.frombuffer(axes).reshape(-1, 3))])
 
 
 def _frame(axis: FloatArray) -> FloatArray:
@@ -80,25 +92,39 @@ def _frame(axis: FloatArray) -> FloatArray:
     return np.array([across, np.cross(axis, across), axis])
 
 
-def _links(platform: Platform, tree: Topology, frames: FloatArray) -> Links:
-    n = len(tree.parents)
+def _links(platform: Platform, tree: Topology) -> Links:
+    erections = tuple((platform.gimbal(one.gimbal), platform.body(one.senses)) for one in platform.erections)
+    carriers = tuple(platform.body(r.carrier) for r in servo_rotors(platform))
+    return _links_of(tuple(tree.parents.tolist()), tree.order, _axes(platform), erections, carriers)
+
+
+@lru_cache(maxsize=256)
+def _links_of(
+    parents: tuple[int, ...],
+    order: tuple[int, ...],
+    axes: bytes,
+    erections: tuple[tuple[int, int], ...],
+    carriers: tuple[int, ...],
+) -> Links:
+    n, frames = len(parents), _frames(axes)
     rows = np.zeros((n, 12), dtype=np.int64)
     turns = np.zeros((n, 3, 3))
     slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
-    for m, k in enumerate(tree.order):
-        parent = int(tree.parents[k]) + 1
+    for m, k in enumerate(order):
+        parent = parents[k] + 1
         turn = frames[k + 1] @ frames[parent].T
         renamed = bool(np.isin(turn, (0.0, 1.0)).all())
         x, y, z = (int(row.argmax()) for row in turn) if renamed else (0, 1, 2)
         mixed = [slot[min(i, j), max(i, j)] for i, j in ((x, y), (x, z), (y, z))]
         rows[m] = (k, parent, x, y, z, x, y, z, *mixed, not renamed)
         turns[m] = turn
-    erection = np.array(
-        [(platform.gimbal(device.gimbal), platform.body(device.senses)) for device in platform.erections],
-        dtype=np.int64,
-    ).reshape(-1, 2)
-    carrier = np.array([platform.body(r.carrier) for r in servo_rotors(platform)], dtype=np.int64)
-    return Links(tree=rows, turn=turns, servo_carrier=carrier, erection=erection)
+    # Not read-only: to numba these would be arrays of another type, and the kernel would be compiled once more.
+    return Links(
+        tree=rows,
+        turn=turns,
+        servo_carrier=np.array(carriers, dtype=np.int64),
+        erection=np.array(erections, dtype=np.int64).reshape(-1, 2),
+    )
 
 
 def _at(platform: Platform, n: int) -> At:

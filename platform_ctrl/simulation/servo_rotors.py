@@ -16,7 +16,7 @@ from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform, Rotor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.mechanics.kinematics import kinematics, topology
+from platform_ctrl.mechanics.kinematics import topology, upright
 from platform_ctrl.mechanics.matrices import directions, mass_matrix
 from platform_ctrl.simulation.kernel import body as layout
 
@@ -106,7 +106,7 @@ def _compliances(platform: Platform, free: bool) -> FloatArray:
     """1/C + B A⁻¹ Bᵀ of every servo rotor: spin per momentum that the motor exchanges."""
     tree = topology(platform)
     servo = np.array([r.control == "servo" for r in platform.rotors])
-    at = kinematics(platform, np.zeros(len(tree.parents)))
+    at = upright(platform)
     inertias = tree.inertias.copy()
     held = np.array([r.control == "regulated" for r in platform.rotors])
     for body, C, axis in zip(tree.carriers[held], tree.C[held], tree.spin_axes[held], strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.mechanics.kinematics import upright
 from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an
@@ -27,15 +27,18 @@ def check_elements(platform: Platform, step: float, free: bool) -> None:
     """
     if not (platform.springs or platform.cages or platform.frictions):
         return
-    at = kinematics(platform, np.zeros(len(platform.gimbals)))
+    at = upright(platform)
     low = 0 if free else 3
     mass = mass_matrix(at.jacobians, world_inertias(platform, at))[low:, low:]
-    # How easily each gimbal gives way; a singular A* is for the run itself to find.
-    mobility = np.diag(np.linalg.pinv(mass, hermitian=True))[3 - low :]
+    # How easily each gimbal gives way: the diagonal of A*'s inverse; a singular A* is for the run itself to find.
+    level, shape = np.linalg.eigh(mass)
+    regular = level > 1e-15 * level[-1]
+    eases = (shape**2) @ np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)
+    mobility = dict(zip(platform.gimbal_names, eases[3 - low :].tolist(), strict=True))
     longest: list[tuple[float, str, str]] = []
 
     def judge(kind: str, gimbal: str, stiffness: float, damping: float, phase: float = _PHASE) -> None:
-        ease = mobility[platform.gimbal(gimbal)]
+        ease = mobility[gimbal]
         turning, decay = math.sqrt(abs(stiffness) * ease), damping * ease
         if turning > 0.0:
             longest.append((phase / turning, kind, gimbal))
