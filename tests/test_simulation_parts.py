@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import platform_ctrl as pc
 from platform_ctrl import simulation
 from platform_ctrl.description import Gimbal, PickOff, Platform, RateSensor, Torquer
-from platform_ctrl.scenario import Fault, Scenario
+from platform_ctrl.scenario import Fault, Scenario, TimeTable
 from platform_ctrl.simulation import Trajectory
 from platform_ctrl.simulation.kernel.noise import philox
 
@@ -204,3 +205,207 @@ def test_of_several_faults_of_a_torquer_the_gravest_counts() -> None:
         np.testing.assert_allclose(
             torque[[5, 20, 35, 55, 65, 75, 90]], [0.05, 0.1, 0.145, 0.0, 0.145, 0.375, 0.9], rtol=0, atol=1e-13
         )
+
+
+# Sensors.
+
+
+READINGS = ["signal", "signal_rate", "Omega2"]
+TURNING = TimeTable(t=np.array([0.0, 0.1]), values=np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]]))
+
+
+def truth(out: Trajectory) -> np.ndarray:
+    return np.column_stack([out.q, out.rate[:, 0], out.Omega[:, 1]])
+
+
+def test_rate_sensors_read_the_rates_of_gimbal_and_root() -> None:
+    platform = plant()
+    out = flown(platform, level=0.1, slope=-0.7, Omega_table=TURNING)
+    assert out.pickoff_names == ("signal", "alpha", "signal_rate", "Omega2")
+    np.testing.assert_array_equal(out.reading, truth(out))
+    np.testing.assert_allclose(out.reading[:, 3], 3.0 * out.t, rtol=0, atol=1e-15)
+    free = scenario(platform, mode="stabilised", Omega=[0.1, 0.2, -0.3], slope=0.4)
+    out = simulation.flight(free, [gain(1e-3, of="signal_rate")], period=PERIOD)
+    np.testing.assert_array_equal(out.reading, truth(out))
+    np.testing.assert_array_equal(out.command[:, 0], 1e-3 * out.rate[:, 0])
+    assert np.ptp(out.Omega[:, 1]) > 1e-3
+
+
+def test_a_quantised_reading_is_the_nearest_step() -> None:
+    out = flown(plant(quantisation=0.013), slope=-9.0, Omega_table=TURNING)
+    steps = out.reading / 0.013
+    np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-9)
+    assert np.abs(out.reading - truth(out)).max() <= 0.0065 + 1e-12
+    assert len(np.unique(out.reading[:, 0])) > 50
+
+
+@pytest.mark.parametrize("part", READINGS)
+def test_faults_of_a_sensor_change_what_it_reads_as_they_say(part: str) -> None:
+    platform = plant(noise=RMS)
+    sound = flown(platform, slope=2.0, Omega_table=TURNING)
+    j = sound.pickoff_names.index(part)
+    on = within(sound.t, 0.03, 0.07)
+    expected = {
+        "pick-off dead": np.zeros(40),
+        "pick-off stuck": np.full(40, sound.reading[29, j]),
+        "pick-off drift": sound.reading[on, j] + 0.8 * (sound.t[on] - 0.03),
+        "pick-off dropout": np.full(40, sound.reading[29, j]),  # all are lost
+    }
+    for kind, reading in expected.items():
+        out = flown(platform, fault(kind, part=part, rate=0.8), slope=2.0, Omega_table=TURNING)
+        np.testing.assert_allclose(out.reading[on, j], reading, rtol=0, atol=1e-14)
+        np.testing.assert_array_equal(out.reading[~on, j], sound.reading[~on, j])
+        others = np.arange(4) != j
+        if part != "signal":  # which the torque follows, and alpha the torque
+            np.testing.assert_array_equal(out.reading[:, others], sound.reading[:, others])
+        np.testing.assert_array_equal(out.command[:, 0], out.reading[:, 0])
+
+
+def test_a_drift_is_quantised_with_the_angle() -> None:
+    out = flown(plant(quantisation=0.01), fault("pick-off drift", part="signal", at=0.0, until=1.0, rate=0.5))
+    np.testing.assert_allclose(out.reading[:, 0], 0.01 * np.floor((1.0 + 0.5 * out.t) / 0.01 + 0.5), atol=1e-12)
+
+
+def losses(lost: np.ndarray, probability: float) -> None:
+    """Judge a series of losses: as many as there should be, and none the more likely for the one before."""
+    spread = 4.0 * np.sqrt(probability * (1.0 - probability) / len(lost))
+    assert abs(np.mean(lost) - probability) < spread
+    assert abs(np.mean(lost[1:] & lost[:-1]) - probability**2) < 2.0 * spread
+
+
+@pytest.mark.parametrize("probability", [0.03, 0.4])
+def test_samples_are_lost_with_their_probability_one_by_one_and_the_last_stays(probability: float) -> None:
+    lossy = [
+        fault("pick-off dropout", part=part, at=0.0, until=np.inf, probability=probability)
+        for part in ("signal", "signal_rate")
+    ]
+    platform, more = plant(noise=RMS), {"duration": 8.0, "step": PERIOD, "slope": 1e-3, "level": 0.0}
+    sound = flown(platform, **more).reading
+    series = []
+    for run in (0, 1):
+        noise = sound if run == 0 else flown(platform, run=run, **more).reading
+        out = flown(platform, *lossy, run=run, **more).reading
+        for j in (0, 2):
+            lost = out[1:, j] != noise[1:, j]
+            np.testing.assert_array_equal(out[1:, j], np.where(lost, out[:-1, j], noise[1:, j]))
+            losses(lost, probability)
+            series.append(lost)
+    for a, b in itertools.combinations(series, 2):
+        assert abs(np.mean(a & b) - probability**2) < 5.0 * probability / np.sqrt(len(a))
+
+
+def test_in_a_missed_sample_command_and_controller_stay() -> None:
+    count = control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD, inputs=["signal"], outputs=["Qg"], name="count")
+    missing = fault("controller overrun", part=None, at=1.0, until=9.0, probability=0.2)
+    one = scenario(plant(limit=1e-6), faults=(missing,), duration=10.0, level=1.0)
+    out = simulation.flight(one, [count], period=PERIOD, step=PERIOD)
+    command = out.command[:, 0]
+    np.testing.assert_array_equal(command[:1001], np.arange(1001.0))
+    # A sample that is met shows the state that the last one met left behind.
+    assert set(np.diff(command)) == {0.0, 1.0}
+    losses(np.diff(command)[1000:8998] == 0.0, 0.2)
+    np.testing.assert_array_equal(np.diff(command[9000:]), 1.0)
+
+
+# Stops.
+
+
+def bouncing(restitution: float, **more: object) -> Trajectory:
+    platform = plant(stops=(-0.05, 0.05), restitution=restitution)
+    one = scenario(platform, **({"rate": [0.0, 3.0], "level": 0.0} | more))
+    return simulation.flight(one, [gain()], period=PERIOD)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.7, 0.25, 0.0])
+def test_every_bounce_gives_back_its_share_of_the_rate(restitution: float) -> None:
+    out = bouncing(restitution, duration=0.2)
+    rates = out.rate[:, 1]
+    bounces = np.concatenate([[0], np.cumsum(np.abs(np.diff(rates)) > 1e-9)])
+    expected = 3.0 * (-restitution) ** bounces
+    np.testing.assert_allclose(rates, expected, rtol=1e-12, atol=1e-15)
+    assert out.stop_contacts[1] == bounces[-1] == {1.0: 6, 0.7: 3, 0.25: 2, 0.0: 1}[restitution]
+    assert np.abs(out.q[:, 1]).max() <= 0.05
+    # Between bounces it goes on from the stop, which it has met to a step.
+    if restitution == 1.0:
+        way = 3.0 * out.t
+        folded = np.abs((way - 0.05) % 0.2 - 0.1) - 0.05
+        np.testing.assert_allclose(out.q[:, 1], folded, rtol=0, atol=6 * 3.0e-4)
+
+
+def test_a_pushed_gimbal_bounces_ever_lower_and_comes_to_rest_on_its_stop() -> None:
+    # As a ball that falls: heights e², e⁴, ... of the first; at rest after (1 + e)/(1 − e) times the first fall.
+    e, push = 0.5, J * 20.0
+    out = bouncing(e, level=push, rate=[0.0, 0.0], duration=0.4)
+    fall = np.sqrt(2.0 * 0.05 / 20.0)
+    alpha = out.q[:, 1]
+    at_rest = out.t > fall * (1.0 + 2.0 * e / (1.0 - e)) + 5e-3
+    np.testing.assert_array_equal(alpha[at_rest], 0.05)
+    np.testing.assert_array_equal(out.rate[at_rest, 1], 0.0)
+    first = within(out.t, fall, fall * (1.0 + 2.0 * e))
+    assert 0.05 - alpha[first].min() == pytest.approx(e**2 * 0.05, rel=0.02)
+    second = within(out.t, fall * (1.0 + 2.0 * e) + 1e-3, fall * (1.0 + 2.0 * e + 2.0 * e**2))
+    assert 0.05 - alpha[second].min() == pytest.approx(e**4 * 0.05, rel=0.1)
+    assert 5 < out.stop_contacts[1] < 15
+
+
+def free_gyro(restitution: float, control: str = "regulated") -> Platform:
+    """A rotor in two gimbals with stops, on a light platform."""
+    return pc.read_platform(
+        {
+            "schema": 1,
+            "name": "gyro between stops",
+            "root": {"name": "case", "inertia": [[0.010, 0.001, 0.0], [0.001, 0.012, 0.0], [0.0, 0.0, 0.011]]},
+            "gimbal": [
+                {
+                    "name": name,
+                    "parent": parent,
+                    "axis": axis,
+                    "inertia": [6e-4, 5e-4, 7e-4],
+                    "stops_deg": [-10.0, 8.0],
+                    "restitution": restitution,
+                }
+                for name, parent, axis in (("outer", "case", [0, 0, 1]), ("inner", "outer", [1, 0, 0]))
+            ],
+            "rotor": [
+                {
+                    "name": "R",
+                    "carrier": "inner",
+                    "axis": [0, 0.6, 0.8],
+                    "axial_inertia": 1.2e-4,
+                    "transverse_inertia": 0.7e-4,
+                    "spin": 200.0,
+                    "control": control,
+                }
+                | ({"speed_gain": 1e-3} if control == "servo" else {})
+            ],
+        }
+    )
+
+
+def momentum_and_energy(platform: Platform, out: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Angular momentum in inertial axes, and the energy that goes with rates: half of v'A*v."""
+    momentum, energy = [], []
+    for q, Omega, rate, (w, *axis) in zip(out.q, out.Omega, out.rate, out.attitude, strict=True):
+        v = np.concatenate([Omega, rate])
+        m = pc.matrices(platform, q, v)
+        own = (m.A_star @ v + m.B.T @ m.L)[:3]
+        momentum.append(own + 2.0 * np.cross(axis, np.cross(axis, own) + w * own))
+        energy.append(0.5 * v @ m.A_star @ v)
+    return np.array(momentum), np.array(energy)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.6, 0.0])
+def test_bounces_keep_the_angular_momentum_of_a_free_platform(restitution: float) -> None:
+    platform = free_gyro(restitution)
+    one = Scenario(
+        platform=platform, mode="stabilised", duration=0.1, delay=0.0, rate=np.array([12.0, -9.0]), Omega=np.ones(3)
+    )
+    out = simulation.flight(one, [], period=PERIOD, step=5e-5)
+    assert out.stop_contacts.min() >= 1
+    momentum, energy = momentum_and_energy(platform, out)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=0, atol=1e-9)
+    if restitution == 1.0:
+        np.testing.assert_allclose(energy, energy[0], rtol=0.02)
+    else:
+        assert energy[-1] < 0.9 * energy[0]
+        assert np.diff(energy).max() < 1e-3 * energy[0]

@@ -32,8 +32,8 @@ RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3
 # a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
 # substep of each segment by which the lag is behind at its end.
 LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11
-# Slots of a stop: low, high, restitution; whether the gimbal lies on it.
-LOW, HIGH, RESTITUTION, TOUCHING, STOP = 0, 1, 2, 3, 4
+# Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
+LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
 # Slots of a fault: begin, end, its two numbers; what is stuck.
 BEGIN, UNTIL, FIRST, SECOND, STUCK, FAULT = 0, 1, 2, 3, 4, 5
 # Slots of a rotor whose speed is not steady: L s in the carrier's axes (servo: nominal spin); share of it that is there

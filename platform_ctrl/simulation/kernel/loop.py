@@ -140,7 +140,8 @@ def _segment(
                     q, stop = load(mem, at.state + k, lane), flight.stop + k * STOP
                     past = past or anywhere((q < load(mem, stop, lane)) | (q > load(mem, stop + 1, lane)))
             if past:
-                contact = meet_stops(links, mem, lane, at, flight, free, held, contacts)
+                end = start + (m + 1.0) * step
+                contact = meet_stops(links, mem, lane, at, flight, free, held, contacts, end, step)
     return contact
 
 

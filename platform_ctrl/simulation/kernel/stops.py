@@ -7,6 +7,7 @@ from platform_ctrl.lanes import (
     Mask,
     Number,
     anywhere,
+    apart,
     choose,
     greater,
     inlined,
@@ -16,8 +17,9 @@ from platform_ctrl.lanes import (
     store,
 )
 from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK, At, Links
-from platform_ctrl.simulation.kernel.dynamics import derivative, runge_kutta
+from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 from platform_ctrl.simulation.kernel.flight import (
+    AWAY,
     BEGIN,
     CONTACT,
     FAULT,
@@ -27,9 +29,13 @@ from platform_ctrl.simulation.kernel.flight import (
     RESTITUTION,
     STOP,
     TOUCHING,
+    WHEN,
     Flight,
     Shared,
 )
+
+# A flight of fewer steps than these from a stop back to it ends at most as fast as it began.
+_SHORT = 20.0
 
 
 @inlined
@@ -38,17 +44,25 @@ def _past(mem: FloatArray, lane: int, at: At, flight: Flight, k: int) -> Mask:
     return (q < load(mem, stop + LOW, lane)) | (q > load(mem, stop + HIGH, lane))
 
 
+@inlined
+def _at_rest(mem: FloatArray, lane: int, at: At, flight: Flight) -> None:
+    """The state without rates, and surroundings in which nothing acts."""
+    n = at.n
+    zero = 0.0 * load(mem, at.state, lane)
+    for i in range(at.size):
+        store(mem, flight.spare_state + i, lane, load(mem, at.state + i, lane))
+    for i in range(n + 3):
+        store(mem, flight.spare_state + n + i, lane, zero)
+    for i in range(at.block):
+        store(mem, flight.spare_block + i, lane, zero)
+
+
 @internal
 def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, dy: int) -> None:
     """What a unit impulse at joint k does: rates of the joints into dy[:n], with a free root all rates behind."""
     n, state, block = at.n, flight.spare_state, flight.spare_block
+    _at_rest(mem, lane, at, flight)
     zero = 0.0 * load(mem, at.state, lane)
-    for i in range(at.size):
-        store(mem, state + i, lane, load(mem, at.state + i, lane))
-    for i in range(n + 3):
-        store(mem, state + n + i, lane, zero)
-    for i in range(at.block):
-        store(mem, block + i, lane, zero)
     if free:
         store(mem, block + 3 + k, lane, zero + 1.0)
     else:
@@ -121,24 +135,61 @@ def hold(
 
 
 @internal
+def _put_back(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, hit: Mask) -> None:
+    """Put gimbals past their stops back on them; the momenta of the joints and of the platform stay as they are."""
+    apart()
+    n, end = at.n, at.surroundings + 2 * at.block
+    before, after, root = flight.velocity + n, at.stages, at.work + MOMENT
+    if free:
+        joint_momenta(links, mem, lane, at, at.state, end, before + 3)
+        for i in range(3):
+            store(mem, before + i, lane, load(mem, root + i, lane))
+    for k in range(n):
+        stop, q = flight.stop + k * STOP, load(mem, at.state + k, lane)
+        inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
+        store(mem, at.state + k, lane, choose(hit, inside, q))
+    if not free:  # the momenta are the state
+        return
+    joint_momenta(links, mem, lane, at, at.state, end, after + 3)
+    for i in range(3):
+        store(mem, after + i, lane, load(mem, root + i, lane))
+    _at_rest(mem, lane, at, flight)
+    for i in range(n + 3):
+        missing = load(mem, before + i, lane) - load(mem, after + i, lane)
+        store(mem, flight.spare_block + i, lane, missing)
+    derivative(links, mem, lane, at, free, at.no, at.yes, flight.spare_state, flight.spare_block, at.stages)
+    for i in range(n, 2 * n + 3):
+        v = load(mem, at.state + i, lane)
+        store(mem, at.state + i, lane, choose(hit, v + load(mem, at.stages + i, lane), v))
+
+
+@internal
 def meet_stops(
-    links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, held: bool, contacts: int
+    links: Links,
+    mem: FloatArray,
+    lane: int,
+    at: At,
+    flight: Flight,
+    free: bool,
+    held: bool,
+    contacts: int,
+    t: Number,
+    step: Number,
 ) -> bool:
     """Put every gimbal that has gone past its stop back on it by an impact; return whether any lies on a stop.
 
     One that touched its stop a step before does not bounce again: bounces shorter than a step have come to rest.
-    `contacts` are slots that count how often each gimbal came up against a stop.
+    One that falls back within a few steps comes no faster than it went, although it is met late: else what it gains
+    in that time would keep it bouncing for ever. `contacts` are slots that count how often each gimbal came up against
+    a stop; t is the end of the step.
     """
     n, dy = at.n, at.stages
     zero = 0.0 * load(mem, at.state, lane)
     hit, lying = zero, zero
     for k in range(n):
-        stop, here = flight.stop + k * STOP, at.state + k
+        stop = flight.stop + k * STOP
         past = _past(mem, lane, at, flight, k)
         touched = load(mem, stop + TOUCHING, lane) > 0.5
-        q = load(mem, here, lane)
-        inside = lesser(greater(q, load(mem, stop + LOW, lane)), load(mem, stop + HIGH, lane))
-        store(mem, here, lane, choose(past, inside, q))
         fresh = choose(past, choose(touched, zero, zero + 1.0), zero)
         counted = fresh * load(mem, flight.alive, lane)
         store(mem, contacts + k, lane, load(mem, contacts + k, lane) + counted)
@@ -150,6 +201,7 @@ def meet_stops(
         hit = choose(past, zero + 1.0, hit)
         lying = greater(lying, touching)
     if anywhere(hit > 0.5):
+        _put_back(links, mem, lane, at, flight, free, hit > 0.5)
         derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
         for k in range(n):
             store(mem, flight.velocity + k, lane, load(mem, dy + k, lane))
@@ -166,8 +218,12 @@ def meet_stops(
                     continue
                 settled = False
                 _response(links, mem, lane, at, flight, free, k, dy)
-                back = choose(touching > 1.5, 1.0 + load(mem, stop + RESTITUTION, lane), zero + 1.0)
-                impulse = choose(struck, -back * rate / load(mem, dy + k, lane), zero)
+                away = load(mem, stop + AWAY, lane)
+                again = (away > 0.0) & (t - load(mem, stop + WHEN, lane) < _SHORT * step)
+                coming = choose(again, lesser(outward, away), outward)
+                back = choose(touching > 1.5, load(mem, stop + RESTITUTION, lane) * coming, zero)
+                change = choose(above, -outward - back, outward + back)
+                impulse = choose(struck, change / load(mem, dy + k, lane), zero)
                 for j in range(n):
                     slot = flight.velocity + j
                     store(mem, slot, lane, load(mem, slot, lane) + impulse * load(mem, dy + j, lane))
@@ -181,6 +237,10 @@ def meet_stops(
             if settled:
                 break
     for k in range(n):
-        slot = flight.stop + k * STOP + TOUCHING
-        store(mem, slot, lane, lesser(load(mem, slot, lane), zero + 1.0))
+        stop = flight.stop + k * STOP
+        rate = load(mem, flight.velocity + k, lane)
+        bounced = load(mem, stop + TOUCHING, lane) > 1.5
+        store(mem, stop + WHEN, lane, choose(bounced, t, load(mem, stop + WHEN, lane)))
+        store(mem, stop + AWAY, lane, choose(bounced, choose(rate < 0.0, -rate, rate), load(mem, stop + AWAY, lane)))
+        store(mem, stop + TOUCHING, lane, lesser(load(mem, stop + TOUCHING, lane), zero + 1.0))
     return anywhere(lying > 0.5)
