@@ -17,6 +17,7 @@ from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report.document import Plate
 from platform_ctrl.report.quantities import MINUS, plain, power_of_ten
 from platform_ctrl.report.record import job_data, toml, versions
+from platform_ctrl.report.rendering import rendered
 from platform_ctrl.writing import write_whole
 
 # Of a small picture beside a number, in pixels.
@@ -77,17 +78,8 @@ def campaign_page(summary: Summary, *, command: str | None = None, again: str | 
     summary, command, again
         As in `write_campaign_page`.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-
     from platform_ctrl.report import style
 
-    environment = Environment(
-        loader=PackageLoader("platform_ctrl.report"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     rows = tables.probability_rows(summary)
     groups: dict[str, list[tables.ProbabilityRow]] = {}
     for row in rows:
@@ -122,7 +114,7 @@ def campaign_page(summary: Summary, *, command: str | None = None, again: str | 
             "command": command or "platform-ctrl campaign job.toml",
             "again": again or "platform-ctrl simulate job.toml --run",
         }
-    return environment.get_template("campaign.html").render(content)
+    return rendered("campaign.html", content)
 
 
 def _scale(shown: list[Probability]) -> Scale:

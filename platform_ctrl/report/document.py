@@ -11,6 +11,7 @@ from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.frozen import value
 from platform_ctrl.report import captions, comparison, tables
 from platform_ctrl.report.record import job_data, toml, versions
+from platform_ctrl.report.rendering import rendered
 from platform_ctrl.report.survival import survival
 from platform_ctrl.writing import write_whole
 
@@ -57,17 +58,8 @@ def page(result: JobResult, *, command: str | None = None) -> str:
     command
         As in `write_page`.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-
     from platform_ctrl.report import style
 
-    environment = Environment(
-        loader=PackageLoader("platform_ctrl.report"),
-        autoescape=select_autoescape(default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
     again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
     rows = tables.requirement_rows(result)
@@ -95,7 +87,7 @@ def page(result: JobResult, *, command: str | None = None) -> str:
             "command": command or again,
             "own_record": command is None,
         }
-    return environment.get_template("report.html").render(content)
+    return rendered("report.html", content)
 
 
 def _plate(figure: Figure, title: str, caption: str) -> Plate:
