@@ -1,7 +1,8 @@
-"""Sensors, torquers, controllers, stops and noise of the sampled loop, by what is known of them without the kernel."""
+"""Noise, torquers, sensors and sampling of the sampled loop, by what is known of them without the kernel."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import control
@@ -12,70 +13,11 @@ from scipy import stats
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
-from platform_ctrl.description import Gimbal, PickOff, Platform, RateSensor, Torquer
-from platform_ctrl.scenario import Fault, Scenario, TimeTable
+from platform_ctrl.description import PickOff
+from platform_ctrl.scenario import Scenario, TimeTable
 from platform_ctrl.simulation import Trajectory
 from platform_ctrl.simulation.kernel.noise import philox
-
-PERIOD = 1e-3
-J = 2e-3
-RMS = 1e-3
-
-
-def plant(
-    stops: tuple[float, float] | None = None,
-    restitution: float = 0.0,
-    noise: float = 0.0,
-    quantisation: float = 0.0,
-    **torquer: float,
-) -> Platform:
-    """Two gimbals that do not feel each other on a held root: what `signal` reads is a straight line, `g` is turned."""
-    sensor = {"noise_rms": noise, "noise_bandwidth_hz": 0.5 / PERIOD, "quantisation": quantisation}
-    return Platform(
-        name="signal and gimbal",
-        root_name="case",
-        root_inertia=0.01 * np.eye(3),
-        gimbals=(
-            Gimbal(name="s", parent="case", axis=np.array([1.0, 0, 0]), inertia=np.eye(3), angle="signal"),
-            Gimbal(
-                name="g",
-                parent="case",
-                axis=np.array([0, 0, 1.0]),
-                inertia=J * np.eye(3),
-                angle="alpha",
-                stops=stops,
-                restitution=restitution,
-            ),
-        ),
-        torquers=(Torquer(name="Qg", gimbal="g", **torquer),),
-        pickoffs=(PickOff(name="signal", gimbal="s", **sensor), PickOff(name="alpha", gimbal="g", **sensor)),
-        rate_sensors=(
-            RateSensor(name="signal_rate", gimbal="s", **sensor),
-            RateSensor(name="Omega2", root_axis=2, **sensor),
-        ),
-    )
-
-
-def gain(number: float = 1.0, of: str = "signal") -> control.StateSpace:
-    return control.ss([], [], [], [[number]], PERIOD, inputs=[of], outputs=["Qg"], name="gain")
-
-
-def scenario(platform: Platform, level: float = 1.0, slope: float = 0.0, **more: object) -> Scenario:
-    given: dict[str, object] = {"mode": "caged", "duration": 0.1, "delay": 0.0, "q": [level, 0.0], "rate": [slope, 0.0]}
-    return Scenario(platform=platform, **(given | more))  # type: ignore[arg-type]
-
-
-def flown(platform: Platform, *faults: Fault, step: float = 1e-4, **more: object) -> Trajectory:
-    return simulation.flight(scenario(platform, faults=faults, **more), [gain()], period=PERIOD, step=step)
-
-
-def fault(kind: str, part: str | None = "Qg", at: float = 0.03, until: float = 0.07, **numbers: float) -> Fault:
-    return Fault(name="f", kind=kind, part=part, at=at, until=until, **numbers)  # type: ignore[arg-type]
-
-
-def within(t: np.ndarray, begin: float, end: float) -> np.ndarray:
-    return (t > begin - 1e-9) & (t < end - 1e-9)
-
+from signal_and_gimbal import PERIOD, RMS, J, fault, flown, gain, plant, scenario, within
 
 # Noise.
 
@@ -307,105 +249,62 @@ def test_in_a_missed_sample_command_and_controller_stay() -> None:
     np.testing.assert_array_equal(np.diff(command[9000:]), 1.0)
 
 
-# Stops.
+# Sampling.
 
 
-def bouncing(restitution: float, **more: object) -> Trajectory:
-    platform = plant(stops=(-0.05, 0.05), restitution=restitution)
-    one = scenario(platform, **({"rate": [0.0, 3.0], "level": 0.0} | more))
-    return simulation.flight(one, [gain()], period=PERIOD)
-
-
-@pytest.mark.parametrize("restitution", [1.0, 0.7, 0.25, 0.0])
-def test_every_bounce_gives_back_its_share_of_the_rate(restitution: float) -> None:
-    out = bouncing(restitution, duration=0.2)
-    rates = out.rate[:, 1]
-    bounces = np.concatenate([[0], np.cumsum(np.abs(np.diff(rates)) > 1e-9)])
-    expected = 3.0 * (-restitution) ** bounces
-    np.testing.assert_allclose(rates, expected, rtol=1e-12, atol=1e-15)
-    assert out.stop_contacts[1] == bounces[-1] == {1.0: 6, 0.7: 3, 0.25: 2, 0.0: 1}[restitution]
-    assert np.abs(out.q[:, 1]).max() <= 0.05
-    # Between bounces it goes on from the stop, which it has met to a step.
-    if restitution == 1.0:
-        way = 3.0 * out.t
-        folded = np.abs((way - 0.05) % 0.2 - 0.1) - 0.05
-        np.testing.assert_allclose(out.q[:, 1], folded, rtol=0, atol=6 * 3.0e-4)
-
-
-def test_a_pushed_gimbal_bounces_ever_lower_and_comes_to_rest_on_its_stop() -> None:
-    # As a ball that falls: heights e², e⁴, ... of the first; at rest after (1 + e)/(1 − e) times the first fall.
-    e, push = 0.5, J * 20.0
-    out = bouncing(e, level=push, rate=[0.0, 0.0], duration=0.4)
-    fall = np.sqrt(2.0 * 0.05 / 20.0)
-    alpha = out.q[:, 1]
-    at_rest = out.t > fall * (1.0 + 2.0 * e / (1.0 - e)) + 5e-3
-    np.testing.assert_array_equal(alpha[at_rest], 0.05)
-    np.testing.assert_array_equal(out.rate[at_rest, 1], 0.0)
-    first = within(out.t, fall, fall * (1.0 + 2.0 * e))
-    assert 0.05 - alpha[first].min() == pytest.approx(e**2 * 0.05, rel=0.02)
-    second = within(out.t, fall * (1.0 + 2.0 * e) + 1e-3, fall * (1.0 + 2.0 * e + 2.0 * e**2))
-    assert 0.05 - alpha[second].min() == pytest.approx(e**4 * 0.05, rel=0.1)
-    assert 5 < out.stop_contacts[1] < 15
-
-
-def free_gyro(restitution: float, control: str = "regulated") -> Platform:
-    """A rotor in two gimbals with stops, on a light platform."""
-    return pc.read_platform(
-        {
-            "schema": 1,
-            "name": "gyro between stops",
-            "root": {"name": "case", "inertia": [[0.010, 0.001, 0.0], [0.001, 0.012, 0.0], [0.0, 0.0, 0.011]]},
-            "gimbal": [
-                {
-                    "name": name,
-                    "parent": parent,
-                    "axis": axis,
-                    "inertia": [6e-4, 5e-4, 7e-4],
-                    "stops_deg": [-10.0, 8.0],
-                    "restitution": restitution,
-                }
-                for name, parent, axis in (("outer", "case", [0, 0, 1]), ("inner", "outer", [1, 0, 0]))
-            ],
-            "rotor": [
-                {
-                    "name": "R",
-                    "carrier": "inner",
-                    "axis": [0, 0.6, 0.8],
-                    "axial_inertia": 1.2e-4,
-                    "transverse_inertia": 0.7e-4,
-                    "spin": 200.0,
-                    "control": control,
-                }
-                | ({"speed_gain": 1e-3} if control == "servo" else {})
-            ],
-        }
+@pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 2.4])
+def test_a_run_of_small_signals_is_that_of_the_linear_sampled_loop(delay: float) -> None:
+    platform, period, samples = pc.read_platform("three_gyro_platform"), 5e-4, 120
+    lags = np.linspace(0.0, 2e-3, len(platform.torquers))
+    platform = dataclasses.replace(
+        platform,
+        pickoffs=tuple(PickOff(name=p.name, gimbal=p.gimbal) for p in platform.pickoffs),
+        torquers=tuple(dataclasses.replace(t, lag=lag) for t, lag in zip(platform.torquers, lags, strict=True)),
     )
+    rng = np.random.default_rng(3)
+    angles, torquers = [p.name for p in platform.pickoffs], [t.name for t in platform.torquers]
 
+    def of(inputs: list[str], outputs: list[str], size: float) -> control.StateSpace:
+        A, B = 0.3 * rng.normal(size=(3, 3)), rng.normal(size=(3, len(inputs)))
+        C, D = size * rng.normal(size=(len(outputs), 3)), size * rng.normal(size=(len(outputs), len(inputs)))
+        return control.ss(A, B, C, D, period, inputs=inputs, outputs=outputs)
 
-def momentum_and_energy(platform: Platform, out: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Angular momentum in inertial axes, and the energy that goes with rates: half of v'A*v."""
-    momentum, energy = [], []
-    for q, Omega, rate, (w, *axis) in zip(out.q, out.Omega, out.rate, out.attitude, strict=True):
-        v = np.concatenate([Omega, rate])
-        m = pc.matrices(platform, q, v)
-        own = (m.A_star @ v + m.B.T @ m.L)[:3]
-        momentum.append(own + 2.0 * np.cross(axis, np.cross(axis, own) + w * own))
-        energy.append(0.5 * v @ m.A_star @ v)
-    return np.array(momentum), np.array(energy)
-
-
-@pytest.mark.parametrize("restitution", [1.0, 0.6, 0.0])
-def test_bounces_keep_the_angular_momentum_of_a_free_platform(restitution: float) -> None:
-    platform = free_gyro(restitution)
-    one = Scenario(
-        platform=platform, mode="stabilised", duration=0.1, delay=0.0, rate=np.array([12.0, -9.0]), Omega=np.ones(3)
+    inner = of(angles, ["wanted"], 1.0)
+    controllers = [inner, of([*angles, "wanted"], torquers, 0.05)]
+    push = 1e-7 * np.array([1.0, -2.0, 0.5])
+    small = Scenario(
+        platform=platform,
+        mode="stabilised",
+        duration=samples * period,
+        delay=delay * period,
+        torque=push,
     )
-    out = simulation.flight(one, [], period=PERIOD, step=5e-5)
-    assert out.stop_contacts.min() >= 1
-    momentum, energy = momentum_and_energy(platform, out)
-    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=0, atol=1e-9)
-    if restitution == 1.0:
-        np.testing.assert_allclose(energy, energy[0], rtol=0.02)
-    else:
-        assert energy[-1] < 0.9 * energy[0]
-        assert np.diff(energy).max() < 1e-3 * energy[0]
+    out = simulation.flight(small, controllers, period=period, step=2e-5)
+
+    G = pc.state_space(pc.linearise(platform), root="free")
+    signals = [t.signal for t in platform.torquers]
+    plants = (
+        pc.analysis.sampled(G[:, signals], period, delay * period, lags),
+        pc.analysis.sampled(G[:, ["M1", "M2", "M3"]], period),
+    )
+    x, d = np.zeros(plants[0].nstates), np.zeros(plants[1].nstates)
+    states = [np.zeros(3), np.zeros(3)]
+    measured = [plants[0].output_labels.index(name) for name in angles]
+    outputs, commands = [], []
+    for _ in range(samples + 1):
+        y = plants[0].C @ x + plants[1].C @ d
+        seen = y[measured]
+        command = seen
+        for k, K in enumerate(controllers):
+            command = K.C @ states[k] + K.D @ seen
+            states[k] = K.A @ states[k] + K.B @ seen
+            seen = np.concatenate([y[measured], command])
+        outputs.append(y)
+        commands.append(command)
+        x = plants[0].A @ x + plants[0].B @ command
+        d = plants[1].A @ d + plants[1].B @ push
+    expected = np.array(outputs)
+    found = np.concatenate([out.q, out.Omega], axis=1)
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(out.command, commands, rtol=0, atol=1e-6 * np.abs(commands).max())

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.arguments import positive, whole
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, RateSensor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.flight_plan import Batch, Controller, Prepared, batch, controller_rows, prepared
+from platform_ctrl.simulation.scenario_checks import expect_size
 from platform_ctrl.simulation.warming import wait_until_warm
 
 if TYPE_CHECKING:
@@ -114,15 +115,19 @@ def fly(
     if isinstance(scenarios, Scenario):
         raise ArgumentError("scenarios: given one Scenario; expected a sequence of them")
     groups: dict[tuple[object, ...], list[int]] = {}
+    for scenario in scenarios:
+        expect_size(scenario, period)
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
-        groups.setdefault(member.key, []).append(place)
+        stops = any(gimbal.stops is not None for gimbal in member.scenario.platform.gimbals)
+        groups.setdefault((member.key, stops), []).append(place)
     modes: dict[Mode, Controller] = {}
     out: dict[int, FloatArray] = {}
     asked = np.array([member.timing.samples for member in members], dtype=np.int64)
-    sizes = {(m.packed.at.n, len(m.scenario.platform.torquers)) for m in members}
-    if len(sizes) > 1:
-        raise ArgumentError("scenarios: their plants differ in gimbals or torquers; expected one kind of plant")
+    if len({_kind(member.scenario.platform) for member in members}) > 1:
+        raise ArgumentError(
+            "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
+        )
     for places in groups.values():
         own = [members[place] for place in places]
         platform, mode = own[0].scenario.platform, own[0].scenario.mode
@@ -131,7 +136,7 @@ def fly(
         together = batch(own, modes[mode], period, noise)
         for place, row in zip(places, flown(together, threads, device), strict=True):
             out[place] = row
-    n, nu = next(iter(sizes), (0, 0))
+    n, nu = (members[0].packed.at.n, len(members[0].scenario.platform.torquers)) if members else (0, 0)
     rows = np.array([out[place] for place in range(len(members))]).reshape(len(members), 2 * n + 4 + 2 * nu)
     angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
     return Figures(
@@ -143,6 +148,15 @@ def fly(
         samples=np.rint(samples[:, 0]).astype(np.int64),
         asked=asked,
         period=period,
+    )
+
+
+def _kind(platform: Platform) -> tuple[object, ...]:
+    """What the columns of figures and the signals of controllers are."""
+    return (
+        platform.gimbal_names,
+        tuple((t.name, t.gimbal, t.root_axis) for t in platform.torquers),
+        tuple((s.name, s.gimbal, s.root_axis if isinstance(s, RateSensor) else None) for s in platform.sensors),
     )
 
 

@@ -14,6 +14,8 @@ from platform_ctrl.scenario import FAULT_KEYS, Fault, HalfCosine, Scenario, Time
 
 # Numbers of a fault that divide, or would stand still at zero.
 _POSITIVE = ("time_constant", "frequency_hz")
+# What a run may take of memory and time.
+_SAMPLES, _PERIODS = 1e8, 1e3
 _WORDS = {"rotor": "rotor", "torquer": "torquer", "pick-off": "sensor", "gimbal": "gimbal"}
 
 
@@ -41,6 +43,24 @@ def expect_scenario(scenario: object) -> None:
     for fault in scenario.faults:
         _fault(fault)
         part_of(scenario.platform, fault)
+
+
+def expect_size(scenario: object, period: float) -> None:
+    """Judge how many samples a scenario has, and over how many its delay reaches.
+
+    Raises
+    ------
+    ArgumentError
+        There are too many of them, or it is no scenario at all.
+    """
+    if not isinstance(scenario, Scenario):
+        raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
+    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS)):
+        time = positive(name, getattr(scenario, name), zero=True)
+        if time > most * period:
+            raise ArgumentError(
+                f"{name}: {time:.6g} s are {time / period:.3g} periods; expected at most {most:.0e} of them"
+            )
 
 
 def _start(scenario: Scenario) -> None:
