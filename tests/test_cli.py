@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 import platform_ctrl as pc
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
+from refused_command import refused
 
 JOB = """
 schema = 1
@@ -105,16 +106,6 @@ def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.Comple
 def process_environment() -> dict[str, str]:
     path = str(Path(pc.__file__).parents[1])
     return os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run wrong input; return the one line that says so."""
-    assert main(arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("platform-ctrl: error: ")
-    assert len(err.splitlines()) == 1
-    return err
 
 
 def test_design_writes_the_result_and_the_report_and_nothing_else(designed: Path) -> None:
