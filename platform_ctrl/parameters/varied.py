@@ -84,7 +84,8 @@ def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenari
     if key.endswith("_scale"):
         name = key.replace("_scale", "_table")
         table = getattr(scenario, name)
-        return {name: replaced(table, {"values": table.values * number})}
+        # Runs whose tables differ in the scale alone fly side by side.
+        return {name: replaced(table, {"scale": table.scale * number})}
     profile: Any = own.get("profile", scenario.profile)
     return {"profile": replaced(profile, {key: number * (as_it_stands if relative else 1.0)})}
 
