@@ -45,6 +45,13 @@ def test_importing_the_package_loads_nothing_heavy_and_none_of_its_modules() -> 
     assert {name for name in loaded if name.partition(".")[0] == "platform_ctrl"} == {"platform_ctrl"}
 
 
+def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() -> None:
+    parts = ("analysis", "simulation", "campaign.engine", "campaign.rare_flights", "campaign.summary", "cli.commands")
+    modules = ", ".join(f"platform_ctrl.{part}" for part in parts)
+    code = f"import sys, json, {modules}; print(json.dumps(list(sys.modules)))"
+    assert not set(json.loads(python(code))) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}
+
+
 @pytest.mark.parametrize("name", pc.__all__)
 def test_every_public_name_is_there_and_listed(name: str) -> None:
     assert getattr(pc, name) is not None
