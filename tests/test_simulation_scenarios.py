@@ -128,6 +128,47 @@ def test_neither_order_nor_threads_nor_number_of_runs_change_a_run(threads: int)
     np.testing.assert_array_equal(rows(together([runs[k] for k in order], threads)), expected[order])
 
 
+def other_wiring() -> list[Scenario]:
+    """Plants of the same gimbals, torquers and sensors; rotors and erections sit elsewhere, or are not there."""
+    horizon = model("gyro_horizon")
+    outer, inner = horizon.erections
+    [rotor] = horizon.rotors
+    fails = (fault("rotor run-down", "rotor", time_constant=0.01),)
+    servo = {"control": "servo", "speed_gain": 1e-3, "speed_integral": 1e-3}
+    plants: list[tuple[dict[str, object], tuple[Fault, ...]]] = [
+        ({}, fails),
+        ({"erections": (inner, outer)}, fails),
+        ({"erections": (outer,)}, fails),
+        ({"erections": (inner,)}, fails),
+        ({"rotors": (dataclasses.replace(rotor, carrier="outer"),)}, fails),
+        ({"rotors": (dataclasses.replace(rotor, control="free"),)}, fails),
+        ({"rotors": (dataclasses.replace(rotor, **servo),)}, fails),  # type: ignore[arg-type]
+        ({"rotors": (dataclasses.replace(rotor, carrier="outer", **servo),)}, fails),  # type: ignore[arg-type]
+        ({"rotors": (dataclasses.replace(rotor, name="another"),)}, ()),
+        ({"rotors": ()}, ()),
+    ]
+    return [
+        Scenario(
+            platform=dataclasses.replace(horizon, **changes),  # type: ignore[arg-type]
+            mode=mode,  # type: ignore[arg-type]
+            duration=0.02,
+            delay=0.0,
+            faults=faults,
+            q=np.array([0.02, -0.03]),
+            rate=np.array([0.1, 0.2]),
+        )
+        for changes, faults in plants
+        for mode in ("caged", "stabilised")
+    ]
+
+
+def test_plants_whose_rotors_and_erections_sit_elsewhere_do_not_get_mixed_up() -> None:
+    runs = other_wiring()
+    among = rows(simulation.fly(runs, [], period=PERIOD, step=STEP))
+    alone = np.concatenate([rows(simulation.fly([run], [], period=PERIOD, step=STEP)) for run in runs])
+    np.testing.assert_array_equal(among, alone)
+
+
 def test_all_angles_zero_are_no_special_case() -> None:
     for name in ("three_gyro_platform", "double_gimbal_cmg", "vscmg_pyramid", "momentum_wheel_satellite"):
         platform = model(name)
