@@ -159,9 +159,9 @@ class Resolvent:
         self._turned = C.shape[0] < B.shape[1]
         if self._turned:
             A, B, C, D = A.T, C.T, B.T, D.T
-        self._A, self._B, self._C = (np.ascontiguousarray(item, dtype=np.float64) for item in (A, B, C))
-        self._D = np.ascontiguousarray(D.T, dtype=np.float64)
-        self._lacks = np.zeros(len(A)) if lacks is None else lacks
+        # Copies: numba compiles a function anew for arrays that are read-only or lie otherwise in memory.
+        self._A, self._B, self._C, self._D = (np.array(item, dtype=np.float64, order="C") for item in (A, B, C, D.T))
+        self._lacks = np.zeros(len(A)) if lacks is None else np.array(lacks, dtype=np.float64)
         self._prepared = resolvent.prepared(self._A, self._B, self._C)
 
     def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
