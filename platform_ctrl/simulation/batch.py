@@ -17,8 +17,15 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
 from platform_ctrl.simulation.device import expect_device
-from platform_ctrl.simulation.flight_plan import Batch, Controller, Prepared, batch, controller_rows, prepared
-from platform_ctrl.simulation.scenario_checks import expect_size
+from platform_ctrl.simulation.flight_plan import (
+    Batch,
+    Controller,
+    Prepared,
+    batch,
+    controller_rows,
+    figure_slots,
+    prepared,
+)
 from platform_ctrl.simulation.warming import wait_until_warm
 
 if TYPE_CHECKING:
@@ -115,29 +122,28 @@ def fly(
     if isinstance(scenarios, Scenario):
         raise ArgumentError("scenarios: given one Scenario; expected a sequence of them")
     groups: dict[tuple[object, ...], list[int]] = {}
-    for scenario in scenarios:
-        expect_size(scenario, period)
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):
-        stops = any(gimbal.stops is not None for gimbal in member.scenario.platform.gimbals)
-        groups.setdefault((member.key, stops), []).append(place)
+        groups.setdefault(member.key, []).append(place)
     modes: dict[Mode, Controller] = {}
-    out: dict[int, FloatArray] = {}
-    asked = np.array([member.timing.samples for member in members], dtype=np.int64)
-    if len({_kind(member.scenario.platform) for member in members}) > 1:
-        raise ArgumentError(
-            "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
-        )
-    for places in groups.values():
+
+    def put_together(places: list[int]) -> Batch:
         own = [members[place] for place in places]
         platform, mode = own[0].scenario.platform, own[0].scenario.mode
         if mode not in modes:
             modes[mode] = merged(platform, acting(controllers, platform, mode), period, mode)
-        together = batch(own, modes[mode], period, noise)
-        for place, row in zip(places, flown(together, threads, device), strict=True):
-            out[place] = row
-    n, nu = (members[0].packed.at.n, len(members[0].scenario.platform.torquers)) if members else (0, 0)
-    rows = np.array([out[place] for place in range(len(members))]).reshape(len(members), 2 * n + 4 + 2 * nu)
+        return batch(own, modes[mode], period, noise)
+
+    asked = np.array([member.timing.samples for member in members], dtype=np.int64)
+    if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
+        raise ArgumentError(
+            "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
+        )
+    n, nu = (members[0].skeleton.at.n, len(members[0].skeleton.targets)) if members else (0, 0)
+    rows = np.empty((len(members), figure_slots(n, nu)))
+    # What cannot be flown is told before anything is.
+    for places, together in [(places, put_together(places)) for places in groups.values()]:
+        rows[places] = flown(together, threads, device)
     angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
     return Figures(
         angle=angle,

@@ -16,7 +16,6 @@ from platform_ctrl.scenario import HalfCosine, Mode, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.batch import merged, recorded
 from platform_ctrl.simulation.flight_plan import prepared
-from platform_ctrl.simulation.scenario_checks import expect_size
 from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
 
 if TYPE_CHECKING:
@@ -231,7 +230,6 @@ def flight(
         As `simulate`.
     """
     period, step = positive("period", period), positive("step", step)
-    expect_size(scenario, period)
     member = prepared(scenario, period, step)
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)

@@ -9,14 +9,14 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.description import PickOff
+from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import Fault, FaultKind, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.kernel import flight as layout
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
-from platform_ctrl.simulation.packing import Packed, frames_of, pack
-from platform_ctrl.simulation.scenario_checks import expect_scenario, packed_profile, part_of
+from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
+from platform_ctrl.simulation.scenario_checks import expect_scenario, expect_size, part_of
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
@@ -58,10 +58,9 @@ class Prepared(NamedTuple):
     """A scenario that was judged, and `key`: only scenarios of equal keys fly side by side."""
 
     scenario: Scenario
-    packed: Packed
+    skeleton: Skeleton
     timing: Timing
     faults: dict[FaultKey, Fault]
-    state: FloatArray
     key: tuple[object, ...]
 
 
@@ -86,41 +85,39 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
 
 
 def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
-    """Judge a scenario.
+    """Judge a scenario, but for the length of its steps, which are judged for a batch at a time.
 
     Raises
     ------
     ArgumentError
-        It is no scenario that can be flown, or the step is too long for the plant.
+        It is no scenario that can be flown.
     """
     expect_scenario(scenario)
+    expect_size(scenario, period)
     platform, free = scenario.platform, scenario.mode == "stabilised"
     when = timing(scenario.duration, period, scenario.delay, longest)
-    check_step(platform, max(when.steps), free)
-    check_elements(platform, max(when.steps), free)
-    packed = pack(platform)
-    state = np.concatenate([scenario.q, scenario.Omega, scenario.rate, unit_quaternions(scenario.attitude, (4,))])
-    spins = initial_spins(platform, scenario.spin, (packed.at.servos,))
-    if packed.at.servos:
-        state = with_rotor_states(packed, state[None], spins[None])[0]
+    shape = skeleton(platform)
+    if scenario.spin is not None:
+        initial_spins(platform, scenario.spin, (shape.at.servos,))
+    if scenario.attitude.shape != (4,):
+        unit_quaternions(scenario.attitude, (4,))
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:
         part = fault.part or ""
-        faults[fault.kind, part, sum(key[:2] == (fault.kind, part) for key in faults)] = fault
+        again = 0
+        while (fault.kind, part, again) in faults:
+            again += 1
+        faults[fault.kind, part, again] = fault
     table = scenario.torque_table if free else scenario.Omega_table
     key = (
         free,
         (when.samples, when.whole, when.substeps),
-        packed.at,
-        tuple(part.tobytes() for part in packed.links),
-        tuple((r.name, r.carrier, r.control) for r in platform.rotors),
-        tuple(t.name for t in platform.torquers),
-        tuple(s.name for s in platform.sensors),
+        shape,
         scenario.profile is not None,
         None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
         tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
     )
-    return Prepared(scenario, packed, when, faults, state, key)
+    return Prepared(scenario, shape, when, faults, key)
 
 
 class Batch(NamedTuple):
@@ -136,21 +133,54 @@ class Batch(NamedTuple):
 
 
 def batch(members: Sequence[Prepared], controller: Controller, period: float, noise: bool) -> Batch:
-    """Put scenarios of equal keys together."""
+    """Put scenarios of equal keys together.
+
+    Raises
+    ------
+    ArgumentError
+        A step is too long for a plant.
+    """
     one = members[0]
-    free = one.scenario.mode == "stabilised"
+    shape, free = one.skeleton, one.scenario.mode == "stabilised"
+    # Many scenarios may fly on one plant: it is packed once.
+    places: dict[int, int] = {}
+    plants: list[Platform] = []
+    for member in members:
+        platform = member.scenario.platform
+        if places.setdefault(id(platform), len(plants)) == len(plants):
+            plants.append(platform)
+    which = np.array([places[id(member.scenario.platform)] for member in members])
+    steps = np.zeros(len(plants))
+    np.maximum.at(steps, which, [max(member.timing.steps) for member in members])
+    check_step(plants, steps, free)
+    check_elements(plants, steps, free)
+    constants, around = numbers(shape, plants)
+
     order = sorted(
         {key for member in members for key in member.faults},
         key=lambda key: (_RANK.get(key[0], 0), KINDS.index(key[0]), key[1], key[2]),
     )
     shared, rotors = _shared(one, order, members, controller, period, free)
-    course = len(rotors) > 0
-    packed = one.packed._replace(at=one.packed.at._replace(course=course))
+    packed = Packed(shape.links, shape.at._replace(course=len(rotors) > 0), constants[0], around[0])
     flight = _flight(packed, shared, one, controller)
-    given = np.array([_given(member, order, rotors, shared, flight, packed, period, noise) for member in members])
-    keys = np.array([(m.scenario.seed & (2**64 - 1), m.scenario.run) for m in members], dtype=np.uint64)
-    plants = np.array([member.packed.constants for member in members])
-    return Batch(packed, shared, flight, free, plants, given, keys.reshape(-1, 2))
+    scenarios = [member.scenario for member in members]
+    given = np.zeros((len(members), flight.given - shape.at.end))
+    part = _Parts(given, shape.at.end)
+    part(flight.start, 1, shape.at.size)[:, 0] = _states(scenarios, packed)
+    steady = part(flight.steady, 1, shape.at.block)[:, 0]
+    steady[:] = around[which]
+    steady[:, :3] = [scenario.torque for scenario in scenarios]
+    part(flight.rate, 1, layout.PROFILE)[:, 0] = [_rate(scenario) for scenario in scenarios]
+    part(flight.segments, 1, 2)[:, 0] = [member.timing.steps for member in members]
+    half = 0.5 * np.array([member.timing.steps for member in members])
+    _put_sensors(plants, which, part(flight.sensor, len(shared.sensors), layout.SENSOR), period, noise)
+    _put_torquers(plants, which, part(flight.torquer, len(shared.targets), layout.TORQUER), half)
+    _put_stops(plants, which, part(flight.stop, shape.at.n, layout.STOP))
+    _put_faults(members, order, part(flight.fault, len(order), layout.FAULT))
+    _put_rotors(shape, plants, which, rotors, part(flight.rotor, len(rotors), layout.ROTOR))
+    _put_lines(scenarios, part(flight.line, len(shared.lines), layout.LINE), half)
+    keys = np.array([(scenario.seed & (2**64 - 1), scenario.run) for scenario in scenarios], dtype=np.uint64)
+    return Batch(packed, shared, flight, free, constants[which], given, keys.reshape(-1, 2))
 
 
 def _shared(
@@ -160,22 +190,12 @@ def _shared(
     controller: Controller,
     period: float,
     free: bool,
-) -> tuple[Shared, list[str]]:
-    platform, scenario = one.scenario.platform, one.scenario
-    gimbal = platform.gimbal
-    sensors = [
-        (layout.ANGLE, gimbal(s.gimbal))
-        if isinstance(s, PickOff)
-        else (layout.ROOT_RATE, s.root_axis - 1)
-        if s.root_axis is not None
-        else (layout.GIMBAL_RATE, gimbal(str(s.gimbal)))
-        for s in platform.sensors
-    ]
-    targets = [t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers]
+) -> tuple[Shared, list[int]]:
+    platform, scenario, shape = one.scenario.platform, one.scenario, one.skeleton
     rotors = list(dict.fromkeys(key[1] for key in order if key[0].startswith(("rotor", "speed"))))
-    servos = [r.name for r in servo_rotors(platform)]
-    carriers = {r.name: platform.body(r.carrier) for r in platform.rotors}
-    rows = [(carriers[name], servos.index(name) if name in servos else -1) for name in rotors]
+    names = [r.name for r in platform.rotors]
+    places = [names.index(name) for name in rotors]
+    rows = [(shape.carriers[k], shape.servos.index(k) if k in shape.servos else -1) for k in places]
     faults = []
     for kind, part, again in order:
         index = KINDS.index(kind)
@@ -192,8 +212,8 @@ def _shared(
             pieces = np.zeros((1, 3, 4))
             pieces[0, :, 0] = table.values[0]
     shared = Shared(
-        sensors=np.array(sensors, dtype=np.int64).reshape(-1, 2),
-        targets=np.array(targets, dtype=np.int64),
+        sensors=np.array(shape.sensors, dtype=np.int64).reshape(-1, 2),
+        targets=np.array(shape.targets, dtype=np.int64),
         faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
         rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
         lines=np.array(lines, dtype=np.int64),
@@ -204,7 +224,7 @@ def _shared(
         pieces=np.ascontiguousarray(pieces),
         period=period,
     )
-    return shared, rotors
+    return shared, places
 
 
 def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Flight:
@@ -223,7 +243,7 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         before=one.timing.substeps[0],
         after=one.timing.substeps[1],
         states=controller.states,
-        stops=any(g.stops is not None for g in one.scenario.platform.gimbals),
+        stops=one.skeleton.stops,
         profile=one.scenario.profile is not None,
         start=take(at.size),
         steady=take(at.block),
@@ -255,85 +275,139 @@ def figure_slots(n: int, nu: int) -> int:
     return n + 3 + 2 * nu + n + 1
 
 
-def _given(
-    member: Prepared,
-    order: list[FaultKey],
-    rotors: list[str],
-    shared: Shared,
-    flight: Flight,
-    packed: Packed,
-    period: float,
-    noise: bool,
-) -> FloatArray:
-    """What the host gives of one scenario, in the order of `Flight`."""
-    scenario, at = member.scenario, packed.at
-    platform = scenario.platform
-    out = np.zeros(flight.given - at.end)
+class _Parts(NamedTuple):
+    """What the host gives of all scenarios of a batch, (N, slots), in the order of `Flight`."""
 
-    def part(first: int, count: int, size: int) -> FloatArray:
-        return out[first - at.end : first - at.end + count * size].reshape(count, size)
+    given: FloatArray
+    first: int
 
-    out[: at.size] = member.state
-    steady = part(flight.steady, 1, at.block)[0]
-    steady[:] = member.packed.around
-    steady[:3] = scenario.torque
-    rate = part(flight.rate, 1, layout.PROFILE)[0]
+    def __call__(self, slot: int, count: int, size: int) -> FloatArray:
+        """Return `count` rows of `size` slots from `slot` on, (N, count, size)."""
+        begin = slot - self.first
+        return self.given[:, begin : begin + count * size].reshape(len(self.given), count, size)
+
+
+def _states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
+    """States at t = 0, (N, size), v holding the rates."""
+    attitudes = unit_quaternions([s.attitude for s in scenarios], (len(scenarios), 4))
+    rows = [np.array([getattr(s, name) for s in scenarios]) for name in ("q", "Omega", "rate")]
+    states = np.concatenate([*rows, attitudes], axis=1)
+    if packed.at.servos == 0:
+        return states
+    spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
+    inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]
+    return with_rotor_states(packed, states, np.array(spins), np.array(inertias))
+
+
+def _rate(scenario: Scenario) -> list[float]:
+    """The half-cosine's rate vector, its rise and hold; the scale of the time table."""
+    row = [0.0] * layout.PROFILE
     if scenario.profile is not None:
-        rate[: layout.SCALE] = packed_profile(scenario.profile)
+        row[scenario.profile.axis - 1] = scenario.profile.rate
+        row[layout.RISE], row[layout.HOLD] = scenario.profile.rise, scenario.profile.hold
     table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
-    rate[layout.SCALE] = 1.0 if table is None else table.scale
-    half = 0.5 * np.array(member.timing.steps)
-    part(flight.segments, 1, 2)[0] = member.timing.steps
-    for row, sensor in zip(part(flight.sensor, len(shared.sensors), layout.SENSOR), platform.sensors, strict=True):
-        row[layout.RMS] = sensor.sampled_noise(period) if noise else 0.0
-        row[layout.QUANTISATION] = sensor.quantisation
-    for row, torquer in zip(part(flight.torquer, len(shared.targets), layout.TORQUER), platform.torquers, strict=True):
-        row[layout.LIMIT] = math.inf if torquer.limit is None else torquer.limit
-        slow = torquer.rate_limit is not None
-        row[layout.AT_ONCE] = 0.0 if slow else math.inf
-        row[layout.SLEW : layout.SLEW + 2] = half * torquer.rate_limit if torquer.rate_limit is not None else math.inf
-        row[layout.DECAY : layout.DECAY + 2] = np.exp(-half / torquer.lag) if torquer.lag > 0.0 else 0.0
-    for row, gimbal in zip(part(flight.stop, at.n, layout.STOP), platform.gimbals, strict=True):
-        row[:2] = (-math.inf, math.inf) if gimbal.stops is None else gimbal.stops
-        row[layout.RESTITUTION] = gimbal.restitution
-    for row, key in zip(part(flight.fault, len(order), layout.FAULT), order, strict=True):
-        row[: layout.STUCK] = _numbers(member.faults.get(key), key)
-    by_name = {r.name: r for r in platform.rotors}
-    frames = frames_of(platform) if rotors else np.zeros((0, 3, 3))
-    for row, name, (body, servo) in zip(
-        part(flight.rotor, len(rotors), layout.ROTOR), rotors, shared.rotors, strict=True
-    ):
-        rotor = by_name[name]
-        row[:3] = (rotor.spin, 0.0, 0.0) if servo >= 0 else rotor.angular_momentum * (frames[body] @ rotor.axis)
-    _put_lines(scenario, part(flight.line, len(shared.lines), layout.LINE), half)
-    return out
+    row[layout.SCALE] = 1.0 if table is None else table.scale
+    return row
 
 
-def _numbers(fault: Fault | None, key: FaultKey) -> tuple[float, float, float, float]:
-    """Begin, end and the two numbers of a fault; one that does not happen in this run begins never."""
-    if fault is None:
-        return math.inf, math.inf, 1.0, 1.0
-    first, second = {
-        "rotor run-down": (fault.share, fault.time_constant),
-        "rotor run-up": (fault.share, fault.time_constant),
-        "speed ripple": (fault.amplitude, 2.0 * math.pi * fault.frequency_hz),
-        "torquer weak": (fault.share, 0.0),
-        "pick-off drift": (fault.rate, 0.0),
-        "pick-off dropout": (fault.probability, 0.0),
-        "controller overrun": (fault.probability, 0.0),
-        "stop contact": (fault.impulse, 0.0),
-    }.get(fault.kind, (0.0, 0.0))
-    return fault.at, fault.until, first, second
+def _put_sensors(
+    plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray, period: float, noise: bool
+) -> None:
+    if rows.size == 0:
+        return
+    # Sensors that do not differ from plant to plant are the same objects: the noise of a sample is found once.
+    sampled: dict[int, float] = {}
+    kinds = [p.sensors for p in plants]
+    for sensor in (sensor for sensors in kinds for sensor in sensors):
+        if id(sensor) not in sampled:
+            sampled[id(sensor)] = sensor.sampled_noise(period) if noise else 0.0
+    rows[:, :, layout.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[which]
+    rows[:, :, layout.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[which]
 
 
-def _put_lines(scenario: Scenario, rows: FloatArray, half: FloatArray) -> None:
+def _put_torquers(plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray, half: FloatArray) -> None:
+    if rows.size == 0:
+        return
+    limit, slew, lag = np.array(
+        [
+            [
+                (math.inf if t.limit is None else t.limit, math.inf if t.rate_limit is None else t.rate_limit, t.lag)
+                for t in p.torquers
+            ]
+            for p in plants
+        ]
+    )[which].transpose(2, 0, 1)
+    rows[:, :, layout.LIMIT] = limit
+    rows[:, :, layout.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
+    for segment in range(2):
+        step = half[:, segment, None]
+        # No limit stays none over a segment of no length.
+        with np.errstate(invalid="ignore"):
+            rows[:, :, layout.SLEW + segment] = np.where(np.isinf(slew), math.inf, step * slew)
+        lagging = np.where(lag > 0.0, lag, 1.0)
+        rows[:, :, layout.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
+
+
+def _put_stops(plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray) -> None:
+    if rows.size == 0:
+        return
+    rows[:, :, layout.LOW], rows[:, :, layout.HIGH], rows[:, :, layout.RESTITUTION] = np.array(
+        [[(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals] for p in plants]
+    )[which].transpose(2, 0, 1)
+
+
+def _put_faults(members: Sequence[Prepared], order: list[FaultKey], rows: FloatArray) -> None:
+    rows[:, :, : layout.STUCK] = math.inf, math.inf, 1.0, 1.0  # what does not happen in a run begins never
+    column = {key: k for k, key in enumerate(order)}
+    for row, member in zip(rows, members, strict=True):
+        for key, fault in member.faults.items():
+            row[column[key], : layout.STUCK] = _numbers(fault)
+
+
+def _put_rotors(
+    shape: Skeleton, plants: Sequence[Platform], which: NDArray[np.intp], rotors: list[int], rows: FloatArray
+) -> None:
+    for j, k in enumerate(rotors):
+        if k in shape.servos:
+            rows[:, j, 0] = np.array([p.rotors[k].spin for p in plants])[which]
+        else:
+            L = np.array([p.rotors[k].angular_momentum for p in plants])[which]
+            rows[:, j, :3] = L[:, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
+
+
+def _numbers(fault: Fault) -> tuple[float, float, float, float]:
+    """Begin, end and the two numbers of a fault."""
+    match fault.kind:
+        case "rotor run-down" | "rotor run-up":
+            return fault.at, fault.until, fault.share, fault.time_constant
+        case "speed ripple":
+            return fault.at, fault.until, fault.amplitude, 2.0 * math.pi * fault.frequency_hz
+        case "torquer weak":
+            first = fault.share
+        case "pick-off drift":
+            first = fault.rate
+        case "pick-off dropout" | "controller overrun":
+            first = fault.probability
+        case "stop contact":
+            first = fault.impulse
+        case _:
+            first = 0.0
+    return fault.at, fault.until, first, 0.0
+
+
+def _put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:
     """Amplitudes of the vibrations' lines, and how far they turn in half a substep of each segment."""
     place = 0
-    for vibration in scenario.vibrations:
-        omega, amplitude = vibration.amplitudes
-        own = rows[place : place + vibration.lines]
-        own[:, layout.AMPLITUDE] = amplitude
+    for k, vibration in enumerate(scenarios[0].vibrations):
+        known: dict[int, FloatArray] = {}
+        for scenario in scenarios:
+            one = scenario.vibrations[k]
+            if id(one) not in known:
+                omega, known[id(one)] = one.amplitudes
+        own = rows[:, place : place + vibration.lines]
+        own[:, :, layout.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
         for segment in range(2):
-            own[:, layout.TURN + 2 * segment] = np.cos(omega * half[segment])
-            own[:, layout.TURN + 2 * segment + 1] = np.sin(omega * half[segment])
+            turn = omega * half[:, segment, None]
+            own[:, :, layout.TURN + 2 * segment] = np.cos(turn)
+            own[:, :, layout.TURN + 2 * segment + 1] = np.sin(turn)
         place += vibration.lines

@@ -111,8 +111,8 @@ def rollout(
     every = None if every is None else whole("every", every, 1)
     threads = processors() if threads is None else whole("threads", threads, 1)
     spins = initial_spins(platform, spin, (runs, len(servo_rotors(platform))))
-    check_step(platform, step, free=True)
-    check_elements(platform, step, free=True)
+    check_step([platform], step, free=True)
+    check_elements([platform], step, free=True)
     expect_device(device)
 
     from platform_ctrl.lanes import LANES, memory

@@ -1,22 +1,64 @@
-"""A Platform as the kernel wants it: which slot of the memory holds what, and the numbers that go there."""
+"""A Platform as the kernel wants it: which slot of the memory holds what, and the numbers that go there.
+
+What plants of the same parts share is worked out once (`skeleton`), their numbers for all at a time (`numbers`).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.description import Platform
+from platform_ctrl.description import PickOff, Platform
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, read_only
-from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.simulation.kernel import body as layout
+from platform_ctrl.simulation.kernel import flight as sampled
 from platform_ctrl.simulation.kernel.body import At, Links
-from platform_ctrl.simulation.servo_rotors import servo_rotors
 
 _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+
+
+@value
+class Skeleton:
+    """What plants have in common that are made of the same parts in the same places.
+
+    Attributes
+    ----------
+    links, at
+        How the kernel finds its way.
+    frames : (1 + n, 3, 3)
+        Rotations from the bodies' axes in the file to those of the kernel.
+    carriers : (m,), spin_axes : (m, 3)
+        Body that each rotor spins in, and its axis there.
+    controls, servos
+        The rotors' kinds; places of servo rotors among them.
+    unbalances, springs, frictions, cages
+        Bodies, and gimbals, that they belong to.
+    sensors : (ny, 2), targets : (nu,)
+        As in `kernel.flight.Shared`.
+    stops
+        Whether any gimbal has stops.
+    """
+
+    links: Links
+    at: At
+    frames: FloatArray
+    carriers: tuple[int, ...]
+    spin_axes: FloatArray
+    controls: tuple[str, ...]
+    servos: tuple[int, ...]
+    unbalances: tuple[int, ...]
+    springs: tuple[int, ...]
+    frictions: tuple[int, ...]
+    cages: tuple[int, ...]
+    sensors: tuple[tuple[int, int], ...]
+    targets: tuple[int, ...]
+    stops: bool
 
 
 class Packed(NamedTuple):
@@ -34,52 +76,99 @@ class Packed(NamedTuple):
 
 def pack(platform: Platform) -> Packed:
     """Return a platform as the kernel wants it."""
-    tree = topology(platform)
-    n = len(tree.parents)
-    frames = frames_of(platform)
-    links = _links(platform, tree)
-    at = _at(platform, n)
-    constants = np.zeros(at.work)
-    around = np.zeros(at.block)
-    around[n + 6 : n + 9] = platform.specific_force
-
-    regulated = np.array([r.control == "regulated" for r in platform.rotors], dtype=bool)
-    momenta = np.where([r.control == "servo" for r in platform.rotors], 0.0, tree.L)
-    carriers, momentum = tree.inertias.copy(), np.zeros((1 + n, 3))
-    axial = np.where(regulated, tree.C, 0.0)
-    np.add.at(carriers, tree.carriers, axial[:, None, None] * tree.spin_axes[:, :, None] * tree.spin_axes[:, None, :])
-    np.add.at(momentum, tree.carriers, momenta[:, None] * tree.spin_axes)
-    around[n + 9 : 4 * n + 12] = np.einsum("bij,bj->bi", frames, momentum).ravel()
-    bodies = constants[at.body : at.joint].reshape(1 + n, layout.BODY)
-    bodies[:, :6] = (frames @ carriers @ frames.transpose(0, 2, 1))[:, *_SIX]
-    for unbalance in platform.unbalances:
-        b = platform.body(unbalance.body)
-        bodies[b, layout.UNBALANCE : layout.UNBALANCE + 3] += frames[b] @ unbalance.moment
-    _pack_joints(platform, constants[at.joint : at.servo].reshape(n, layout.JOINT))
-    for row, r in zip(constants[at.servo : at.erection].reshape(-1, layout.SERVO), servo_rotors(platform), strict=True):
-        loop = (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
-        row[:] = (*(frames[platform.body(r.carrier)] @ r.axis), *loop)
-    for row, device in zip(
-        constants[at.erection : at.work].reshape(-1, layout.ERECTION), platform.erections, strict=True
-    ):
-        row[:] = (*(frames[platform.body(device.senses)] @ device.axis), device.gain, _or_infinite(device.limit))
-    return Packed(links, at, constants, around)
+    shape = skeleton(platform)
+    constants, around = numbers(shape, [platform])
+    return Packed(shape.links, shape.at, constants[0], around[0])
 
 
-def frames_of(platform: Platform) -> FloatArray:
-    """Return the rotations (1 + n, 3, 3) from the bodies' axes in the file to those of the kernel."""
-    return _frames(_axes(platform))
+class _Parts:
+    """A platform that equals all those made of the same parts in the same places."""
+
+    __slots__ = ("_key", "platform")
+
+    def __init__(self, platform: Platform) -> None:
+        self.platform = p = platform
+        self._key = (
+            p.root_name,
+            tuple([(g.name, g.parent, _bytes(g.axis), g.stops is None) for g in p.gimbals]),
+            tuple([(r.name, r.carrier, _bytes(r.axis), r.control) for r in p.rotors]),
+            tuple([(t.name, t.gimbal, t.root_axis) for t in p.torquers]),
+            tuple([(s.name, s.gimbal) for s in p.pickoffs]),
+            tuple([(s.name, s.gimbal, s.root_axis) for s in p.rate_sensors]),
+            tuple([s.gimbal for s in p.springs]),
+            tuple([(f.gimbal, max(f.breakaway) > 0.0) for f in p.frictions]),
+            tuple([c.gimbal for c in p.cages]),
+            tuple([u.body for u in p.unbalances]),
+            tuple([(e.gimbal, e.senses, _bytes(e.axis)) for e in p.erections]),
+        )
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Parts) and self._key == other._key
 
 
-def _axes(platform: Platform) -> bytes:
-    """Return the gimbals' axes as something that a cache can look up."""
-    return b"".join(np.asarray(gimbal.axis, dtype=np.float64).tobytes() for gimbal in platform.gimbals)
+def _bytes(axis: FloatArray) -> bytes:
+    return np.asarray(axis, dtype=np.float64).tobytes()
 
 
-# What depends on the tree alone is worked out once for all the plants of a campaign.
+def skeleton(platform: Platform) -> Skeleton:
+    """Return what a platform has in common with all that are made of the same parts in the same places.
+
+    Raises
+    ------
+    ArgumentError
+        The gimbals carry each other in a ring, a part belongs to a body that is not there, or a gimbal has more than
+        one friction or cage.
+    """
+    return _skeleton(_Parts(platform))
+
+
 @lru_cache(maxsize=256)
-def _frames(axes: bytes) -> FloatArray:
-    return read_only([np.eye(3), *(_frame(axis) for axis in np.frombuffer(axes).reshape(-1, 3))])
+def _skeleton(parts: _Parts) -> Skeleton:
+    platform = parts.platform
+    gimbal, body = platform.gimbal, platform.body
+    tree = topology(platform)
+    frames = np.array([np.eye(3), *(_frame(axis) for axis in tree.axes)])
+    for kind, elements in (("friction", platform.frictions), ("cage", platform.cages)):
+        names = [element.gimbal for element in elements]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ArgumentError(
+                f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; expected one"
+            )
+    sensors = tuple(
+        (sampled.ANGLE, gimbal(s.gimbal))
+        if isinstance(s, PickOff)
+        else (sampled.ROOT_RATE, s.root_axis - 1)
+        if s.root_axis is not None
+        else (sampled.GIMBAL_RATE, gimbal(str(s.gimbal)))
+        for s in platform.sensors
+    )
+    controls = tuple(r.control for r in platform.rotors)
+    servos = tuple(k for k, control in enumerate(controls) if control == "servo")
+    carriers = tuple(tree.carriers.tolist())
+    erections = [(gimbal(one.gimbal), body(one.senses)) for one in platform.erections]
+    links = _links(tree.parents.tolist(), tree.order, frames, erections, [carriers[k] for k in servos])
+    return Skeleton(
+        links=links,
+        at=_at(platform, len(tree.parents), len(servos)),
+        frames=frames,
+        carriers=carriers,
+        spin_axes=tree.spin_axes,
+        controls=controls,
+        servos=servos,
+        unbalances=tuple(body(one.body) for one in platform.unbalances),
+        springs=tuple(gimbal(one.gimbal) for one in platform.springs),
+        frictions=tuple(gimbal(one.gimbal) for one in platform.frictions),
+        cages=tuple(gimbal(one.gimbal) for one in platform.cages),
+        sensors=sensors,
+        targets=tuple(
+            t.root_axis - 1 if t.root_axis is not None else 3 + gimbal(str(t.gimbal)) for t in platform.torquers
+        ),
+        stops=any(g.stops is not None for g in platform.gimbals),
+    )
 
 
 def _frame(axis: FloatArray) -> FloatArray:
@@ -92,21 +181,14 @@ def _frame(axis: FloatArray) -> FloatArray:
     return np.array([across, np.cross(axis, across), axis])
 
 
-def _links(platform: Platform, tree: Topology) -> Links:
-    erections = tuple((platform.gimbal(one.gimbal), platform.body(one.senses)) for one in platform.erections)
-    carriers = tuple(platform.body(r.carrier) for r in servo_rotors(platform))
-    return _links_of(tuple(tree.parents.tolist()), tree.order, _axes(platform), erections, carriers)
-
-
-@lru_cache(maxsize=256)
-def _links_of(
-    parents: tuple[int, ...],
+def _links(
+    parents: list[int],
     order: tuple[int, ...],
-    axes: bytes,
-    erections: tuple[tuple[int, int], ...],
-    carriers: tuple[int, ...],
+    frames: FloatArray,
+    erections: list[tuple[int, int]],
+    carriers: list[int],
 ) -> Links:
-    n, frames = len(parents), _frames(axes)
+    n = len(parents)
     rows = np.zeros((n, 12), dtype=np.int64)
     turns = np.zeros((n, 3, 3))
     slot = {(0, 1): 3, (0, 2): 4, (1, 2): 5}
@@ -127,8 +209,7 @@ def _links_of(
     )
 
 
-def _at(platform: Platform, n: int) -> At:
-    servos = len(servo_rotors(platform))
+def _at(platform: Platform, n: int, servos: int) -> At:
     size = 2 * n + 7 + 2 * servos
     body = 0
     joint = body + (1 + n) * layout.BODY
@@ -162,29 +243,72 @@ def _at(platform: Platform, n: int) -> At:
     )
 
 
-def _pack_joints(platform: Platform, rows: FloatArray) -> None:
-    rows[:, layout.CAGE + 2] = math.inf
-    for spring in platform.springs:
-        rows[platform.gimbal(spring.gimbal), :2] += (spring.stiffness, spring.stiffness * spring.rest)
-    for kind, elements in (("friction", platform.frictions), ("cage", platform.cages)):
-        names = [element.gimbal for element in elements]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ArgumentError(
-                f"platform {platform.name!r}: gimbal {twice[0]!r} has more than one {kind}; expected one"
-            )
-    for friction in platform.frictions:
-        k = platform.gimbal(friction.gimbal)
-        rows[k, layout.VISCOUS : layout.CAGE] = (
-            friction.viscous,
-            *friction.coulomb,
-            *friction.breakaway,
-            1.0 / friction.coulomb_rate,
-            1.0 / friction.stribeck_rate,
-        )
-    for cage in platform.cages:
-        k = platform.gimbal(cage.gimbal)
-        rows[k, layout.CAGE :] = (cage.stiffness, cage.damping, cage.clearance, cage.angle)
+def numbers(shape: Skeleton, platforms: Sequence[Platform]) -> tuple[FloatArray, FloatArray]:
+    """Return the constants (N, at.work) and surroundings (N, at.block) of plants of one skeleton, as in `Packed`.
+
+    Those of a plant do not depend on which others there are.
+    """
+    at, frames = shape.at, shape.frames
+    N, n, m = len(platforms), at.n, len(shape.carriers)
+    constants, around = np.zeros((N, at.work)), np.zeros((N, at.block))
+    around[:, n + 6 : n + 9] = [p.specific_force for p in platforms]
+
+    rotors = np.array(
+        [[(r.axial_inertia, r.angular_momentum) for r in p.rotors] for p in platforms], dtype=np.float64
+    ).reshape(N, m, 2)
+    carriers, momentum = inertias(shape, platforms), np.zeros((N, 1 + n, 3))
+    for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
+        axial, L = rotors[:, k].T
+        if control == "regulated":
+            carriers[:, b] += axial[:, None, None] * axis[:, None] * axis
+        if control != "servo":
+            momentum[:, b] += L[:, None] * axis
+    around[:, n + 9 : 4 * n + 12] = np.einsum("bij,nbj->nbi", frames, momentum).reshape(N, -1)
+
+    bodies = constants[:, at.body : at.joint].reshape(N, 1 + n, layout.BODY)
+    bodies[:, :, :6] = (frames @ carriers @ frames.transpose(0, 2, 1))[:, :, *_SIX]
+    for k, b in enumerate(shape.unbalances):
+        moments = np.array([p.unbalances[k].moment for p in platforms])
+        bodies[:, b, layout.UNBALANCE : layout.UNBALANCE + 3] += (frames[b] @ moments[:, :, None])[:, :, 0]
+    _pack_joints(shape, platforms, constants[:, at.joint : at.servo].reshape(N, n, layout.JOINT))
+    servos = constants[:, at.servo : at.erection].reshape(N, -1, layout.SERVO)
+    for j, k in enumerate(shape.servos):
+        servos[:, j, :3] = frames[shape.carriers[k]] @ shape.spin_axes[k]
+        servos[:, j, 3:] = [
+            (r.axial_inertia, r.spin, r.speed_gain, r.speed_integral, _or_infinite(r.torque_limit))
+            for r in (p.rotors[k] for p in platforms)
+        ]
+    erections = constants[:, at.erection : at.work].reshape(N, -1, layout.ERECTION)
+    for j, device in enumerate(platforms[0].erections):
+        erections[:, j, :3] = frames[shape.links.erection[j, 1]] @ device.axis
+        erections[:, j, 3:] = [(one.gain, _or_infinite(one.limit)) for one in (p.erections[j] for p in platforms)]
+    return constants, around
+
+
+def inertias(shape: Skeleton, platforms: Sequence[Platform]) -> FloatArray:
+    """Return the bodies' inertias with the rotors' transverse ones, (N, 1 + n, 3, 3), of plants of one skeleton."""
+    N = len(platforms)
+    out = np.concatenate([inertia for p in platforms for inertia in (p.root_inertia, *(g.inertia for g in p.gimbals))])
+    out = out.astype(np.float64, copy=False).reshape(N, 1 + shape.at.n, 3, 3)
+    transverse = np.array([[r.transverse_inertia for r in p.rotors] for p in platforms]).reshape(N, -1)
+    for k, (b, axis) in enumerate(zip(shape.carriers, shape.spin_axes, strict=True)):
+        out[:, b] += transverse[:, k, None, None] * (np.eye(3) - axis[:, None] * axis)
+    return out
+
+
+def _pack_joints(shape: Skeleton, platforms: Sequence[Platform], rows: FloatArray) -> None:
+    rows[:, :, layout.CAGE + 2] = math.inf
+    for j, k in enumerate(shape.springs):
+        springs = [p.springs[j] for p in platforms]
+        rows[:, k, :2] += [(spring.stiffness, spring.stiffness * spring.rest) for spring in springs]
+    for j, k in enumerate(shape.frictions):
+        rows[:, k, layout.VISCOUS : layout.CAGE] = [
+            (f.viscous, *f.coulomb, *f.breakaway, 1.0 / f.coulomb_rate, 1.0 / f.stribeck_rate)
+            for f in (p.frictions[j] for p in platforms)
+        ]
+    for j, k in enumerate(shape.cages):
+        cages = [p.cages[j] for p in platforms]
+        rows[:, k, layout.CAGE :] = [(cage.stiffness, cage.damping, cage.clearance, cage.angle) for cage in cages]
 
 
 def _or_infinite(limit: float | None) -> float:

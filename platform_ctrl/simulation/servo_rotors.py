@@ -7,7 +7,7 @@ torque is at its limit and the error would drive it further in.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +16,11 @@ from platform_ctrl.arguments import real_array
 from platform_ctrl.description import Platform, Rotor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.mechanics.kinematics import topology, upright
-from platform_ctrl.mechanics.matrices import directions, mass_matrix
+from platform_ctrl.mechanics.kinematics import upright
+from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.simulation.kernel import body as layout
-
-if TYPE_CHECKING:
-    from platform_ctrl.simulation.packing import Packed
+from platform_ctrl.simulation.mass_at_rest import masses
+from platform_ctrl.simulation.packing import Packed, skeleton
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step.
 _PER_STEP = 2.7
@@ -52,12 +51,17 @@ def spins_of(plant: Packed, states: FloatArray) -> FloatArray:
     return np.asarray(momenta / _axial_inertias(plant) - _carrier_rates(plant, states))
 
 
-def with_rotor_states(plant: Packed, states: FloatArray, spins: FloatArray) -> FloatArray:
-    """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind."""
+def with_rotor_states(
+    plant: Packed, states: FloatArray, spins: FloatArray, inertias: FloatArray | None = None
+) -> FloatArray:
+    """Return `states` (N, 2 n + 7), whose v holds the rates, with those of servo rotors at `spins` (N, m) behind.
+
+    `inertias` (N, m) are C of the servo rotors where the states are of different plants.
+    """
     out = np.concatenate([states, np.zeros((len(states), 2 * plant.at.servos))], axis=1)
     first = states.shape[1]
-    momenta = _axial_inertias(plant) * (spins + _carrier_rates(plant, out))
-    out[:, first : first + plant.at.servos] = momenta
+    C = _axial_inertias(plant) if inertias is None else inertias
+    out[:, first : first + plant.at.servos] = C * (spins + _carrier_rates(plant, out))
     return out
 
 
@@ -78,8 +82,8 @@ def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
     return rates
 
 
-def check_step(platform: Platform, step: float, free: bool) -> None:
-    """Refuse a step at which a speed loop would diverge.
+def check_step(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
+    """Refuse steps at which a speed loop would diverge: one for each of several plants of one skeleton.
 
     The loop's faster pole is judged, with the inertia that the motor turns: C against what carries the rotor, all
     gimbals at zero.
@@ -87,32 +91,30 @@ def check_step(platform: Platform, step: float, free: bool) -> None:
     Raises
     ------
     ArgumentError
-        The step is longer than 2.7 times the time constant of that pole (about C/speed_gain).
+        A step is longer than 2.7 times the time constant of that pole (about C/speed_gain).
     """
-    servos = servo_rotors(platform)
-    if not servos:
+    shape = skeleton(platforms[0])
+    if not shape.servos:
         return
-    for rotor, compliance in zip(servos, _compliances(platform, free), strict=True):
-        gain, integral = rotor.speed_gain * compliance, rotor.speed_integral * compliance
-        fastest = float(np.abs(np.roots([1.0, gain, integral])).max())
-        if step * fastest > _PER_STEP:
-            raise ArgumentError(
-                f"step: {step:.3g} s is too long for the speed loop of rotor {rotor.name!r}, which decays at "
-                f"{fastest:.4g} 1/s; expected at most {_PER_STEP / fastest:.3g} s"
-            )
-
-
-def _compliances(platform: Platform, free: bool) -> FloatArray:
-    """1/C + B A⁻¹ Bᵀ of every servo rotor: spin per momentum that the motor exchanges."""
-    tree = topology(platform)
-    servo = np.array([r.control == "servo" for r in platform.rotors])
-    at = upright(platform)
-    inertias = tree.inertias.copy()
-    held = np.array([r.control == "regulated" for r in platform.rotors])
-    for body, C, axis in zip(tree.carriers[held], tree.C[held], tree.spin_axes[held], strict=True):
-        inertias[body] += C * np.outer(axis, axis)
+    at, servos = upright(platforms[0]), list(shape.servos)
     low = 0 if free else 3
-    A = mass_matrix(at.jacobians, inertias)[low:, low:]
-    B = directions(platform, at)[servo, low:]
-    # A joint that moves nothing (a singular A) is for the run itself to find.
-    return np.asarray(1.0 / tree.C[servo] + np.einsum("ri,ij,rj->r", B, np.linalg.pinv(A, hermitian=True), B))
+    A = masses(shape, platforms, at, ("regulated",))[:, low:, low:]
+    B = directions(platforms[0], at)[servos, low:]
+    C, gain, integral = np.array(
+        [
+            [(p.rotors[k].axial_inertia, p.rotors[k].speed_gain, p.rotors[k].speed_integral) for k in servos]
+            for p in platforms
+        ]
+    ).transpose(2, 0, 1)
+    # Spin per momentum that the motor exchanges. A joint that moves nothing (a singular A) is for the run to find.
+    compliance = 1.0 / C + np.einsum("ri,nij,rj->nr", B, np.linalg.pinv(A, hermitian=True), B)
+    half, product = 0.5 * gain * compliance, integral * compliance
+    square = half**2 - product
+    fastest = np.where(square >= 0.0, np.abs(half) + np.sqrt(np.abs(square)), np.sqrt(np.abs(product)))
+    given = np.broadcast_to(np.asarray(steps)[..., None], fastest.shape)
+    for place, k in np.argwhere(given * fastest > _PER_STEP)[:1]:
+        pole, rotor = fastest[place, k], platforms[place].rotors[servos[k]]
+        raise ArgumentError(
+            f"step: {given[place, k]:.3g} s is too long for the speed loop of rotor {rotor.name!r}, which decays at "
+            f"{pole:.4g} 1/s; expected at most {_PER_STEP / pole:.3g} s"
+        )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import upright
-from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
+from platform_ctrl.simulation.mass_at_rest import masses
+from platform_ctrl.simulation.packing import Skeleton, skeleton
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an
 # oscillation that is too fast to matter. A contact that is met and left again needs more: at 0.3 rad per step a hundred
@@ -17,43 +20,50 @@ from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
 _DECAY, _PHASE, _CONTACT = 2.7, 1.0, 0.3
 
 
-def check_elements(platform: Platform, step: float, free: bool) -> None:
-    """Refuse a step that is too long for an element, judged by its gimbal's inertia with all angles zero.
+def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> None:
+    """Refuse steps that are too long for an element: one for each of several plants of one skeleton.
+
+    Judged by the gimbals' inertias with all angles zero.
 
     Raises
     ------
     ArgumentError
         Which element, and the longest step that would do.
     """
-    if not (platform.springs or platform.cages or platform.frictions):
+    shape = skeleton(platforms[0])
+    if not shape.at.joints:
         return
-    at = upright(platform)
+    ease = _eases(shape, platforms, free)
+    found: list[tuple[str, int, FloatArray]] = []
+    with np.errstate(divide="ignore"):
+        for j, k in enumerate(shape.springs):
+            stiffness = np.array([p.springs[j].stiffness for p in platforms])
+            found.append(("spring", k, _PHASE / np.sqrt(np.abs(stiffness) * ease[:, k])))
+        for j, k in enumerate(shape.cages):
+            cages = [p.cages[j] for p in platforms]
+            phase, stiffness, damping = np.array(
+                [(_CONTACT if cage.clearance else _PHASE, cage.stiffness, cage.damping) for cage in cages]
+            ).T
+            found.append(("cage", k, phase / np.sqrt(stiffness * ease[:, k])))
+            found.append(("cage", k, _DECAY / (damping * ease[:, k])))
+        for j, k in enumerate(shape.frictions):
+            slope = np.array([p.frictions[j].steepest_slope for p in platforms])
+            found.append(("friction", k, _DECAY / (slope * ease[:, k])))
+    longest = np.array([row for _, _, row in found])
+    given = np.broadcast_to(steps, len(platforms))
+    for place in np.flatnonzero(given > 1.005 * longest.min(axis=0))[:1]:  # what the message rounds up to is allowed
+        kind, k, row = found[int(longest[:, place].argmin())]
+        cure = ", or a larger coulomb_rate" if kind == "friction" else ""
+        wrong = f"step: {given[place]:.3g} s is too long for the {kind} of gimbal {platforms[place].gimbals[k].name!r}"
+        raise ArgumentError(f"{wrong}; expected at most {row[place]:.3g} s{cure}")
+
+
+def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatArray:
+    """How easily each gimbal gives way, (N, n): the diagonal of A*'s inverse; a singular A* is for the run to find."""
     low = 0 if free else 3
-    mass = mass_matrix(at.jacobians, world_inertias(platform, at))[low:, low:]
-    # How easily each gimbal gives way: the diagonal of A*'s inverse; a singular A* is for the run itself to find.
-    level, shape = np.linalg.eigh(mass)
-    regular = level > 1e-15 * level[-1]
-    eases = (shape**2) @ np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)
-    mobility = dict(zip(platform.gimbal_names, eases[3 - low :].tolist(), strict=True))
-    longest: list[tuple[float, str, str]] = []
-
-    def judge(kind: str, gimbal: str, stiffness: float, damping: float, phase: float = _PHASE) -> None:
-        ease = mobility[gimbal]
-        turning, decay = math.sqrt(abs(stiffness) * ease), damping * ease
-        if turning > 0.0:
-            longest.append((phase / turning, kind, gimbal))
-        if decay > 0.0:
-            longest.append((_DECAY / decay, kind, gimbal))
-
-    for spring in platform.springs:
-        judge("spring", spring.gimbal, spring.stiffness, 0.0)
-    for cage in platform.cages:
-        judge("cage", cage.gimbal, cage.stiffness, cage.damping, _CONTACT if cage.clearance else _PHASE)
-    for friction in platform.frictions:
-        judge("friction", friction.gimbal, 0.0, friction.steepest_slope)
-    if longest:
-        allowed, kind, gimbal = min(longest)
-        if step > 1.005 * allowed:  # what the message rounds up to is allowed
-            cure = ", or a larger coulomb_rate" if kind == "friction" else ""
-            wrong = f"step: {step:.3g} s is too long for the {kind} of gimbal {gimbal!r}"
-            raise ArgumentError(f"{wrong}; expected at most {allowed:.3g} s{cure}")
+    mass = masses(shape, platforms, upright(platforms[0]), ("regulated", "servo"))[:, low:, low:]
+    level, modes = np.linalg.eigh(mass)
+    regular = level > 1e-15 * level[:, -1:]
+    inverse = np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)
+    eases: FloatArray = np.einsum("nij,nj->ni", modes**2, inverse)
+    return eases[:, 3 - low :]
