@@ -72,12 +72,18 @@ REFUSED = {
         "expected two or more that increase, > 0",
     ),
     "a density of 0": (vibration(densities=np.array([0.0, 1.0])), "expected numbers > 0, or all of them 0"),
-    "lines": (vibration(lines=0), "vibration: lines: given 0; expected a whole number >= 1"),
+    "lines": (vibration(lines=0), "vibration: lines: given 0; expected a whole number from 1 to 10000"),
+    "faults": (
+        {"faults": Fault(name="it", kind="torquer dead", part="Q9", at=0.0)},
+        "faults: given Fault.*; expected a tuple",
+    ),
     "a fault's kind": (fault("broken", "Q9"), "fault 'it': kind: given 'broken'; expected 'rotor run-down'"),
     "a fault's part": (fault("torquer dead", "Q3"), "fault 'it': given torquer 'Q3'; expected one of Q4"),
     "a fault's end": (fault("torquer dead", "Q9", at=1.0, until=0.5), "until is 0.5; expected a time after at = 1 s"),
     "a time constant": (fault("rotor run-down", "11"), "time_constant: given 0.0; expected a finite number > 0"),
     "a probability": (fault("controller overrun", None, probability=1.5), "expected a number from 0 to 1"),
+    "an end": (fault("torquer dead", "Q9", until="late"), "until is 'late'; expected a time after at = 0 s"),
+    "a rate": (fault("pick-off drift", "alpha9", rate="fast"), "rate is 'fast'; expected a finite number"),
     "a share": (fault("torquer weak", "Q9", share=np.nan), "share is nan; expected a finite number"),
 }
 

@@ -150,7 +150,7 @@ def other_wiring() -> list[Scenario]:
     return [
         Scenario(
             platform=dataclasses.replace(horizon, **changes),  # type: ignore[arg-type]
-            mode=mode,  # type: ignore[arg-type]
+            mode=mode,
             duration=0.02,
             delay=0.0,
             faults=faults,

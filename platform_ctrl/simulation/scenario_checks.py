@@ -15,7 +15,7 @@ from platform_ctrl.scenario import FAULT_KEYS, Fault, HalfCosine, Scenario, Time
 # Numbers of a fault that divide, or would stand still at zero.
 _POSITIVE = ("time_constant", "frequency_hz")
 # What a run may take of memory and time.
-_SAMPLES, _PERIODS = 1e8, 1e3
+_SAMPLES, _PERIODS, _LINES = 1e8, 1e3, 10_000
 _WORDS = {"rotor": "rotor", "torquer": "torquer", "pick-off": "sensor", "gimbal": "gimbal"}
 
 
@@ -38,6 +38,9 @@ def expect_scenario(scenario: object) -> None:
     whole("run", scenario.run, 0, 2**64 - 1)
     _start(scenario)
     _motion(scenario)
+    for name in ("vibrations", "faults"):
+        if not isinstance(getattr(scenario, name), tuple | list):
+            raise ArgumentError(f"{name}: given {short(getattr(scenario, name))}; expected a tuple of them")
     for vibration in scenario.vibrations:
         _vibration(vibration, scenario.mode == "stabilised")
     for fault in scenario.faults:
@@ -136,7 +139,7 @@ def _vibration(vibration: Vibration, free: bool) -> None:
         raise ArgumentError("vibration: of kind 'rate' in mode 'stabilised', where the root is free; expected 'force'")
     if vibration.axis not in (1, 2, 3):
         raise ArgumentError(f"vibration: axis is {vibration.axis!r}; expected 1, 2 or 3")
-    whole("vibration: lines", vibration.lines, 1)
+    whole("vibration: lines", vibration.lines, 1, _LINES)
     points = np.size(vibration.frequencies_hz)
     frequencies = real_array("vibration: frequencies_hz", vibration.frequencies_hz, (points,))
     densities = real_array("vibration: densities", vibration.densities, (points,))
@@ -154,7 +157,7 @@ def _fault(fault: Fault) -> None:
     called = f"fault {fault.name!r}"
     one_of(f"{called}: kind", fault.kind, tuple(FAULT_KEYS))
     positive(f"{called}: at", fault.at, zero=True)
-    if not fault.until > fault.at:
+    if not _number(fault.until) or not fault.until > fault.at:
         raise ArgumentError(f"{called}: until is {fault.until!r}; expected a time after at = {fault.at:.6g} s")
     keys = FAULT_KEYS[fault.kind]
     for key in (*keys.needed, *keys.optional):
@@ -163,10 +166,14 @@ def _fault(fault: Fault) -> None:
             continue
         if key in _POSITIVE:
             positive(f"{called}: {key}", number)
+        elif not _number(number) or not math.isfinite(number):
+            raise ArgumentError(f"{called}: {key} is {number!r}; expected a finite number")
         elif key == "probability" and not 0.0 <= number <= 1.0:
             raise ArgumentError(f"{called}: probability is {number!r}; expected a number from 0 to 1")
-        elif not math.isfinite(number):
-            raise ArgumentError(f"{called}: {key} is {number!r}; expected a finite number")
+
+
+def _number(given: object) -> bool:
+    return isinstance(given, int | float | np.integer | np.floating)
 
 
 def part_of(platform: Platform, fault: Fault) -> int:
