@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.joining import joined_arrays
-from platform_ctrl.arguments import positive, whole
+from platform_ctrl.arguments import whole
 from platform_ctrl.description import Platform, RateSensor
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -26,6 +26,7 @@ from platform_ctrl.simulation.flight_plan import (
     figure_slots,
     prepared,
 )
+from platform_ctrl.simulation.scenario_checks import expect_several, steps
 from platform_ctrl.simulation.warming import wait_until_warm
 
 if TYPE_CHECKING:
@@ -116,11 +117,11 @@ def fly(
     SimulationError
         The device is not there.
     """
-    period, longest = positive("period", period), positive("step", step)
+    period, longest = steps(period, step)
     threads = whole("threads", threads, 1)
     expect_device(device)
-    if isinstance(scenarios, Scenario):
-        raise ArgumentError("scenarios: given one Scenario; expected a sequence of them")
+    expect_several("scenarios", scenarios, Scenario)
+    expect_several("controllers", controllers)
     groups: dict[tuple[object, ...], list[int]] = {}
     members = [prepared(scenario, period, longest) for scenario in scenarios]
     for place, member in enumerate(members):

@@ -16,6 +16,7 @@ from platform_ctrl.scenario import HalfCosine, Mode, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.batch import merged, recorded
 from platform_ctrl.simulation.flight_plan import prepared
+from platform_ctrl.simulation.scenario_checks import expect_several, steps
 from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
 
 if TYPE_CHECKING:
@@ -229,7 +230,8 @@ def flight(
     ArgumentError
         As `simulate`.
     """
-    period, step = positive("period", period), positive("step", step)
+    period, step = steps(period, step)
+    expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)

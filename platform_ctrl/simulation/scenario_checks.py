@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from platform_ctrl.scenario import FAULT_KEYS, Fault, HalfCosine, Scenario, Time
 # Numbers of a fault that divide, or would stand still at zero.
 _POSITIVE = ("time_constant", "frequency_hz")
 # What a run may take of memory and time.
-_SAMPLES, _PERIODS, _LINES = 1e8, 1e3, 10_000
+_SAMPLES, _PERIODS, _LINES, _SUBSTEPS = 1e8, 1e3, 10_000, 1e8
 _WORDS = {"rotor": "rotor", "torquer": "torquer", "pick-off": "sensor", "gimbal": "gimbal"}
 
 
@@ -64,6 +65,34 @@ def expect_size(scenario: object, period: float) -> None:
             raise ArgumentError(
                 f"{name}: {time:.6g} s are {time / period:.3g} periods; expected at most {most:.0e} of them"
             )
+
+
+def steps(period: float, step: float) -> tuple[float, float]:
+    """Return the sample period and the longest substep.
+
+    Raises
+    ------
+    ArgumentError
+        They are no times, or there are too many substeps in a period.
+    """
+    period, step = positive("period", period), positive("step", step)
+    if period > _SUBSTEPS * step:
+        raise ArgumentError(f"step: {step:.3g} s is too short for a period of {period:.3g} s; expected a longer one")
+    return period, step
+
+
+def expect_several(name: str, given: object, kind: type | None = None) -> None:
+    """Judge an argument that has to be several things: not one of a `kind`.
+
+    Raises
+    ------
+    ArgumentError
+        It is a single thing.
+    """
+    if kind is not None and isinstance(given, kind):
+        raise ArgumentError(f"{name}: given one {kind.__name__}; expected a sequence of them")
+    if not isinstance(given, Iterable):
+        raise ArgumentError(f"{name}: given {short(given)}; expected a sequence")
 
 
 def _start(scenario: Scenario) -> None:
