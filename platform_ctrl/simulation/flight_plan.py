@@ -9,7 +9,6 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import Fault, FaultKind, Scenario
 from platform_ctrl.simulation.attitude import unit_quaternions
@@ -17,7 +16,19 @@ from platform_ctrl.simulation.kernel import flight as layout
 from platform_ctrl.simulation.kernel.flight import Flight, Shared
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
 from platform_ctrl.simulation.scenario_checks import expect_scenario, expect_size, part_of
-from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, with_rotor_states
+from platform_ctrl.simulation.scenario_numbers import (
+    FaultKey,
+    plants_of,
+    put_faults,
+    put_lines,
+    put_rotors,
+    put_sensors,
+    put_stops,
+    put_torquers,
+    rate,
+    states,
+)
+from platform_ctrl.simulation.servo_rotors import check_step, initial_spins
 from platform_ctrl.simulation.step_limit import check_elements
 
 KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
@@ -32,8 +43,6 @@ _RANK = {
     "pick-off stuck": 2,
     "pick-off dead": 3,
 }
-
-FaultKey = tuple[str, str, int]
 
 
 class Controller(NamedTuple):
@@ -142,19 +151,14 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     """
     one = members[0]
     shape, free = one.skeleton, one.scenario.mode == "stabilised"
-    # Many scenarios may fly on one plant: it is packed once.
-    places: dict[int, int] = {}
-    plants: list[Platform] = []
-    for member in members:
-        platform = member.scenario.platform
-        if places.setdefault(id(platform), len(plants)) == len(plants):
-            plants.append(platform)
-    which = np.array([places[id(member.scenario.platform)] for member in members])
-    steps = np.zeros(len(plants))
-    np.maximum.at(steps, which, [max(member.timing.steps) for member in members])
-    check_step(plants, steps, free)
-    check_elements(plants, steps, free)
-    constants, around = numbers(shape, plants)
+    scenarios = [member.scenario for member in members]
+    plants = plants_of(scenarios)
+    lengths = np.array([member.timing.steps for member in members])
+    longest = np.zeros(len(plants.made))
+    np.maximum.at(longest, plants.which, lengths.max(axis=1))
+    check_step(plants.made, longest, free)
+    check_elements(plants.made, longest, free)
+    constants, around = numbers(shape, plants.made)
 
     order = sorted(
         {key for member in members for key in member.faults},
@@ -163,24 +167,26 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     shared, rotors = _shared(one, order, members, controller, period, free)
     packed = Packed(shape.links, shape.at._replace(course=len(rotors) > 0), constants[0], around[0])
     flight = _flight(packed, shared, one, controller)
-    scenarios = [member.scenario for member in members]
     given = np.zeros((len(members), flight.given - shape.at.end))
-    part = _Parts(given, shape.at.end)
-    part(flight.start, 1, shape.at.size)[:, 0] = _states(scenarios, packed)
+
+    def part(slot: int, count: int, size: int) -> FloatArray:
+        begin = slot - shape.at.end
+        return given[:, begin : begin + count * size].reshape(len(given), count, size)
+
+    part(flight.start, 1, shape.at.size)[:, 0] = states(scenarios, packed)
     steady = part(flight.steady, 1, shape.at.block)[:, 0]
-    steady[:] = around[which]
+    steady[:] = around[plants.which]
     steady[:, :3] = [scenario.torque for scenario in scenarios]
-    part(flight.rate, 1, layout.PROFILE)[:, 0] = [_rate(scenario) for scenario in scenarios]
-    part(flight.segments, 1, 2)[:, 0] = [member.timing.steps for member in members]
-    half = 0.5 * np.array([member.timing.steps for member in members])
-    _put_sensors(plants, which, part(flight.sensor, len(shared.sensors), layout.SENSOR), period, noise)
-    _put_torquers(plants, which, part(flight.torquer, len(shared.targets), layout.TORQUER), half)
-    _put_stops(plants, which, part(flight.stop, shape.at.n, layout.STOP))
-    _put_faults(members, order, part(flight.fault, len(order), layout.FAULT))
-    _put_rotors(shape, plants, which, rotors, part(flight.rotor, len(rotors), layout.ROTOR))
-    _put_lines(scenarios, part(flight.line, len(shared.lines), layout.LINE), half)
+    part(flight.rate, 1, layout.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
+    part(flight.segments, 1, 2)[:, 0] = lengths
+    put_sensors(plants, part(flight.sensor, len(shared.sensors), layout.SENSOR), period, noise)
+    put_torquers(plants, part(flight.torquer, len(shared.targets), layout.TORQUER), 0.5 * lengths)
+    put_stops(plants, part(flight.stop, shape.at.n, layout.STOP))
+    put_faults([member.faults for member in members], order, part(flight.fault, len(order), layout.FAULT))
+    put_rotors(shape, plants, rotors, part(flight.rotor, len(rotors), layout.ROTOR))
+    put_lines(scenarios, part(flight.line, len(shared.lines), layout.LINE), 0.5 * lengths)
     keys = np.array([(scenario.seed & (2**64 - 1), scenario.run) for scenario in scenarios], dtype=np.uint64)
-    return Batch(packed, shared, flight, free, constants[which], given, keys.reshape(-1, 2))
+    return Batch(packed, shared, flight, free, constants[plants.which], given, keys.reshape(-1, 2))
 
 
 def _shared(
@@ -273,141 +279,3 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
 def figure_slots(n: int, nu: int) -> int:
     """Return how many figures come out: |q|, |rotation vector|, shares and saturated samples, contacts, samples."""
     return n + 3 + 2 * nu + n + 1
-
-
-class _Parts(NamedTuple):
-    """What the host gives of all scenarios of a batch, (N, slots), in the order of `Flight`."""
-
-    given: FloatArray
-    first: int
-
-    def __call__(self, slot: int, count: int, size: int) -> FloatArray:
-        """Return `count` rows of `size` slots from `slot` on, (N, count, size)."""
-        begin = slot - self.first
-        return self.given[:, begin : begin + count * size].reshape(len(self.given), count, size)
-
-
-def _states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
-    """States at t = 0, (N, size), v holding the rates."""
-    attitudes = unit_quaternions([s.attitude for s in scenarios], (len(scenarios), 4))
-    rows = [np.array([getattr(s, name) for s in scenarios]) for name in ("q", "Omega", "rate")]
-    states = np.concatenate([*rows, attitudes], axis=1)
-    if packed.at.servos == 0:
-        return states
-    spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
-    inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]
-    return with_rotor_states(packed, states, np.array(spins), np.array(inertias))
-
-
-def _rate(scenario: Scenario) -> list[float]:
-    """The half-cosine's rate vector, its rise and hold; the scale of the time table."""
-    row = [0.0] * layout.PROFILE
-    if scenario.profile is not None:
-        row[scenario.profile.axis - 1] = scenario.profile.rate
-        row[layout.RISE], row[layout.HOLD] = scenario.profile.rise, scenario.profile.hold
-    table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
-    row[layout.SCALE] = 1.0 if table is None else table.scale
-    return row
-
-
-def _put_sensors(
-    plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray, period: float, noise: bool
-) -> None:
-    if rows.size == 0:
-        return
-    # Sensors that do not differ from plant to plant are the same objects: the noise of a sample is found once.
-    sampled: dict[int, float] = {}
-    kinds = [p.sensors for p in plants]
-    for sensor in (sensor for sensors in kinds for sensor in sensors):
-        if id(sensor) not in sampled:
-            sampled[id(sensor)] = sensor.sampled_noise(period) if noise else 0.0
-    rows[:, :, layout.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[which]
-    rows[:, :, layout.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[which]
-
-
-def _put_torquers(plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray, half: FloatArray) -> None:
-    if rows.size == 0:
-        return
-    limit, slew, lag = np.array(
-        [
-            [
-                (math.inf if t.limit is None else t.limit, math.inf if t.rate_limit is None else t.rate_limit, t.lag)
-                for t in p.torquers
-            ]
-            for p in plants
-        ]
-    )[which].transpose(2, 0, 1)
-    rows[:, :, layout.LIMIT] = limit
-    rows[:, :, layout.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
-    for segment in range(2):
-        step = half[:, segment, None]
-        # No limit stays none over a segment of no length.
-        with np.errstate(invalid="ignore"):
-            rows[:, :, layout.SLEW + segment] = np.where(np.isinf(slew), math.inf, step * slew)
-        lagging = np.where(lag > 0.0, lag, 1.0)
-        rows[:, :, layout.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
-
-
-def _put_stops(plants: Sequence[Platform], which: NDArray[np.intp], rows: FloatArray) -> None:
-    if rows.size == 0:
-        return
-    rows[:, :, layout.LOW], rows[:, :, layout.HIGH], rows[:, :, layout.RESTITUTION] = np.array(
-        [[(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals] for p in plants]
-    )[which].transpose(2, 0, 1)
-
-
-def _put_faults(members: Sequence[Prepared], order: list[FaultKey], rows: FloatArray) -> None:
-    rows[:, :, : layout.STUCK] = math.inf, math.inf, 1.0, 1.0  # what does not happen in a run begins never
-    column = {key: k for k, key in enumerate(order)}
-    for row, member in zip(rows, members, strict=True):
-        for key, fault in member.faults.items():
-            row[column[key], : layout.STUCK] = _numbers(fault)
-
-
-def _put_rotors(
-    shape: Skeleton, plants: Sequence[Platform], which: NDArray[np.intp], rotors: list[int], rows: FloatArray
-) -> None:
-    for j, k in enumerate(rotors):
-        if k in shape.servos:
-            rows[:, j, 0] = np.array([p.rotors[k].spin for p in plants])[which]
-        else:
-            L = np.array([p.rotors[k].angular_momentum for p in plants])[which]
-            rows[:, j, :3] = L[:, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
-
-
-def _numbers(fault: Fault) -> tuple[float, float, float, float]:
-    """Begin, end and the two numbers of a fault."""
-    match fault.kind:
-        case "rotor run-down" | "rotor run-up":
-            return fault.at, fault.until, fault.share, fault.time_constant
-        case "speed ripple":
-            return fault.at, fault.until, fault.amplitude, 2.0 * math.pi * fault.frequency_hz
-        case "torquer weak":
-            first = fault.share
-        case "pick-off drift":
-            first = fault.rate
-        case "pick-off dropout" | "controller overrun":
-            first = fault.probability
-        case "stop contact":
-            first = fault.impulse
-        case _:
-            first = 0.0
-    return fault.at, fault.until, first, 0.0
-
-
-def _put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:
-    """Amplitudes of the vibrations' lines, and how far they turn in half a substep of each segment."""
-    place = 0
-    for k, vibration in enumerate(scenarios[0].vibrations):
-        known: dict[int, FloatArray] = {}
-        for scenario in scenarios:
-            one = scenario.vibrations[k]
-            if id(one) not in known:
-                omega, known[id(one)] = one.amplitudes
-        own = rows[:, place : place + vibration.lines]
-        own[:, :, layout.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
-        for segment in range(2):
-            turn = omega * half[:, segment, None]
-            own[:, :, layout.TURN + 2 * segment] = np.cos(turn)
-            own[:, :, layout.TURN + 2 * segment + 1] = np.sin(turn)
-        place += vibration.lines
