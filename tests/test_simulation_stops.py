@@ -172,6 +172,46 @@ def test_a_blow_on_a_free_platform_is_a_matter_between_gimbal_and_carrier() -> N
     assert np.abs(struck.Omega[10] - quiet.Omega[10]).max() > 0.1
 
 
+@pytest.mark.parametrize("mode", ["caged", "stabilised"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_blow_on_a_gimbal_that_is_pressed_against_its_stop_makes_it_meet_the_stop_anew(
+    mode: str, restitution: float
+) -> None:
+    stop, impulse = 0.06, 2e-3
+    platform = dataclasses.replace(plant(stops=(-stop, stop), restitution=restitution), root_inertia=1e3 * np.eye(3))
+    blow = fault("stop contact", part="g", at=0.03, until=np.inf, impulse=impulse)
+    # The push of 0.5 N m vanishes at 0.1 s and pulls from then on.
+    begin = {"mode": mode, "level": 0.5, "slope": -5.0, "q": [0.5, stop]}
+    quiet, struck = (flown(platform, *faults, duration=0.15, **begin) for faults in ((), (blow,)))
+    contacts = [flown(platform, *faults, duration=0.08, **begin).stop_contacts[1] for faults in ((), (blow,))]
+    assert contacts[1] > contacts[0]
+    assert struck.rate[30, 1] == pytest.approx(impulse / J, rel=1e-3)
+    back = struck.rate[31, 1]
+    if restitution == 0.0:
+        assert abs(back) < 1e-11
+    else:
+        assert back == pytest.approx(-restitution * impulse / J + 0.35 / J * PERIOD, rel=0.1)
+    resting, leaving = within(struck.t, 0.06, 0.099), struck.t > 0.103
+    for out in (quiet, struck):
+        np.testing.assert_array_equal(out.q[resting, 1], stop)
+        np.testing.assert_allclose(out.rate[resting, 1], 0.0, rtol=0, atol=1e-11)
+        assert out.q[leaving, 1].max() < stop
+        assert np.diff(out.q[leaving, 1]).max() < 0.0
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
+def test_a_gimbal_comes_to_rest_on_its_stop_alike_whether_the_root_is_held_or_heavy(restitution: float) -> None:
+    platform = dataclasses.replace(plant(stops=(-0.05, 0.06), restitution=restitution), root_inertia=1e9 * np.eye(3))
+    held, heavy = (
+        flown(platform, mode=mode, level=0.5, slope=-5.0, q=[0.5, 0.059], duration=0.15)
+        for mode in ("caged", "stabilised")
+    )
+    np.testing.assert_array_equal(held.stop_contacts, heavy.stop_contacts)
+    np.testing.assert_allclose(heavy.q, held.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(heavy.rate, held.rate, rtol=0, atol=1e-7)
+    assert restitution == 0.9 or not held.rate[within(held.t, 0.08, 0.099), 1].any()
+
+
 # Friction.
 
 

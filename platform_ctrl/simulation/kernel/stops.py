@@ -74,6 +74,19 @@ def _response(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, 
 
 
 @internal
+def _come_anew(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, blown: Mask) -> None:
+    """Let go of gimbals that a blow drives against the stops they lie on: these they meet once more."""
+    n, dy = at.n, at.stages
+    derivative(links, mem, lane, at, free, at.no, at.no, at.state, at.surroundings + 2 * at.block, dy)
+    for k in range(n):
+        stop, rate = flight.stop + k * STOP, load(mem, dy + k, lane)
+        above = load(mem, at.state + k, lane) >= load(mem, stop + HIGH, lane)
+        outward = blown & (choose(above, rate, -rate) > 1e-12)
+        touching = load(mem, stop + TOUCHING, lane)
+        store(mem, stop + TOUCHING, lane, choose(outward, 0.0 * rate, touching))
+
+
+@internal
 def strike(
     links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, sample: int
 ) -> None:
@@ -91,11 +104,35 @@ def strike(
         if not free:
             p = at.state + n + 3 + k
             store(mem, p, lane, load(mem, p, lane) + impulse)
-            continue
-        _response(links, mem, lane, at, flight, free, k, at.stages)
-        for i in range(n + 3):
-            v = at.state + n + i
-            store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
+        else:
+            _response(links, mem, lane, at, flight, free, k, at.stages)
+            for i in range(n + 3):
+                v = at.state + n + i
+                store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, at.stages + n + i, lane))
+        if flight.stops != 0:
+            _come_anew(links, mem, lane, at, flight, free, due)
+
+
+@internal
+def _brake(links: Links, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool) -> None:
+    """Stop locked gimbals by impulses at their joints: one that comes back within the step still moves away."""
+    n, dy = at.n, at.stages
+    for _ in range(100):
+        settled = True
+        for k in range(n):
+            rate = load(mem, at.state + n + 3 + k, lane)
+            locked = load(mem, at.work + (k + 1) * WORK + LOCKED, lane) > 0.5
+            turning = locked & ((rate > 1e-12) | (rate < -1e-12))
+            if not anywhere(turning):
+                continue
+            settled = False
+            _response(links, mem, lane, at, flight, free, k, dy)
+            impulse = choose(turning, -rate / load(mem, dy + k, lane), 0.0 * rate)
+            for i in range(n + 3):
+                v = at.state + n + i
+                store(mem, v, lane, load(mem, v, lane) + impulse * load(mem, dy + n + i, lane))
+        if settled:
+            return
 
 
 @internal
@@ -120,6 +157,8 @@ def hold(
         free_step = load(mem, at.state + i, lane)
         store(mem, at.state + i, lane, load(mem, begin + i, lane))
         store(mem, begin + i, lane, free_step)
+    if free:  # else the momenta of locked joints mean nothing
+        _brake(links, mem, lane, at, flight, free)
     runge_kutta(links, mem, lane, at, free, at.yes, at.state, step)
     if not free:
         end = at.surroundings + 2 * at.block
