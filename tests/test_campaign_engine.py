@@ -22,6 +22,7 @@ import pytest
 
 import platform_ctrl as pc
 from campaign_flights import JOB, flown_here, flown_quickly, planned, rows, undisturbed
+from platform_ctrl.campaign import workers
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
 from platform_ctrl.campaign.flight import inputs_of
 from platform_ctrl.campaign.lock import locked
@@ -370,6 +371,22 @@ def test_workers_that_cannot_begin_are_told_at_once(
     with pytest.raises(SimulationError, match=r"a worker process ended before it began \(exit code 1\)"):
         carried_out(planned(runs=8), tmp_path, fly=nowhere.fly)
     assert "only_here" in capfd.readouterr().err
+
+
+def test_a_worker_that_is_killed_while_it_begins_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[int] = []
+
+    class Killed(workers._Worker):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            begun.append(int(self.process.pid or 0))
+            if len(begun) == 1:
+                self.process.kill()
+
+    monkeypatch.setattr(workers, "_Worker", Killed)
+    made = planned(runs=8)
+    assert rows(carried_out(made, tmp_path)) == undisturbed(made)
+    assert len(begun) == 2
 
 
 def test_workers_that_die_of_everything_stop_the_campaign(

@@ -305,3 +305,22 @@ def test_a_few_runs_far_out_do_not_hide_what_drives_the_others():
     assert one.ranked
     drivers = [single.parameter for single in one.influences if single.driver]
     assert drivers[:2] == ["rotor.11.spin", "manoeuvre"] or drivers[:2] == ["manoeuvre", "rotor.11.spin"]
+
+
+def test_what_sends_a_few_runs_beyond_the_limit_is_told_beside_what_drives_the_others():
+    table = flown(2000)
+    table["angle"] = 0.001 / table["rotor.11.spin"]
+    table["angle"][np.flatnonzero(table["dead torquer"])[:12]] = 0.5
+    one = next(one for one in sensitivities(judged(table), LIMITS) if (one.figure, one.manoeuvre) == ("angle", None))
+    assert one.ranked
+    assert [single.parameter for single in one.violations if single.driver] == ["dead torquer"]
+    assert "rotor.11.spin" in [single.parameter for single in one.influences if single.driver]
+
+
+def test_a_figure_that_is_the_same_in_every_run_has_no_drivers():
+    table = flown(400)
+    table["angle"] = np.full(400, 1e-4)
+    found = sensitivities(judged(table), {name: {"angle": 0.003} for name in LIMITS})
+    assert "angle" not in {one.figure for one in found}
+    [single] = influences({"x": np.random.default_rng(3).random(50)}, np.ones(50))
+    assert (single.index, single.rank_correlation, single.driver) == (0.0, 0.0, False)

@@ -141,6 +141,18 @@ def test_manoeuvres_go_by_name_or_by_an_option_of_their_own(there: Path, capsys:
     assert (there / "drawn" / "manoeuvre-2.svg").is_file()
 
 
+def test_runs_of_a_job_that_varies_nothing_are_flown_again_where_its_campaign_is(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there / "noise.toml").write_text(TEXT[: TEXT.index("[campaign]")])
+    main(["campaign", "noise.toml", "--runs", "16", "--workers", "1", "-o", "noise", "-q"])
+    capsys.readouterr()
+    main(["simulate", "noise.toml", "--run", "0", "-o", "noise", "--json"])
+    assert json.loads(capsys.readouterr().out)["as_in_table"] is True
+    main(["simulate", "noise.toml", "--run", "1", "-o", "elsewhere", "-q"])
+    assert capsys.readouterr().out.startswith("turn\n")
+
+
 def test_a_campaign_with_other_seed_and_length_is_known_by_its_folder(
     there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,6 +191,12 @@ def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys
         (["campaign", "job.toml", "--device", "tpu", "-o", "new"], "device: given 'tpu'; expected 'cpu' or 'cuda'"),
         (["campaign", "job.toml", "-o", "job.toml"], "-o job.toml: is not a folder"),
         (["campaign", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
+        (
+            ["campaign", "job.toml", "--runs", "1073741824", "--sampling", "latin-hypercube", "-o", "new"],
+            "which is made in one piece; expected at most 89478485 with 3 numbers a run",
+        ),
+        (["simulate", "job.toml", "--run", "3", "-o", "job.toml"], "-o job.toml: is not a folder"),
+        (["simulate", "job.toml", "--run", "-3"], '--run "-3": expected the number of a run of the campaign, from 0'),
         (["simulate", "job.toml", "--run", "4711"], "--run 4711: expected a run of the campaign, 0 to 39"),
         (["simulate", "job.toml", "--run", "1", "--manoeuvre", "1"], "--run and --manoeuvre are both given"),
         (
@@ -234,14 +252,27 @@ def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, caps
     assert out == ""
     *_, last, end = err.splitlines()
     assert end == "platform-ctrl: interrupted"
-    stopped = re.fullmatch(r"stopped: (\d+) of 100000 runs are kept in long; the same command goes on", last)
+    stopped = re.fullmatch(r"stopped: ([\d,]+) of 100,000 runs are kept in long; the same command goes on", last)
     assert stopped
     assert "Traceback" not in err
     kept = [path.name for path in (there / "long" / "campaign.parts").iterdir()]
     pieces = [int(name[13:25]) - int(name[:12]) for name in kept]
     # A piece that has just got its name may not have been counted yet.
-    assert sum(pieces) - int(stopped[1]) in (0, *pieces)
-    assert int(stopped[1]) > 0
+    told = int(stopped[1].replace(",", ""))
+    assert sum(pieces) - told in (0, *pieces)
+    assert told > 0
+
+
+def test_ctrl_c_before_the_runs_are_counted_does_not_say_that_there_are_none(
+    there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*given: Any, **options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("platform_ctrl.campaign.engine.run_campaign", interrupted)
+    assert main(["campaign", "job.toml", "--runs", "50", "-q"]) == 130
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "stopped: what was flown is kept in campaign; the same command goes on"
 
 
 def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(

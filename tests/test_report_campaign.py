@@ -15,6 +15,7 @@ import platform_ctrl as pc
 from platform_ctrl.campaign.plan import plan
 from platform_ctrl.campaign.probability import clopper_pearson
 from platform_ctrl.campaign.rare_events import rare_event
+from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.campaign.summary import summarised, summary_record
 from platform_ctrl.check.records import laid_out
 from platform_ctrl.cli.campaign_tables import show_campaign
@@ -257,6 +258,29 @@ def test_one_manoeuvre_has_no_group_of_all(capsys):
     summary = summarised(one, by_formula(one))
     assert {row.group for row in tables.probability_rows(summary)} == {"turn about 1"}
     assert "All manoeuvres" not in campaign_page(summary)
+
+
+def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_told(page, summary):
+    words = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
+    assert "turn about 1 gimbal angle" in words
+    assert "Turn about 1" not in words
+    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    assert f"What sends runs beyond the limit: {tables.violation_drivers(angle)}" in words
+    assert "fault.weak Q9" in tables.violation_drivers(angle)
+
+
+@pytest.mark.parametrize("factor", [1e-5, 0.6, 1e3])
+def test_runs_are_drawn_wherever_the_limit_is(made, factor):
+    limits = {one.name: {name: factor * x for name, x in one.limits.items()} for one, _ in made.job.flown}
+    found = statistics(by_formula(made, odd=False), limits)
+    one = found.of("angle", "turn about 1")
+    with style.settings():
+        drawn = campaign_figures.histogram_figure(found, "angle").axes[0]
+        reach = campaign_figures.exceedance_figure(found).axes[0]
+    counts = drawn.patches[0].get_data()
+    assert (np.diff(counts.edges) > 0.0).all()
+    assert counts.values.sum() > 0.5 * one.violation.runs
+    assert reach.get_xlim()[1] > one.quantiles[0.5] / one.limit
 
 
 def test_histograms_count_every_run_once_and_colour_those_beyond(summary):

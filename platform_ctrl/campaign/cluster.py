@@ -195,8 +195,10 @@ def _client(distributed: Any, address: str) -> Any:
         with warnings.catch_warnings():
             # Versions are compared by name before anything is flown.
             warnings.simplefilter("ignore")
+            # Judged first: a client that cannot make sense of its address leaves a traceback behind.
+            distributed.comm.get_address_host_port(address)
             return distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
+    except (OSError, OverflowError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
             f"--scheduler {address}: {reason}; expected the address of a Dask scheduler, such as tcp://host:8786"

@@ -16,6 +16,25 @@ from platform_ctrl.variation import Vary
 # SciPy's Sobol points have 30 bits: this many runs differ, and this is half of the smallest step.
 MOST_RUNS = 2**30
 _HALF_STEP = 0.5**31
+# Of a Latin hypercube, which every process holds as a whole: 2 GiB.
+_MOST_NUMBERS = 2**28
+
+
+def expect_points(sampling: Points, runs: int, dimensions: int) -> None:
+    """Refuse points that cannot be made.
+
+    Raises
+    ------
+    ArgumentError
+        A Latin hypercube of more numbers than memory should hold, or more dimensions than Sobol's points have.
+    """
+    if sampling == "latin-hypercube" and runs * dimensions > _MOST_NUMBERS:
+        raise ArgumentError(
+            f"runs: given {runs} of 'latin-hypercube', which is made in one piece; expected at most "
+            f"{_MOST_NUMBERS // dimensions} with {dimensions} numbers a run; 'sobol' and 'random' need no memory"
+        )
+    if sampling == "sobol" and dimensions > qmc.Sobol.MAXDIM:
+        raise ArgumentError(f"sampling: given 'sobol' for {dimensions} numbers a run; expected 'random' beyond 21201")
 
 
 def unit_points(sampling: Points, seed: int, runs: int, dimensions: int, first: int, last: int) -> FloatArray:
@@ -25,6 +44,7 @@ def unit_points(sampling: Points, seed: int, runs: int, dimensions: int, first: 
     or independent numbers of the counter-based generator Philox (Salmon et al. 2011). A Latin hypercube depends on
     `runs` and is made in one piece: its memory, 8 bytes a number, grows with the campaign's length.
     """
+    expect_points(sampling, runs, dimensions)
     if dimensions == 0 or first == last:
         return np.empty((last - first, dimensions))
     match sampling:
@@ -37,8 +57,6 @@ def unit_points(sampling: Points, seed: int, runs: int, dimensions: int, first: 
 
 
 def _sobol(seed: int, dimensions: int, first: int, last: int) -> FloatArray:
-    if dimensions > qmc.Sobol.MAXDIM:
-        raise ArgumentError(f"sampling: given 'sobol' for {dimensions} numbers a run; expected 'random' beyond 21201")
     engine = qmc.Sobol(dimensions, scramble=True, seed=np.random.default_rng(seed))
     if first > 0:  # SciPy does not skip nothing
         engine.fast_forward(first)

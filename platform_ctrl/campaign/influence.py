@@ -92,7 +92,7 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
         if kind.max(initial=0) == 0:
             continue  # the same in every run
         own = stats.rankdata(column.astype(np.float64)) if numeric else None
-        correlation = np.nan if own is None else float(np.corrcoef(own, ranks)[0, 1])
+        correlation = np.nan if own is None else _correlation(own, ranks)
         few = 0 < len(events) <= _FEW_EVENTS
         p = _permuted_p_value(kind, own, events) if few else _p_value(kind, ranks, correlation)
         singles.append((name, kind, correlation, p))
@@ -152,6 +152,13 @@ def _corrected(number: FloatArray, total: FloatArray, square: float) -> float:
         return 0.0
     between = float((total[number > 0] ** 2 / number[number > 0]).sum() - total.sum() ** 2 / N)
     return float(1.0 - (1.0 - between / variance) * (N - 1.0) / (N - classes))
+
+
+def _correlation(own: FloatArray, ranks: FloatArray) -> float:
+    """Return the correlation of ranks; 0 with an output that is the same in every run."""
+    if (ranks == ranks[0]).all():
+        return 0.0
+    return float(np.corrcoef(own, ranks)[0, 1])
 
 
 def _p_value(kind: NDArray[np.intp], ranks: FloatArray, correlation: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.arguments import known_name, one_of, positive, whole
-from platform_ctrl.campaign.draws import MOST_RUNS, chosen, quantiles, unit_points
+from platform_ctrl.campaign.draws import MOST_RUNS, chosen, expect_points, quantiles, unit_points
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Campaign, Job, Points, manoeuvre_scenario
@@ -168,8 +168,8 @@ def plan(
     Raises
     ------
     ArgumentError
-        There is no manoeuvre; a number is out of range; a parameter that is varied does not exist, or could be drawn as
-        something that a plant or job file refuses.
+        There is no manoeuvre; a number is out of range, or more than a Latin hypercube can have; a parameter that is
+        varied does not exist, or could be drawn as something that a plant or job file refuses.
     """
     campaign = job.campaign or Campaign(seed=job.seed)
     if not job.manoeuvres:
@@ -188,7 +188,7 @@ def plan(
     known = parameters(nominal, job.fault_events)
     by_name = {fault.name: fault for fault in job.fault_events}
     number = whole("seed", campaign.seed if seed is None else seed, 0, 2**63 - 1)
-    return Plan(
+    made = Plan(
         job=job,
         controllers=tuple(controllers),
         runs=whole("runs", campaign.runs if runs is None else runs, 1, MOST_RUNS),
@@ -201,6 +201,8 @@ def plan(
         failing=tuple(by_name[one.fault] for one in campaign.faults),
         noise_seed=_seed_of(number, "noise"),
     )
+    expect_points(made.sampling, made.runs, made.dimensions)
+    return made
 
 
 def _seed_of(seed: int, use: Literal["inputs", "noise"]) -> int:

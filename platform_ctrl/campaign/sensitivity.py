@@ -50,6 +50,9 @@ class Sensitivity:
         Whether the figure's ranks stand for it, because some runs diverged or a few have most of its variance.
     influences
         All inputs, the strongest first.
+    violations
+        Likewise on whether this limit is violated; empty where fewer than five runs do, or do not. What sends a few
+        runs beyond the limit may be nothing to the others.
     """
 
     figure: str
@@ -57,6 +60,7 @@ class Sensitivity:
     runs: int
     ranked: bool
     influences: tuple[Influence, ...]
+    violations: tuple[Influence, ...] = ()
 
 
 def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
@@ -143,16 +147,23 @@ def _sensitivity(
     figure: str, manoeuvre: str | None, inputs: Mapping[str, Array], output: FloatArray
 ) -> Sensitivity | None:
     """Return None where the runs are too few, or all the same."""
-    if len(output) < _FEWEST_RUNS or (
-        figure == PASSED and min(output.sum(), len(output) - output.sum()) < _FEWEST_EVENTS
-    ):
+    violating = output > (0.0 if figure == PASSED else 1.0)
+    telling = min(violating.sum(), len(output) - violating.sum()) >= _FEWEST_EVENTS
+    if len(output) < _FEWEST_RUNS or (figure == PASSED and not telling) or (output == output[0]).all():
         return None
     from scipy import stats
 
     ranked = figure != PASSED and _far_out(output)
     used = stats.rankdata(np.where(np.isfinite(output), output, np.inf)) if ranked else output
     found = influences(inputs, used)
-    return Sensitivity(figure=figure, manoeuvre=manoeuvre, runs=len(output), ranked=ranked, influences=found)
+    return Sensitivity(
+        figure=figure,
+        manoeuvre=manoeuvre,
+        runs=len(output),
+        ranked=ranked,
+        influences=found,
+        violations=influences(inputs, violating) if telling and figure != PASSED else (),
+    )
 
 
 def _far_out(output: FloatArray) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.rare_result import RareResult
@@ -101,18 +102,8 @@ def summary_record(summary: Summary) -> Record:
                 "manoeuvre": one.manoeuvre,
                 "runs": one.runs,
                 "ranked": one.ranked,
-                "influences": [
-                    {
-                        "parameter": single.parameter,
-                        "index": single.index,
-                        "low": single.low,
-                        "high": single.high,
-                        "rank_correlation": single.rank_correlation,
-                        "p_value": single.p_value,
-                        "driver": single.driver,
-                    }
-                    for single in one.influences
-                ],
+                "influences": [_influence(single) for single in one.influences],
+                "violations": [_influence(single) for single in one.violations],
             }
             for one in summary.sensitivities
         ],
@@ -169,6 +160,18 @@ def _requirement(one: RequirementStatistics) -> Record:
         "quantiles": {f"{share:g}": figure for share, figure in one.quantiles.items()},
         "largest": one.largest,
         "worst": [_run(single) for single in one.worst],
+    }
+
+
+def _influence(one: Influence) -> Record:
+    return {
+        "parameter": one.parameter,
+        "index": one.index,
+        "low": one.low,
+        "high": one.high,
+        "rank_correlation": one.rank_correlation,
+        "p_value": one.p_value,
+        "driver": one.driver,
     }
 
 

@@ -67,7 +67,8 @@ def flown_by_processes(
                     del crew[worker.connection]
                     worker.process.join(_FAREWELL)
                     worker.kill()
-                    if not worker.ready and not warm:
+                    killed = (worker.process.exitcode or 0) < 0
+                    if not worker.ready and not warm and not killed:
                         raise SimulationError(
                             f"a worker process ended before it began (exit code {worker.process.exitcode}); a script "
                             'that starts a campaign must do so under if __name__ == "__main__"'

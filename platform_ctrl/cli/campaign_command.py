@@ -125,7 +125,7 @@ def campaign(
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
         expect_rare(made, rare, runs_per_level, rare_method)
         prepared(out, ("campaign.parquet", "campaign.json", PAGE))
-    done = 0
+    done: int | None = None
 
     def noted(kept: int, amiss: int) -> None:
         nonlocal done
@@ -145,7 +145,8 @@ def campaign(
                 say=say,
             )
     except KeyboardInterrupt:
-        typer.echo(f"stopped: {done} of {made.runs} runs are kept in {out}; the same command goes on", err=True)
+        kept = "what was flown is kept" if done is None else f"{done:,} of {made.runs:,} runs are kept"
+        typer.echo(f"stopped: {kept} in {out}; the same command goes on", err=True)
         raise
     given = {"--controllers": controllers, "-o": None if out == CAMPAIGN else out}
     files = [str(word) for option, path in given.items() if path is not None for word in (option, path)]
@@ -174,8 +175,10 @@ def campaign(
 
 
 def _show_files(flown: Campaigned, page: Path) -> None:
+    from platform_ctrl.report.campaign_tables import count_words
+
     counts: dict[str, Any] = flown.counts
-    typer.echo(f"{flown.record['runs']:,} runs: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
+    typer.echo(f"{count_words(flown.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")
     for reason, number in flown.reasons.items():
         typer.echo(f"  {number:,} x {reason}")
     typer.echo(f"page: {page}, runs: {flown.table}, figures: {flown.table.with_suffix('.json')}")

@@ -106,7 +106,9 @@ def _show_drivers(console: Console, summary: Summary) -> None:
     for one in summary.sensitivities:
         if one.manoeuvre is None:
             name = tables.requirement_name(one.figure)
-            console.print(f"{name} is driven by {tables.short_drivers(one)}", markup=False)
+            violating = tables.violation_drivers(one)
+            more = f"; its violations by {violating}" if violating else ""
+            console.print(f"{name} is driven by {tables.short_drivers(one)}{more}", markup=False)
 
 
 def _show_worst(console: Console, summary: Summary) -> None:

@@ -30,8 +30,8 @@ def simulate(
         typer.Option(
             "--run",
             metavar="NUMBER",
-            help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where the job has "
-            "no [campaign], is that of a manoeuvre.",
+            help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where there is no "
+            "campaign, is that of a manoeuvre.",
             show_default=False,
         ),
     ] = None,
@@ -76,7 +76,7 @@ def simulate(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         wanted = str(run if manoeuvre is None else manoeuvre)
-        of_campaign = manoeuvre is None and read.campaign is not None and wanted.isdecimal()
+        of_campaign = manoeuvre is None and wanted.isdecimal() and (read.campaign is not None or _flown(read, out))
         if of_campaign and wanted not in [one.name for one in read.manoeuvres]:
             chosen: int | Manoeuvre = int(wanted)
         else:
@@ -87,9 +87,12 @@ def simulate(
         closed = read_controllers(file, read)
         if isinstance(chosen, int):
             planned = _planned(read, chosen, closed, out)
+            prepared(planned[1])
             say(f"run {chosen} of the campaign")
             show = _run_flown(chosen, *planned)
         else:
+            if out is not None:
+                prepared(out)
             say(f"simulated run: {chosen.name}")
             show = _manoeuvre_flown(read, chosen, closed, out)
     return show(as_json)
@@ -152,6 +155,14 @@ def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str)
     return show
 
 
+def _flown(job: Job, out: Path | None) -> bool:
+    """Whether the folder has a campaign of a job that has no [campaign]: what varied was the noise."""
+    from platform_ctrl.campaign.store import read_record
+
+    record = read_record(out or CAMPAIGN)
+    return record is not None and record.get("job") == job.name
+
+
 def _planned(
     job: Job, number: int, controllers: list[control.StateSpace], out: Path | None
 ) -> tuple[Plan, Path, bool, str]:
@@ -178,7 +189,6 @@ def _planned(
 def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
     from platform_ctrl.report.run_file import write_run_figure
 
-    prepared(folder)
     write_run_figure(run, job.platform, title, folder / name)
     return folder / name
 
@@ -195,5 +205,11 @@ def _manoeuvre(job: Job, wanted: str, path: Path, option: str) -> Manoeuvre:
         return job.manoeuvres[names.index(wanted)]
     if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
         return job.manoeuvres[int(wanted) - 1]
+    if option == "--run" and job.campaign is not None:
+        known = ", ".join(map(given, names))
+        raise InputError(
+            f"{option} {given(wanted)}: expected the number of a run of the campaign, from 0, or a manoeuvre in "
+            f"{path}: {known}"
+        )
     known = ", ".join(f"{number} {given(name)}" for number, name in enumerate(names, 1))
     raise InputError(f"{option} {given(wanted)}: no such manoeuvre in {path}; it has {known or 'none'}")

@@ -31,6 +31,12 @@ _BINS = 48
 _FAR = 2.5
 # Figures beyond so many times the limit, or what 90 % of the runs reach, are counted and not drawn.
 _WILD = 2.0
+# Levels beyond so many times the limit are not drawn, unless half of the runs lie there.
+_REACH = 4.0
+# A limit below this share of the figures would squeeze the histogram: it is named instead.
+_LOW = 0.25
+# Where the axis begins at the latest, as a share of the limit.
+_BEFORE = 0.9
 # Share of a panel beyond the limit, at least: what is said of it stands there.
 _BEYOND_LIMIT = 0.3
 _CELL = 1.75
@@ -46,6 +52,8 @@ def exceedance_figure(found: CampaignStatistics) -> Figure:
     for axes, name in zip(rows[0], figures, strict=True):
         for one in _asked(found, name):
             levels, shares = _exceedance(one)
+            if len(levels) == 1:  # one run, or all alike: a line needs a beginning
+                levels, shares = np.append(0.0, levels), np.append(1.0, shares)
             style = line_style(manoeuvres.index(one.manoeuvre))
             handles[str(one.manoeuvre)] = axes.plot(levels, shares, drawstyle="steps-post", **style)[0]
         _exceedance_axes(axes, name, found)
@@ -69,9 +77,12 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
     axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.3)
     log_axis(axes.yaxis)
     reach = [_exceedance(one)[0].max(initial=0.0) for one in _asked(found, name)]
-    axes.set_xlim(0.0, float(np.clip(1.08 * max(reach), 1.25, 4.0)))
+    usual = [one.quantiles[0.5] / one.limit for one in _asked(found, name) if one.limit]
+    most = max([_REACH, *(1.3 * ratio for ratio in usual if np.isfinite(ratio))])
+    right = float(np.clip(1.08 * max(reach), 1.25, most))
+    axes.set_xlim(0.0, right)
     linear_axis(axes.xaxis)
-    _shade(axes, 1.0)
+    _shade(axes, 1.0, right)
     axes.set_title(FIGURES[name][0])
     axes.set_xlabel("over its limit")
 
@@ -98,8 +109,8 @@ def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
     usual = one.quantiles[0.9]
     top = min(spread.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
     low = spread.smallest if np.isfinite(spread.smallest) and spread.smallest > 0.5 * top else 0.0
-    near = limit <= _FAR * max(top, 1e-300)
-    low, high = 0.98 * low, 1.04 * top
+    near = _LOW * low <= limit <= _FAR * max(top, 1e-300)
+    low, high = 0.98 * (min(low, _BEFORE * limit) if near else low), 1.04 * top
     if near:
         high = max(high, low + (limit - low) / (1.0 - _BEYOND_LIMIT))
     edges = _edges(low, high, limit if near else None)
@@ -108,7 +119,7 @@ def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
     beyond = edges[:-1] >= limit * (1.0 - 1e-9)
     if beyond.any():
         axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=LIMIT, linewidth=0)
-        _shade(axes, factor * limit)
+        _shade(axes, factor * limit, factor * high)
     axes.set_xlim(factor * low, factor * high)
     axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
     linear_axis(axes.xaxis)
@@ -147,8 +158,8 @@ def _edges(low: float, high: float, limit: float | None) -> FloatArray:
     return np.asarray(low + width * np.arange(below + int(np.ceil((high - limit) / width)) + 1))
 
 
-def _shade(axes: Axes, limit: float) -> None:
-    axes.axvspan(limit, 1e3 * limit, color=BEYOND, linewidth=0, zorder=0)
+def _shade(axes: Axes, limit: float, reach: float = 0.0) -> None:
+    axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=BEYOND, linewidth=0, zorder=0)
     axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
 
 

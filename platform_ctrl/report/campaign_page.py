@@ -10,6 +10,7 @@ from typing import Any
 from platform_ctrl.campaign.identity import identity
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
+from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, PASSED
 from platform_ctrl.frozen import value
@@ -83,7 +84,10 @@ def campaign_page(summary: Summary, *, command: str | None = None, again: str | 
     rows = tables.probability_rows(summary)
     groups: dict[str, list[tables.ProbabilityRow]] = {}
     for row in rows:
-        groups.setdefault(row.group, []).append(row)
+        # A manoeuvre's name stays as people have to type it.
+        everything = row.group == tables.ALL_MANOEUVRES
+        heading = row.group[:1].upper() + row.group[1:] if everything else row.group
+        groups.setdefault(heading, []).append(row)
     drivers = tables.all_drivers(summary)
     with style.settings():
         content = {
@@ -92,6 +96,7 @@ def campaign_page(summary: Summary, *, command: str | None = None, again: str | 
             "plan": summary.plan,
             "platform": summary.plan.job.platform,
             "found": summary.statistics,
+            "flown": tables.count_words(summary.plan.runs),
             "verdict": tables.verdict(summary),
             "lines": tables.verdict_lines(summary),
             "confidence": f"{plain(100.0 * summary.statistics.confidence, 3)} %",
@@ -99,7 +104,12 @@ def campaign_page(summary: Summary, *, command: str | None = None, again: str | 
             "scale": _scale([row.numbers for row in rows]),
             "plates": _plates(summary),
             "sensitivities": [
-                (tables.requirement_name(one.figure), one, *tables.influence_rows(one))
+                (
+                    tables.requirement_name(one.figure),
+                    one,
+                    *tables.influence_rows(one),
+                    _tied(tables.violation_drivers(one)),
+                )
                 for one in summary.sensitivities
                 if one.manoeuvre is None
             ],
@@ -157,9 +167,19 @@ def _within(summary: Summary) -> tuple[list[str], list[tuple[str, list[str]]]]:
     figures = [name for name in (*FIGURES, PASSED) if any(one.figure == name for one in inside)]
     rows = []
     for manoeuvre in dict.fromkeys(one.manoeuvre for one in inside):
-        own = {one.figure: tables.short_drivers(one) for one in inside if one.manoeuvre == manoeuvre}
+        own = {one.figure: _drivers(one) for one in inside if one.manoeuvre == manoeuvre}
         rows.append((str(manoeuvre), [own.get(figure, "") for figure in figures]))
     return [tables.requirement_name(figure) for figure in figures], rows
+
+
+def _drivers(one: Sensitivity) -> str:
+    violating = tables.violation_drivers(one)
+    return _tied(tables.short_drivers(one) + (f"; its violations: {violating}" if violating else ""))
+
+
+def _tied(words: str) -> str:
+    """Return words in which no line ends between a number and its per cent sign."""
+    return words.replace(" %", "\u00a0%")
 
 
 def _rare(summary: Summary, rare: RareResult) -> dict[str, Any]:

@@ -127,6 +127,8 @@ def verdict(summary: Summary) -> str:
     if flown.events:
         verb = "violates" if flown.events == 1 else "violate"
         return f"{flown.events:,} of {count_words(flown.runs)} {verb} a requirement"
+    if flown.runs == 1:
+        return "the run violates no requirement"
     return f"none of {count_words(flown.runs)} violates a requirement"
 
 
@@ -165,7 +167,9 @@ def influence_rows(one: Sensitivity) -> tuple[list[tuple[Influence, str, str, st
     """Return the drivers of a requirement with index, interval and rank correlation in words; and what is none."""
     drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
     rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
-    return rows, [single.parameter for single in one.influences if not single.driver]
+    violating = {single.parameter for single in one.violations if single.driver}
+    quiet = [single.parameter for single in one.influences if not single.driver]
+    return rows, [name for name in quiet if name not in violating]
 
 
 def share(index: float) -> str:
@@ -182,8 +186,17 @@ def signed(one: Influence) -> str:
 
 def short_drivers(one: Sensitivity, most: int = 3) -> str:
     """Return the strongest drivers in a line."""
-    drivers = [single for single in one.influences if single.driver and single.index >= 0.005][:most]
-    return ", ".join(f"{single.parameter} {share(single.index)}" for single in drivers) or "nothing that varies"
+    return _strongest(one.influences, most) or "nothing that varies"
+
+
+def violation_drivers(one: Sensitivity, most: int = 3) -> str:
+    """Return the strongest drivers of a limit's violations in a line; nothing where they are not known."""
+    return _strongest(one.violations, most)
+
+
+def _strongest(found: Sequence[Influence], most: int) -> str:
+    drivers = [single for single in found if single.driver and single.index >= 0.005][:most]
+    return ", ".join(f"{single.parameter} {share(single.index)}" for single in drivers)
 
 
 def worst_rows(
@@ -219,7 +232,7 @@ def all_drivers(summary: Summary) -> list[str]:
     """Return the inputs that drive anything over all manoeuvres, the strongest first, the manoeuvre itself left out."""
     strongest: dict[str, float] = {}
     for one in summary.sensitivities:
-        for single in one.influences:
+        for single in (*one.influences, *one.violations):
             if one.manoeuvre is None and single.driver and single.parameter != MANOEUVRE:
                 strongest[single.parameter] = max(strongest.get(single.parameter, 0.0), single.index)
     return sorted(strongest, key=lambda name: -strongest[name])[:4]
