@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -25,6 +26,7 @@ from numba.core import cgutils
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, overload, register_model
+from numpy.typing import NDArray
 
 from platform_ctrl.frozen import FloatArray
 
@@ -105,6 +107,10 @@ def inlined(function: F) -> F:
     return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
 
 
+# Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
+_INSIDE: Any = {"no_cfunc_wrapper": True}
+
+
 def apart() -> None:
     """Said first by a function that many call: on a graphics processor it stays one, not copied into its callers."""
 
@@ -119,7 +125,7 @@ def _not_inlined(typing: Any) -> Any:
     return types.none(), generate
 
 
-@overload(apart, inline="always", strict=False)
+@overload(apart, inline="always", strict=False, jit_options=_INSIDE)
 def _apart() -> Any:
     return lambda: _not_inlined()
 
@@ -242,12 +248,12 @@ def _cast(context: Any, builder: Any, given: Any, wanted: Any, number: Any) -> A
 # Memory. `lane` is None for all columns at once, else the number of the column; a memory (slots,) has but one.
 
 
-def load(memory: FloatArray, slot: int, lane: int) -> Number:
+def load(memory: FloatArray, slot: int, lane: int | None) -> Number:
     """Return a slot of the memory."""
     return memory[slot] if memory.ndim == 1 else memory[slot, lane]
 
 
-def store(memory: FloatArray, slot: int, lane: int, number: Number) -> None:
+def store(memory: FloatArray, slot: int, lane: int | None, number: Number) -> None:
     """Put a number into a slot of the memory."""
     if memory.ndim == 1:
         memory[slot] = number
@@ -255,12 +261,17 @@ def store(memory: FloatArray, slot: int, lane: int, number: Number) -> None:
         memory[slot, lane] = number
 
 
+def store_pairs(array: NDArray[np.complex128], first: int, re: Number, im: Number) -> None:
+    """Put complex numbers, as many as a number stands for, into a contiguous array from its element `first` on."""
+    array.flat[first] = complex(re, im)
+
+
 def columns(lane: int) -> tuple[int, int]:
     """Return the first column that `lane` stands for, and the one behind the last: for what goes one by one."""
     return lane, lane + 1
 
 
-@overload(columns, strict=False)
+@overload(columns, strict=False, jit_options=_INSIDE)
 def _columns(lane: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda lane: (0, LANES)
@@ -291,6 +302,20 @@ def _store_row(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
     return types.none(memory, slot, number), generate
 
 
+@intrinsic
+def _store_pairs_of_lanes(typing: Any, array: Any, first: Any, re: Any, im: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        pairs = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
+        for k in range(2):
+            order = [k * LANES // 2 + t // 2 + t % 2 * LANES for t in range(LANES)]
+            half = builder.shuffle_vector(args[2], args[3], ir.Constant(ir.VectorType(ir.IntType(32), LANES), order))
+            builder.store(half, builder.gep(pairs, [ir.Constant(ir.IntType(32), k)]), align=8)
+        return context.get_dummy_value()
+
+    return types.none(array, first, re, im), generate
+
+
 def _slot(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
     return builder.gep(context.make_array(kind)(context, builder, array).data, [slot])
 
@@ -316,7 +341,7 @@ def _store_slot(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
     return types.none(memory, types.intp, types.float64), generate
 
 
-@overload(load, strict=False)
+@overload(load, strict=False, jit_options=_INSIDE)
 def _load(memory: Any, slot: Any, lane: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane: _load_row(memory, slot)
@@ -325,7 +350,7 @@ def _load(memory: Any, slot: Any, lane: Any) -> Any:
     return lambda memory, slot, lane: memory[slot, lane]
 
 
-@overload(store, strict=False)
+@overload(store, strict=False, jit_options=_INSIDE)
 def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
     if isinstance(lane, types.NoneType):
         return lambda memory, slot, lane, number: _store_row(memory, slot, number)
@@ -336,6 +361,13 @@ def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
         memory[slot, lane] = number
 
     return put
+
+
+@overload(store_pairs, strict=False, jit_options=_INSIDE)
+def _store_pairs(array: Any, first: Any, re: Any, im: Any) -> Any:
+    if re == im == _lane:
+        return lambda array, first, re, im: _store_pairs_of_lanes(array, first, re, im)
+    return None
 
 
 # Elementary functions.
@@ -371,6 +403,11 @@ def greater(a: Number, b: Number) -> Number:
     return choose(a > b, a, b)
 
 
+def fused(a: Number, b: Number, c: Number) -> Number:
+    """Return a b + c, rounded once."""
+    return float(Fraction(a) * Fraction(b) + Fraction(c))
+
+
 def power_of_two(k: Number) -> Number:
     """Return 2 to the whole number k, from -1022 to 1023."""
     return math.ldexp(1.0, int(k))
@@ -397,6 +434,16 @@ def _anywhere_in_lane(typing: Any, mask: Any) -> Any:
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
     return types.boolean(mask), generate
+
+
+@intrinsic
+def _fused_lanes(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        wide = [_widened(builder, kind, number) for kind, number in zip(sig.args, args, strict=True)]
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64"), wide)
+
+    return _lane(a, b, c), generate
 
 
 def _by_llvm(name: str) -> Any:
@@ -447,36 +494,41 @@ def _exponent_of_lane(typing: Any, x: Any) -> Any:
     return _lane(x), generate
 
 
-@overload(choose, strict=False)
+@overload(choose, strict=False, jit_options=_INSIDE)
 def _choose(mask: Any, a: Any, b: Any) -> Any:
     if mask == _mask:
         return lambda mask, a, b: _choose_lane(mask, a, b)
     return lambda mask, a, b: a if mask else b
 
 
-@overload(anywhere, strict=False)
+@overload(anywhere, strict=False, jit_options=_INSIDE)
 def _anywhere(mask: Any) -> Any:
     if mask == _mask:
         return lambda mask: _anywhere_in_lane(mask)
     return lambda mask: mask
 
 
-@overload(root, strict=False)
+@overload(root, strict=False, jit_options=_INSIDE)
 def _root(x: Any) -> Any:
     return (lambda x: _root_of_lane(x)) if x == _lane else (lambda x: math.sqrt(x))
 
 
-@overload(whole, strict=False)
+@overload(whole, strict=False, jit_options=_INSIDE)
 def _whole(x: Any) -> Any:
     return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: float(math.floor(x)))
 
 
-@overload(power_of_two, strict=False)
+@overload(fused, strict=False, jit_options=_INSIDE)
+def _fused(a: Any, b: Any, c: Any) -> Any:
+    return (lambda a, b, c: _fused_lanes(a, b, c)) if _lane in (a, b, c) else None
+
+
+@overload(power_of_two, strict=False, jit_options=_INSIDE)
 def _power_of_two(k: Any) -> Any:
     return (lambda k: _power_of_lane(k)) if k == _lane else (lambda k: math.ldexp(1.0, int(k)))
 
 
-@overload(mantissa_and_exponent, strict=False)
+@overload(mantissa_and_exponent, strict=False, jit_options=_INSIDE)
 def _mantissa_and_exponent(x: Any) -> Any:
     if x == _lane:
         return lambda x: (_mantissa_of_lane(x), _exponent_of_lane(x))
@@ -488,11 +540,11 @@ def _mantissa_and_exponent(x: Any) -> Any:
     return parts
 
 
-@overload(lesser, strict=False)
+@overload(lesser, strict=False, jit_options=_INSIDE)
 def _lesser(a: Any, b: Any) -> Any:
     return lambda a, b: choose(a < b, a, b)
 
 
-@overload(greater, strict=False)
+@overload(greater, strict=False, jit_options=_INSIDE)
 def _greater(a: Any, b: Any) -> Any:
     return lambda a, b: choose(a > b, a, b)

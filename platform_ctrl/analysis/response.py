@@ -74,23 +74,29 @@ def _whole(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float
         return _responses(A, B, C, D, z)
     # z - 1 and A - I instead of z and A: nothing cancels far below the sample rate. Both are rounded, which is felt
     # next to poles: what they lack is kept.
-    eye = np.eye(A.shape[-1])
-    shifted = A - eye
-    lacks = np.einsum("...ii->...i", (A - (shifted + eye)) - (eye - ((shifted + eye) - shifted)))
-    z = np.asarray(np.expm1(1j * (w * dt)), dtype=np.complex128)
+    shifted = np.array(A, order="C")
+    diagonal = shifted.reshape(*A.shape[:-2], -1)[..., :: A.shape[-1] + 1]
+    given = diagonal.copy()
+    diagonal -= 1.0
+    back = diagonal + 1.0
+    lacks = (given - back) - (1.0 - (back - diagonal))
+    z, half = np.empty(len(w), dtype=np.complex128), w * (0.5 * dt)
+    tangent = np.tan(half)
+    z.imag = 2.0 * tangent / (1.0 + tangent * tangent)
+    z.real = -tangent * z.imag
     return _responses(shifted, B, C, D, z, lacks, partial(_beyond, z, w, dt))
 
 
 def _beyond(z: ComplexArray, w: FloatArray, dt: float, chosen: NDArray[np.int64]) -> ComplexArray:
-    """Return what exp(j w dt) - 1 has beyond its double z at the `chosen` points; zero elsewhere."""
+    """Return what exp(j w dt) - 1 has beyond its double z at the `chosen` points."""
     import flint
 
-    out = np.zeros(len(z), dtype=np.complex128)
+    out = np.zeros(len(chosen), dtype=np.complex128)
     with flint.ctx.workprec(192):
-        for k in chosen:
+        for one, k in enumerate(chosen):
             sine, cosine = (flint.arb(float(w[k])) * float(dt) / 2).sin_cos()
             real, imaginary = -2 * sine * sine - float(z[k].real), 2 * sine * cosine - float(z[k].imag)
-            out[k] = complex(float(real), float(imaginary))
+            out[one] = complex(float(real), float(imaginary))
     return out
 
 
@@ -123,18 +129,25 @@ def _responses(
 ) -> ComplexArray:
     """Return the response at z as (..., p, m, N)."""
     n, m, p, N = A.shape[-1], B.shape[-1], C.shape[-2], z.shape[0]
-    batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A, B, C, D)))
+    alone = A.ndim == B.ndim == C.ndim == D.ndim == 2
+    batch = () if alone else np.broadcast_shapes(*(item.shape[:-2] for item in (A, B, C, D)))
     if not (n and m and p and N):
         return np.array(np.broadcast_to(D[..., None], (*batch, p, m, N)), dtype=np.complex128)
     A, B, C = scaled(A, B, C)
-    if not batch:
-        return np.ascontiguousarray(Resolvent(A, B, C, D, lacks).at(z, z_lacks))
+    if alone:
+        return Resolvent(A, B, C, D, lacks).at(z, z_lacks)
     H = np.empty((*batch, p, m, N), dtype=np.complex128)
-    for one in np.ndindex(batch):
-        a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[one] for item in (A, B, C, D))
-        beyond = None if lacks is None else np.broadcast_to(lacks, (*batch, n))[one]
-        H[one] = Resolvent(a, b, c, d, beyond).at(z, z_lacks)
+    for k in np.ndindex(batch):
+        a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[k] for item in (A, B, C, D))
+        beyond = None if lacks is None else np.broadcast_to(lacks, (*batch, n))[k]
+        H[k] = Resolvent(a, b, c, d, beyond).at(z, z_lacks)
     return H
+
+
+def _plain(array: FloatArray) -> FloatArray:
+    """Return an array as numba has compiled for it: it does so anew for what is read-only or lies otherwise."""
+    flags = array.flags
+    return array if flags.c_contiguous and flags.writeable else np.array(array, order="C")
 
 
 class Resolvent:
@@ -151,28 +164,30 @@ class Resolvent:
     def __init__(
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray | None = None, lacks: FloatArray | None = None
     ) -> None:
-        from platform_ctrl.analysis import resolvent
+        from platform_ctrl.analysis.chains import chains
+        from platform_ctrl.analysis.resolvent import respond
 
-        self._compiled = resolvent
         D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
         # One recurrence an input: of a system with fewer outputs, the transposed one.
         self._turned = C.shape[0] < B.shape[1]
         if self._turned:
             A, B, C, D = A.T, C.T, B.T, D.T
-        # Copies: numba compiles a function anew for arrays that are read-only or lie otherwise in memory.
-        self._A, self._B, self._C, self._D = (np.array(item, dtype=np.float64, order="C") for item in (A, B, C, D.T))
-        self._lacks = np.zeros(len(A)) if lacks is None else np.array(lacks, dtype=np.float64)
-        self._prepared = resolvent.prepared(self._A, self._B, self._C)
+        self._A, self._B, self._C, self._D = (_plain(item) for item in (A, B, C, D))
+        self._lacks = np.zeros(len(A)) if lacks is None else _plain(lacks)
+        self._quick, self._chains = respond, chains(self._A, self._B, self._C)
 
     def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
         """Return the response at z (N,), (p, m, N); `lacks` says on demand what z has beyond its doubles."""
-        m, p = self._D.shape
-        H = np.empty((m, p, len(z)), dtype=np.complex128)
-        poor = self._compiled.quick(self._D, z, H, *self._prepared)
+        (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
+        H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
+        poor = self._quick(self._chains, self._D, z, H, self._turned)
         if poor.size:
-            z_lacks = np.zeros(len(z), dtype=np.complex128) if lacks is None else lacks(poor)
-            self._compiled.refined(self._A, self._lacks, self._B, self._C, self._D, z, z_lacks, poor, H)
-        return H if self._turned else H.swapaxes(0, 1)
+            from platform_ctrl.analysis.refinement import refine
+
+            z_lacks = np.zeros(len(poor), dtype=np.complex128) if lacks is None else lacks(poor)
+            found = refine(self._A, self._lacks, self._B, self._C, self._D, z[poor], z_lacks)
+            H[..., poor] = found if self._turned else found.swapaxes(0, 1)
+        return H
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""
