@@ -7,9 +7,10 @@ CSS variable with that colour as its default, and the page's style sheet sets th
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from io import StringIO
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +22,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.quantities import power_of_ten
 from platform_ctrl.report.svg_pieces import text_width
+
+P = ParamSpec("P")
+Drawn = TypeVar("Drawn")
 
 # Okabe and Ito's colours, yellow left out: it vanishes on white. Line styles and markers differ as well.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a00", "#6a5acd")
@@ -102,6 +106,21 @@ _SETTINGS: Any = {
 def settings() -> Any:
     """Return the context in which figures are made and drawn; the caller's own settings come back after it."""
     return mpl.rc_context(_SETTINGS)
+
+
+def standalone(draw: Callable[P, Drawn]) -> Callable[P, Drawn]:
+    """Decorate a plot for scripts: the report's look whatever the caller's settings are, on white paper."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **keywords: P.kwargs) -> Drawn:
+        with settings():
+            out = draw(*args, **keywords)
+        figure = out if isinstance(out, Figure) else getattr(out, "figure", None)
+        if isinstance(figure, Figure):
+            figure.set_facecolor("white")
+        return out
+
+    return drawn
 
 
 def panels(
@@ -257,6 +276,7 @@ def svg(figure: Figure, description: str) -> str:
         What it shows, in words, for readers who do not see it.
     """
     out = StringIO()
+    figure.set_facecolor("none")  # the page's own ground
     width, height = figure.get_size_inches() * 72.0
     figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = _STRIP.sub("", out.getvalue())
