@@ -50,12 +50,13 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
         0.0 if dt is None else float(dt),
     )
     for name, item in zip("ABCD", out[:4], strict=True):
-        if not _finite(item):
+        if not all_finite(item):
             raise ArgumentError(f"{where}: {name} of the system is not finite; check how the system was made")
     return out
 
 
-def _finite(array: FloatArray) -> bool:
+def all_finite(array: FloatArray) -> bool:
+    """Return whether all numbers are finite."""
     # The sum of squares is had sooner, and mostly enough.
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
@@ -102,7 +103,7 @@ def _distinct(names: Sequence[str]) -> list[str]:
 def frequencies(frequency: ArrayLike, where: str) -> FloatArray:
     """Return `frequency` as a vector of finite numbers >= 0, rad/s, or raise `ArgumentError`."""
     out = np.atleast_1d(real_numbers(f"{where}: frequency", frequency))
-    if out.ndim != 1 or not _finite(out) or out.min(initial=0.0) < 0.0:
+    if out.ndim != 1 or not all_finite(out) or out.min(initial=0.0) < 0.0:
         raise ArgumentError(
             f"{where}: frequency has shape {np.shape(frequency)}, expected a vector of finite numbers >= 0 in rad/s"
         )

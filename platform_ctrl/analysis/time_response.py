@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import state_arrays, state_scaling
+from platform_ctrl.analysis.arrays import all_finite, state_arrays, state_scaling
 from platform_ctrl.arguments import one_of, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -63,12 +63,12 @@ def time_response(
     times, steps = _times(timepts, dt)
     u = real_numbers("time_response: inputs", inputs)
     u = u[None, :] if u.ndim == 1 else u
-    if u.shape != (B.shape[1], times.size) or not np.isfinite(u).all():
+    if u.shape != (B.shape[1], times.size) or not all_finite(u):
         raise ArgumentError(
             f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
         )
     x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
-    if x0.shape != (len(A),) or not np.isfinite(x0).all():
+    if x0.shape != (len(A),) or not all_finite(x0):
         raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
     one_of("time_response: hold", hold, ("zoh", "foh", "impulse"))
     if not len(A):
@@ -92,7 +92,7 @@ def time_response(
 def _times(timepts: ArrayLike, dt: float) -> tuple[FloatArray, FloatArray]:
     """Return the times and the steps between them."""
     times = real_numbers("time_response: timepts", timepts)
-    if times.ndim != 1 or times.size < 2 or not np.isfinite(times).all():
+    if times.ndim != 1 or times.size < 2 or not all_finite(times):
         raise ArgumentError(f"time_response: timepts has shape {times.shape}, expected at least two finite times")
     steps = times[1:] - times[:-1]
     if steps.min() <= 0.0:
@@ -143,7 +143,6 @@ def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: Fl
     # Products a sample: p m L within a block of L, and n² / L between the blocks.
     length = len(A) / math.sqrt(max(1, len(C) * B.shape[1]))
     doublings = min(max(3, round(math.log2(length))), 6)
-    A, B, C, D, u, x0 = map(np.ascontiguousarray, (A, B, C, D, u, x0))
     return sample_blocks.outputs(A, B, C, D, u, x0, doublings)
 
 
