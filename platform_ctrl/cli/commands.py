@@ -6,35 +6,25 @@ In their help a line with a backspace, click's own mark, keeps the lines below i
 from __future__ import annotations
 
 import json
-import shlex
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from platform_ctrl.cli.campaign_command import campaign
+from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
 from platform_ctrl.cli.inputs import (
     DESIGNED,
     RESULT,
-    Controllers,
     JobFile,
     Json,
     Quiet,
-    controller_file,
     job_of,
     prepared,
 )
+from platform_ctrl.cli.job_outcome import REPORT, delivered
 from platform_ctrl.cli.simulate_command import simulate
-
-if TYPE_CHECKING:
-    from platform_ctrl.check import JobResult
-
-CHECKED = Path("check")
-REPORT = "report.html"
-
-Shown = Callable[[], int]
 
 app = typer.Typer(
     rich_markup_mode=None,
@@ -133,82 +123,10 @@ def design(
         if read.manoeuvres:
             warm_up()
         result = checked(read, loops(read, say), say)
-        show = _delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)])
+        show = delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)])
     return show()
 
 
-@app.command()
-def check(
-    job: JobFile,
-    controllers: Controllers = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR",
-            help=f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
-            "controllers come from there by default.",
-            show_default=False,
-        ),
-    ] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> int:
-    """Check controllers that exist already.
-
-    The same verdicts as those of design, without designing. Every figure is measured anew from the matrices; nothing
-    that the file claims is believed, and what is not confirmed of it is told on stderr. Use it after the plant, the
-    spread or a limit has changed, or for controllers that were made elsewhere.
-
-    \b
-    platform-ctrl check job.toml                              those of out/result.json
-    platform-ctrl check job.toml --controllers mine.json -o mine
-    platform-ctrl check job.toml --quiet && deploy
-    """  # noqa: D301
-    from platform_ctrl.cli.terminal import progress
-
-    folder = out or CHECKED
-    with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
-        file = controller_file(controllers, out)
-        from platform_ctrl.check import checked
-        from platform_ctrl.check.given import outcomes_from, read_controllers
-        from platform_ctrl.check.recorded import unconfirmed
-
-        closed = read_controllers(file, read)
-        others = read_controllers(file, read, "alternatives")
-        prepared(folder, (RESULT, REPORT))
-        result = checked(read, outcomes_from(read, closed, others), say)
-        notes = unconfirmed(file, result)
-        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        show = _delivered(result, folder, as_json, say, command)
-    for note in notes:
-        typer.echo(f"{file}: not confirmed: {note}", err=True)
-    return show()
-
-
+app.command()(check)
 app.command()(simulate)
 app.command()(campaign)
-
-
-def _delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str], None], command: list[str]) -> Shown:
-    """Write both files; return what shows the result and gives the exit code, for when the spinner has gone."""
-    from platform_ctrl.check.records import laid_out, result_record, write_record
-    from platform_ctrl.cli.terminal import show_result
-    from platform_ctrl.report import write_page
-
-    say(f"drawing the report: {folder / REPORT}")
-    write_page(result, folder / REPORT, command=shlex.join(["platform-ctrl", *command]))
-    record = result_record(result)
-    write_record(record, folder / RESULT)
-
-    def show() -> int:
-        if as_json:
-            typer.echo(laid_out(record))
-        else:
-            show_result(result)
-            typer.echo(f"report: {folder / REPORT}, figures: {folder / RESULT}")
-        return 0 if result.passed else 1
-
-    return show

@@ -1,0 +1,63 @@
+"""``platform-ctrl check``: controllers that exist already, held against the requirements of a job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from platform_ctrl.cli.inputs import RESULT, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
+from platform_ctrl.cli.job_outcome import REPORT, delivered
+
+CHECKED = Path("check")
+
+
+def check(
+    job: JobFile,
+    controllers: Controllers = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help=f"Folder for {RESULT} and {REPORT}, default: {CHECKED}. If it is named here and holds a {RESULT}, the "
+            "controllers come from there by default.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> int:
+    """Check controllers that exist already.
+
+    The same verdicts as those of design, without designing. Every figure is measured anew from the matrices; nothing
+    that the file claims is believed, and what is not confirmed of it is told on stderr. Use it after the plant, the
+    spread or a limit has changed, or for controllers that were made elsewhere.
+
+    \b
+    platform-ctrl check job.toml                              those of out/result.json
+    platform-ctrl check job.toml --controllers mine.json -o mine
+    platform-ctrl check job.toml --quiet && deploy
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+
+    folder = out or CHECKED
+    with progress(quiet or as_json, f"reading {job}") as say:
+        read = job_of(job)
+        file = controller_file(controllers, out)
+        from platform_ctrl.check import checked
+        from platform_ctrl.check.given import outcomes_from, read_controllers
+        from platform_ctrl.check.recorded import unconfirmed
+
+        closed = read_controllers(file, read)
+        others = read_controllers(file, read, "alternatives")
+        prepared(folder, (RESULT, REPORT))
+        result = checked(read, outcomes_from(read, closed, others), say)
+        notes = unconfirmed(file, result)
+        command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
+        show = delivered(result, folder, as_json, say, command)
+    for note in notes:
+        typer.echo(f"{file}: not confirmed: {note}", err=True)
+    return show()
