@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from platform_ctrl.campaign.flight import inputs_of
-from platform_ctrl.campaign.table import ENDED, FIGURES, PASSED, RUN, Array, arrow
+from platform_ctrl.campaign.table import ENDED, FIGURES, NOT_FLOWN, PASSED, RUN, Array, arrow
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.reading.mistakes import one_line
 
@@ -21,7 +21,6 @@ Kind = Literal["whole", "number", "answer", "word"]
 # Flies runs of a plan as `flight.fly` does.
 Fly = Callable[..., Columns]
 
-NOT_FLOWN = "not flown: "
 _LONGEST = 200
 _KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
 
@@ -53,7 +52,7 @@ def not_flown(plan: Plan, run: int, why: str) -> Columns:
     columns = dict.fromkeys(kinds_of(plan), nothing) | {RUN: np.array([run], dtype=np.int64)}
     with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
         columns |= inputs_of(plan, [run])
-    return columns | {ENDED: np.array([NOT_FLOWN + why], dtype=object)}
+    return columns | {ENDED: np.array([f"{NOT_FLOWN}: {why}"], dtype=object)}
 
 
 def _reason(error: Exception) -> str:

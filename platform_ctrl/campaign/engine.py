@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from platform_ctrl.campaign import flight
-from platform_ctrl.campaign.columns import NOT_FLOWN, Fly, kinds_of
+from platform_ctrl.campaign.columns import Fly, kinds_of
 from platform_ctrl.campaign.identity import identity, versions
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.store import Record, opened
-from platform_ctrl.campaign.table import ENDED, arrow
+from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_FLOWN, arrow
 from platform_ctrl.campaign.workers import flown_by_processes
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
@@ -128,7 +128,7 @@ def run_campaign(
             with closing(flying):  # type: ignore[type-var]
                 for runs, columns in flying:
                     store.write(runs, columns)
-                    amiss += sum(str(one).startswith((NOT_FLOWN, "diverged")) for one in columns[ENDED])
+                    amiss += sum(str(one).startswith((NOT_FLOWN, DIVERGED)) for one in columns[ENDED])
                     if progress is not None:
                         progress(store.done, amiss)
         say("putting the runs in order")

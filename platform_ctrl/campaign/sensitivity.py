@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.campaign.influence import Influence, influences
-from platform_ctrl.campaign.statistics import NOT_FLOWN, Limits, limits_of
+from platform_ctrl.campaign.statistics import Limits, limits_of
 from platform_ctrl.campaign.table import (
     ENDED,
     FIGURES,
     MANOEUVRE,
+    NOT_FLOWN,
     PASSED,
     RUN,
     Array,

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from platform_ctrl.campaign.distribution import Distribution
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
 from platform_ctrl.campaign.table import (
+    DIVERGED,
     ENDED,
     FIGURES,
     MANOEUVRE,
+    NOT_FLOWN,
     PASSED,
     RUN,
     Array,
@@ -28,7 +30,6 @@ from platform_ctrl.frozen import FloatArray, value
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
 # Different endings that are told apart; further ones are counted together.
 _MOST_ENDINGS = 20
-DIVERGED, NOT_FLOWN = "diverged", "not flown"
 
 Limits = Mapping[str, Mapping[str, float]]
 

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.campaign.columns import NOT_FLOWN, Columns, Kind, schema_of, table_of
+from platform_ctrl.campaign.columns import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.identity import Identity
 from platform_ctrl.campaign.lock import locked
-from platform_ctrl.campaign.table import ENDED, PASSED, RUN, arrow
+from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_FLOWN, PASSED, RUN, arrow
 from platform_ctrl.errors import InputError
 from platform_ctrl.writing import write_whole
 
@@ -132,9 +132,9 @@ class Store:
         else:
             for table in self._base_tables():
                 _count(counts, table)
-        names = ("completed", "diverged", "not flown", "passed", "not passed")
+        names = (COMPLETED, DIVERGED, NOT_FLOWN, "passed", "not passed")
         # Not the times at which runs diverged: as many as there are runs.
-        reasons = sorted(name for name in counts if name.startswith(NOT_FLOWN))[:_REASONS]
+        reasons = sorted(name for name in counts if name.startswith(f"{NOT_FLOWN}: "))[:_REASONS]
         self.record |= {
             "complete": True,
             "counts": {name: counts[name] for name in names},
@@ -358,14 +358,14 @@ def _count(counts: Counter[str], table: Any) -> None:
     ended, passed = table.column(ENDED), table.column(PASSED)
     missing = pyarrow.compute.starts_with(ended, NOT_FLOWN)
     found = {
-        "completed": number(pyarrow.compute.equal(ended, "completed")).as_py(),
-        "not flown": number(missing).as_py(),
+        COMPLETED: number(pyarrow.compute.equal(ended, COMPLETED)).as_py(),
+        NOT_FLOWN: number(missing).as_py(),
         "passed": number(passed).as_py() or 0,
     }
-    found["diverged"] = table.num_rows - found["completed"] - found["not flown"]
-    found["not passed"] = table.num_rows - found["passed"] - found["not flown"]
+    found[DIVERGED] = table.num_rows - found[COMPLETED] - found[NOT_FLOWN]
+    found["not passed"] = table.num_rows - found["passed"] - found[NOT_FLOWN]
     counts.update(found)
-    for entry in ended.filter(missing).value_counts().to_pylist() if found["not flown"] else ():
+    for entry in ended.filter(missing).value_counts().to_pylist() if found[NOT_FLOWN] else ():
         if entry["values"] in counts or len(counts) < _COUNTED:
             counts[entry["values"]] += entry["counts"]
 

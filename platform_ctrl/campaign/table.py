@@ -20,6 +20,8 @@ FIGURES = {
 }
 # What a run's row holds besides its inputs.
 RUN, MANOEUVRE, PASSED, ENDED = "run", "manoeuvre", "passed", "ended"
+# How a run ended begins with one of these words.
+COMPLETED, DIVERGED, NOT_FLOWN = "completed", "diverged", "not flown"
 OUTCOMES = frozenset(
     {RUN, *FIGURES, *(f"{name}_passed" for name in FIGURES), "stop_contacts", "saturated", PASSED, ENDED}
 )

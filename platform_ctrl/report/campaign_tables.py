@@ -12,7 +12,7 @@ from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.statistics import RequirementStatistics
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
+from platform_ctrl.campaign.table import DIVERGED, FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.campaign.worst import RunFigure
 from platform_ctrl.frozen import value
 from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity
@@ -21,7 +21,6 @@ from platform_ctrl.variation import Vary
 ALL_MANOEUVRES = "all manoeuvres, figures relative to their limits"
 # Inputs that a table names for a figure.
 _MOST_DRIVERS = 8
-_DIVERGED = "diverged"
 
 
 @value
@@ -87,7 +86,7 @@ def requirement_name(figure: str | None) -> str:
 
 def figure_words(figure: float, unit: str, like: float | None) -> str:
     """Return a figure with its unit, in the unit that suits the limit."""
-    return _DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
+    return DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
 
 
 def chance(probability: float) -> str:
@@ -214,7 +213,7 @@ def worst_rows(
             requirement_name(one.figure).removeprefix("largest "),
             figure_words(one.value, unit, one.limit),
             quantity(one.limit, unit, 4, one.limit),
-            _DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
+            DIVERGED if math.isinf(one.ratio) else plain(one.ratio, 3),
             ", ".join(shown),
         ]
         rows.append((one, words))
