@@ -20,7 +20,19 @@ ComplexArray = NDArray[np.complex128]
 
 
 class StateArrays(NamedTuple):
-    """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous)."""
+    """A, B, C, D (each may carry leading batch axes) and the sample period `dt` (0: continuous).
+
+    Attributes
+    ----------
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Each may carry leading batch axes; in the system's units.
+    dt
+        Sample period, s; 0: continuous.
+
+    References
+    ----------
+    Textbook definition.
+    """
 
     A: FloatArray
     B: FloatArray
@@ -30,9 +42,30 @@ class StateArrays(NamedTuple):
 
 
 def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
-    """Return the arrays of `system`, or raise `ArgumentError` in the name of `where`.
+    """Return the arrays of `system`.
 
     A system without a time base (``dt=None``, a static gain) counts as continuous.
+
+    Parameters
+    ----------
+    system
+        Continuous or discrete; a system without a time base (``dt=None``, a static gain) counts as continuous.
+    where
+        What messages call it.
+
+    Returns
+    -------
+    StateArrays
+        Without batch axes.
+
+    Raises
+    ------
+    ArgumentError
+        It is not a `control.StateSpace`, or its numbers are not finite; the message begins with `where`.
+
+    References
+    ----------
+    Textbook definition.
     """
     try:
         A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
@@ -68,7 +101,32 @@ def state_space(
     states: Sequence[str] | None = None,
     name: str | None = None,
 ) -> control.StateSpace:
-    """Return a `control.StateSpace` with named signals; names that occur twice are numbered."""
+    """Return a `control.StateSpace` with named signals; names that occur twice are numbered.
+
+    Parameters
+    ----------
+    arrays
+        Of one system, without batch axes.
+    inputs, outputs
+        Names, as many as there are columns of B and rows of C.
+    states
+        Names, as many as there are states; default x0, x1 and so on.
+    name
+        Of the system.
+
+    Returns
+    -------
+    control.StateSpace
+        With `arrays.dt` as its time base.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     import control
 
     options = {} if name is None else {"name": name}

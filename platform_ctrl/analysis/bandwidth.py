@@ -35,13 +35,19 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
     Returns
     -------
     float
-        0 if the closed loop is not stable or S is that large at the lowest frequencies already; the Nyquist frequency
-        (infinity for a continuous loop) if S never gets there.
+        rad/s. 0 if the closed loop is not stable or S is that large at the lowest frequencies already; the Nyquist
+        frequency (infinity for a continuous loop) if S never gets there.
 
     Raises
     ------
     ArgumentError
         If plant and controller do not fit together.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 5.
+
+    S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """
     from scipy.optimize import brentq
 
@@ -99,13 +105,21 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
     frequency : (N,)
         Rising, rad/s.
     S : complex (..., N, m, m)
-        Sensitivity at those frequencies, batch axes first.
+        Sensitivity at those frequencies, batch axes first; dimensionless.
 
     Returns
     -------
     (...)
         rad/s, interpolated on logarithmic axes; the first frequency if S is that large there already, the
         last if it never gets there.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `bandwidth`.
     """
     sizes = np.linalg.norm(S, 2, axis=(-2, -1)) / LEVEL
     above = sizes >= 1.0

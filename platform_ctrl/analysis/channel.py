@@ -29,7 +29,12 @@ class Channel:
         Names of the signals, in the weights' order; none: all that the system has.
     input_weight, output_weight
         None, a number, one number for each signal (k,), a matrix (outputs × inputs of the weight), or a system:
-        continuous for a continuous loop, with the loop's sample period for a sampled one.
+        continuous for a continuous loop, with the loop's sample period for a sampled one. In the units that turn the
+        signals into what counts.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 6.
     """
 
     inputs: tuple[str, ...] = ()
@@ -39,6 +44,18 @@ class Channel:
 
     def of(self, system: StateArrays, inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
         """Return the weighted part of a system (or a stack of them) whose signals are named.
+
+        Parameters
+        ----------
+        system
+            The closed loop; its arrays may carry batch axes.
+        inputs, outputs
+            Names of its signals, in its order.
+
+        Returns
+        -------
+        StateArrays
+            ``W_out G W_in`` from the channel's inputs to its outputs.
 
         Raises
         ------

@@ -38,15 +38,19 @@ class Gang:
     Attributes
     ----------
     frequency : (N,)
-        rad/s.
+        Where the responses are given, rad/s.
     S_input, T_input : (m, m, N)
-        Sensitivity and complementary sensitivity at the plant's input: S + T = I.
+        Sensitivity and complementary sensitivity at the plant's input, dimensionless: S + T = I.
     S_output, T_output : (p, p, N)
-        The same at the plant's output.
+        The same at the plant's output, dimensionless.
     angle_per_torque : (p, m, N)
-        From torque disturbance d to angle y: P S_input.
+        From torque disturbance d to angle y, P S_input, rad/(N m) or the plant's units.
     torque_per_noise : (m, p, N)
-        From pick-off noise n to torque u: K S_output.
+        From pick-off noise n to torque u, K S_output, N m/rad or the controller's units.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
 
     frequency: FloatArray
@@ -64,10 +68,26 @@ def loop_transfer(plant: control.StateSpace, controller: control.StateSpace, at:
     Plant and controller are joined by signal names where all of the controller's names exist in the plant, by
     position otherwise.
 
+    Parameters
+    ----------
+    plant, controller
+        With u = K y; the controller may use some of the plant's signals only.
+    at
+        Where the loop is broken: the plant's ``"input"`` or ``"output"``.
+
+    Returns
+    -------
+    control.StateSpace
+        Square: as many channels as the controller has outputs (or inputs).
+
     Raises
     ------
     ArgumentError
         If sizes, names or sample periods do not fit.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     P, K, torques, angles = _matched(plant, controller, "loop_transfer")
     P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
@@ -100,6 +120,10 @@ def closed_loop(plant: control.StateSpace, controller: control.StateSpace) -> co
     ------
     ArgumentError
         If sizes, names or sample periods do not fit, or the algebraic loop I - D_K D_P is singular.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     P, K, torques, angles = _matched(plant, controller, "closed_loop")
     arrays = closed_loop_arrays(*P[:4], *K[:4], torques=torques, angles=angles)
@@ -114,14 +138,30 @@ def closed_loop(plant: control.StateSpace, controller: control.StateSpace) -> co
 
 
 def gang(plant: control.StateSpace, controller: control.StateSpace, frequency: ArrayLike) -> Gang:
-    """Return the sensitivities at the plant's input and output, and P S and K S, over `frequency` in rad/s.
+    """Return the sensitivities at the plant's input and output, and P S and K S.
 
     They are computed from the closed loop's own equations, not from P and K: integrators do no harm at DC.
+
+    Parameters
+    ----------
+    plant, controller
+        Joined as u = K y (see `loop_transfer`).
+    frequency : (N,)
+        rad/s, >= 0.
+
+    Returns
+    -------
+    Gang
+        Six responses over the same frequencies.
 
     Raises
     ------
     ArgumentError
         As in `closed_loop`, and if `frequency` is not a vector of finite numbers >= 0.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     P, K, torques, angles = _matched(plant, controller, "gang")
     w = frequencies(frequency, "gang")
@@ -153,9 +193,27 @@ def closed_loop_with_sensitivity(plant: control.StateSpace, controller: control.
 
 
 def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return S = (I + L)^-1 and T = I - S for responses L of shape (..., m, m).
+    """Return S = (I + L)^-1 and T = I - S for given responses of the loop.
 
     For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
+
+    Parameters
+    ----------
+    loop : complex (..., m, m)
+        L = -K P (broken at the input) or -P K (at the output), dimensionless.
+
+    Returns
+    -------
+    S, T : complex (..., m, m)
+        Dimensionless.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
     """
     eye = np.eye(loop.shape[-1])
     S = np.asarray(np.linalg.inv(eye + loop), dtype=np.complex128)
@@ -173,7 +231,30 @@ def series_arrays(
     D2: FloatArray,
     sign: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return `sign` times system 2 after system 1; leading batch axes broadcast."""
+    """Return `sign` times system 2 after system 1; leading batch axes broadcast.
+
+    Parameters
+    ----------
+    A1, B1, C1, D1 : (..., n1, n1), (..., n1, m), (..., k, n1), (..., k, m)
+        The system that comes first, in its units.
+    A2, B2, C2, D2 : (..., n2, n2), (..., n2, k), (..., p, n2), (..., p, k)
+        The system behind it, in its units.
+    sign
+        Factor of the output, 1 or -1.
+
+    Returns
+    -------
+    A, B, C, D : (..., n1 + n2, n1 + n2), ...
+        States of system 1, then of system 2, in their units.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     n1, n2 = A1.shape[-1], A2.shape[-1]
     batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A1, B1, C1, D1, A2, B2, C2, D2)))
     A = np.zeros((*batch, n1 + n2, n1 + n2))
@@ -206,22 +287,27 @@ def closed_loop_arrays(
 
     Parameters
     ----------
-    A, B, C, D
-        Plant, ``(..., n, n)``, ``(..., n, m)``, ``(..., p, n)``, ``(..., p, m)``; batch axes broadcast.
-    A_K, B_K, C_K, D_K
-        Controller from the plant's outputs `angles` to its inputs `torques`.
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Plant; batch axes broadcast; in the plant's units.
+    A_K, B_K, C_K, D_K : (..., k, k), (..., k, y), (..., u, k), (..., u, y)
+        Controller from the plant's outputs `angles` to its inputs `torques`, in the units of these.
     torques, angles
         Indices of the plant's inputs and outputs that the controller uses, in its order; default all.
 
     Returns
     -------
-    A, B, C, D
-        Inputs [d (m), n (as many as `angles`)], outputs [u (as many as `torques`), y (p)].
+    A, B, C, D : (..., n + k, n + k), ...
+        Inputs [d (m), n (as many as `angles`)], outputs [u (as many as `torques`), y (p)], in the units of plant and
+        controller.
 
     Raises
     ------
     ArgumentError
         If I - D_K D_P is singular for one of the plants.
+
+    References
+    ----------
+    As `closed_loop`.
     """
     m, p = B.shape[-1], C.shape[-2]
     at = list(range(m)) if torques is None else list(torques)

@@ -61,19 +61,27 @@ def intersample_norm(
     delay
         From the sample to the time at which the hold's output acts, s; any number >= 0, also a fraction of a period.
     tolerance
-        Relative.
+        Relative error that is allowed.
 
     Returns
     -------
     norm, frequency
-        The frequency, rad/s, lies between 0 and π/T: w and z hold it and all its aliases. None where the norm belongs
-        to the inside of a single period, as that of a direct term D11 does.
+        The norm in the units of z per unit of w. The frequency, rad/s, lies between 0 and π/T: w and z hold it and all
+        its aliases. None where the norm belongs to the inside of a single period, as that of a direct term D11 does.
 
     Raises
     ------
     ArgumentError
         The loop is not stable, y has a direct path from w (a sampler has no finite norm on L2 without an anti-alias
         filter), or the arguments make no sense.
+
+    References
+    ----------
+    B. Bamieh, J. B. Pearson, Systems & Control Letters 18, 1992.
+
+    P. T. Kabamba, S. Hara, IEEE Trans. Automatic Control 38, 1993.
+
+    T. Chen, B. A. Francis, Optimal Sampled-Data Control Systems, 1995.
     """
     plant, controller = _arguments(P, K, nmeas, ncon, delay, "intersample_norm")
     _require_stable(plant, controller, "intersample_norm")
@@ -142,12 +150,21 @@ def intersample_h2(P: control.StateSpace, K: control.StateSpace, nmeas: int, nco
     Parameters
     ----------
     P, K, nmeas, ncon, delay
-        As in `intersample_norm`.
+        As in `intersample_norm`; the delay in s.
+
+    Returns
+    -------
+    float
+        In the units of z per unit of w, times s^-1/2.
 
     Raises
     ------
     ArgumentError
         As there, and if z has a direct path from w: its norm is infinite.
+
+    References
+    ----------
+    B. Bamieh, J. B. Pearson, IEEE Trans. Automatic Control 37, 1992.
     """
     plant, controller = _arguments(P, K, nmeas, ncon, delay, "intersample_h2")
     if np.any(plant.D11):

@@ -20,7 +20,31 @@ if TYPE_CHECKING:
 def joined(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:
-    """Return one controller from `inputs` (sensors) to `outputs` (torquers): see `joined_arrays`."""
+    """Return one controller from `inputs` (sensors) to `outputs` (torquers).
+
+    Parameters
+    ----------
+    controllers
+        In the order in which they are computed: a later one may take an output of an earlier one as its input.
+    inputs, outputs
+        Names of the signals of the result; each controller's own have to be among them, or be another's output.
+    period
+        Sample period of all of them, s.
+
+    Returns
+    -------
+    control.StateSpace
+        u = K y with the states of all controllers.
+
+    Raises
+    ------
+    ArgumentError
+        A signal that nothing gives, an output that two give, or another sample period.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, name="all loops")
 
 

@@ -36,7 +36,8 @@ class LoopMeasures:
         Nominal: lowest frequency at which the largest singular value of S, at the input or the output, reaches
         1/sqrt(2), rad/s.
     disk_margin : (N,)
-        1/‖(S − T)/2‖, all channels at once, the smaller of input and output; 0 where the loop is unstable.
+        1/‖(S − T)/2‖, all channels at once, the smaller of input and output, dimensionless; 0 where the loop is
+        unstable.
     damping : (N,)
         Smallest damping ratio of the closed-loop poles above a tenth of the nutation frequency.
     decay : (N,)
@@ -46,7 +47,11 @@ class LoopMeasures:
     groups
         What each plant stands for, as in `PlantSet`.
     further
-        Other figures that were asked for, of every plant (N,), or of the controller alone (1,).
+        Other figures that were asked for, of every plant (N,), or of the controller alone (1,), in SI units.
+
+    References
+    ----------
+    As `measure`.
     """
 
     bandwidth: float
@@ -58,13 +63,38 @@ class LoopMeasures:
     further: dict[Key, FloatArray] = field(default_factory=dict)
 
     def of(self, groups: Sequence[str]) -> BoolArray:
-        """Return which plants belong to `groups`, truth values (N,)."""
+        """Return which plants belong to `groups`, truth values (N,).
+
+        Parameters
+        ----------
+        groups
+            Among ``"nominal"``, ``"spread"``, ``"Omega"`` and ``"faults"``.
+
+        Returns
+        -------
+        (N,)
+            Truth values.
+
+        Notes
+        -----
+        The arguments are not judged: other names have no members.
+        """
         return members(self.groups, groups)
 
     def figures(self, asked: Asked) -> FloatArray:
         """Return what is asked for: a figure of every plant that it is asked of; nominal noise of every torquer.
 
         Bandwidths in Hz, everything else in SI units.
+
+        Parameters
+        ----------
+        asked
+            A requirement: which figure, of which signals, of which plants.
+
+        Returns
+        -------
+        (k,)
+            Bandwidths in Hz, everything else in SI units.
 
         Raises
         ------
@@ -89,12 +119,58 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
 
     What `LoopMeasures` names is always measured, other figures where `asked` (requirements) need them. Peaks between
     grid points are missed: certify with `exact_measures`.
+
+    Parameters
+    ----------
+    plants
+        What the controller has to stand.
+    controller
+        u = K y in the set's order of angles and torques, with its sample period (see `PlantSet.joined`).
+    asked
+        Requirements whose figures are wanted as well.
+
+    Returns
+    -------
+    LoopMeasures
+        A figure for each plant of the set.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     return _measured(LoopFigures(plants, controller), asked)
 
 
 def exact_measures(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = ()) -> LoopMeasures:
-    """Return the measures with peaks as norms (not on a grid) wherever they decide anything."""
+    """Return the measures with peaks as norms (not on a grid) wherever they decide anything.
+
+    Parameters
+    ----------
+    plants
+        What the controller has to stand.
+    controller
+        u = K y in the set's order of angles and torques, with its sample period (see `PlantSet.joined`).
+    asked
+        Requirements whose figures are wanted as well.
+
+    Returns
+    -------
+    LoopMeasures
+        As of `measure`, peaks between the grid's points included.
+
+    Raises
+    ------
+    ArgumentError
+        The controller closes an algebraic loop that cannot be solved.
+
+    References
+    ----------
+    As `measure`.
+    """
     loops = LoopFigures(plants, controller)
     rough = _measured(loops, asked)
     watched = [rough.of(groups) for groups in (("nominal",), *_WATCHED)]

@@ -36,19 +36,20 @@ class DiskMargin:
     Attributes
     ----------
     alpha
-        The guaranteed margin: `lower`. 0 if the closed loop is not stable.
+        The guaranteed margin: `lower`, dimensionless. 0 if the closed loop is not stable.
     lower, upper
-        No perturbation smaller than `lower` makes the loop unstable; one of size `upper`, `perturbation`, does.
-        They agree up to three channels.
+        Dimensionless. No perturbation smaller than `lower` makes the loop unstable; one of size `upper`,
+        `perturbation`, does. They agree up to three channels.
     unstructured
-        1/‖S + (skew - 1)/2 I‖: the margin against perturbations that couple the channels; not above `lower`.
+        1/‖S + (skew - 1)/2 I‖, dimensionless: the margin against perturbations that couple the channels; not above
+        `lower`.
     frequency
         Where the margin is reached, rad/s.
     proved
         Whether `lower` holds between all frequencies, to 0.01 %: constant scalings cover the whole axis. Never for
         data at given frequencies.
     skew
-        0: gain may rise and fall alike; > 0: mostly rise; < 0: mostly fall.
+        Of the disk, dimensionless. 0: gain may rise and fall alike; > 0: mostly rise; < 0: mostly fall.
     reason
         Why the margin is 0 although the loop has a response; else empty.
     perturbation : complex (m,)
@@ -58,9 +59,13 @@ class DiskMargin:
     dt
         Sample period of the loop, s; 0: continuous.
     frequencies : (N,)
-        rad/s.
+        Where the responses below are given, rad/s.
     lower_response, upper_response, unstructured_response : (N,)
-        The bounds frequency by frequency.
+        The bounds frequency by frequency, dimensionless.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
 
     alpha: float
@@ -97,6 +102,11 @@ class DiskMargin:
         In series with the loop they put a pair of closed-loop poles on the stability boundary at `frequency`. Each
         is a disk's rim run through by a first-order all-pass (a gain where `perturbation` is real).
 
+        Returns
+        -------
+        control.StateSpace
+            Diagonal, m inputs and outputs.
+
         Raises
         ------
         ArgumentError
@@ -113,11 +123,15 @@ class LoopMargins:
     Attributes
     ----------
     channels
-        Signal names.
+        Names of the m torques or pick-offs.
     alpha : (m,)
-        Disk margin of each channel; 0 if the closed loop is not stable.
+        Disk margin of each channel, dimensionless; 0 if the closed loop is not stable.
     frequency : (m,)
         Where it is reached, rad/s.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
 
     channels: tuple[str, ...]
@@ -142,15 +156,26 @@ def disk_margin(
         (`control.FrequencyResponseData`) give the smallest margin among their frequencies, provided that the closed
         loop is stable: that, data cannot tell.
     skew
-        Skew of the disk.
+        Skew of the disk, dimensionless: 0 for gain that rises and falls alike.
     frequency : (N,), optional
         Frequencies of the result's arrays, rad/s; default a grid that follows the closed loop's poles. The margin
         does not depend on it. Data have their own.
+
+    Returns
+    -------
+    DiskMargin
+        The margin with its bounds, the worst frequency and the perturbation that is as small.
 
     Raises
     ------
     ArgumentError
         If the loop transfer is not square, I + D is singular, or `skew` or `frequency` is not finite.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    A. Packard, J. C. Doyle, Automatica 29, 1993.
     """
     if not isinstance(skew, Real) or not math.isfinite(skew):
         raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
@@ -280,12 +305,21 @@ def loop_margins(
     at
         Break the torques (``"input"``) or the pick-offs (``"output"``).
     skew
-        Skew of the disk.
+        Skew of the disk, dimensionless.
+
+    Returns
+    -------
+    LoopMargins
+        One margin for each channel.
 
     Raises
     ------
     ArgumentError
         If plant and controller do not fit together.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     S = closed_loop_with_sensitivity(plant, controller, at)
     names = tuple(controller.output_labels if at == "input" else controller.input_labels)
@@ -307,6 +341,27 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
     """Return the lowest and highest gain factor and the phase in rad that a disk of size `alpha` contains.
 
     The highest factor is infinite and the phase pi where the disk does not bound them.
+
+    Parameters
+    ----------
+    alpha
+        Size of the disk, dimensionless; 0 is no margin.
+    skew
+        Skew of the disk, dimensionless.
+
+    Returns
+    -------
+    lowest, highest, phase
+        Two gain factors and a phase in rad. The highest factor is infinite and the phase π where the disk does not
+        bound them.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     low = (2.0 - alpha * (1.0 - skew)) / (2.0 + alpha * (1.0 + skew))
     denominator = 2.0 - alpha * (1.0 + skew)

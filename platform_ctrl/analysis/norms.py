@@ -43,13 +43,20 @@ def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple
     Returns
     -------
     norm, frequency
-        Largest singular value and its frequency in rad/s; ``inf`` as the frequency of a continuous system whose
-        norm is that of D, ``inf`` as the norm of a system with a pole on the stability boundary.
+        Largest singular value, in the units of the outputs per unit of the inputs, and its frequency in rad/s; ``inf``
+        as the frequency of a continuous system whose norm is that of D, ``inf`` as the norm of a system with a pole on
+        the stability boundary.
 
     Raises
     ------
     ArgumentError
         If the system is unstable and `allow_unstable` is not set.
+
+    References
+    ----------
+    N. A. Bruinsma, M. Steinbuch, Systems & Control Letters 14, 1990.
+
+    S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """
     arrays = state_arrays(system, "hinf_norm")
     s, on_boundary = boundary_poles(scaled(*arrays[:3])[0], arrays.dt)
@@ -70,10 +77,25 @@ def hinf_norm_arrays(
 
     Parameters
     ----------
-    A, B, C, D, dt
-        Arrays of one system.
+    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
+        One system, in its units.
+    dt
+        Sample period, s; 0: continuous.
     tolerance
         Relative; the result is not smaller than the norm by more.
+
+    Returns
+    -------
+    norm, frequency
+        In the system's units, and rad/s.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `hinf_norm`.
     """
     if B.shape[-1] == 0 or C.shape[-2] == 0:
         return 0.0, 0.0
@@ -190,10 +212,24 @@ def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float
 def h2_norm(system: control.StateSpace) -> float:
     """Return the H2 norm: the rms sum of the outputs when white noise of unit density (or variance) drives it.
 
+    Parameters
+    ----------
+    system
+        Continuous or discrete, stable.
+
+    Returns
+    -------
+    float
+        In the units of the outputs per unit of the inputs (times s^-1/2 for a continuous system).
+
     Raises
     ------
     ArgumentError
         If the system is not stable, or is continuous and has a direct term.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 4.
     """
     A, B, C, D, dt = state_arrays(system, "h2_norm")
     if dt == 0.0 and np.any(D):
@@ -231,16 +267,21 @@ def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
     system
         Discrete, stable.
     rms : (m,) or scalar
-        Standard deviation of the independent samples at each input.
+        Standard deviation of the independent samples at each input, in its units.
 
     Returns
     -------
     (p,)
+        In the units of the outputs.
 
     Raises
     ------
     ArgumentError
         If the system is continuous or not stable, or `rms` has another shape.
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 4.
     """
     A, B, C, D, dt = state_arrays(system, "noise_rms")
     if dt == 0.0:
@@ -256,7 +297,28 @@ def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
 
 
 def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rms: FloatArray) -> FloatArray:
-    """Return the rms (..., p) of the outputs of a stack of discrete systems; inf where one is not stable."""
+    """Return the rms (..., p) of the outputs of a stack of discrete systems; inf where one is not stable.
+
+    Parameters
+    ----------
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Discrete systems, in their units.
+    rms : (m,)
+        Standard deviation of the independent samples at each input, in its units.
+
+    Returns
+    -------
+    (..., p)
+        In the units of the outputs; inf where a system is not stable.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `noise_rms`.
+    """
     A, B, C = scaled(A, B, C)
     driven = B * rms
     X = stationary_covariance(A, driven)

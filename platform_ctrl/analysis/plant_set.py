@@ -29,31 +29,35 @@ class PlantSet:
 
     Attributes
     ----------
-    A, B, C, D : (N, ...)
-        Stacked arrays, torques → angles.
+    A, B, C, D : (N, n, n), (N, n, m), (N, p, n), (N, p, m)
+        State equations, torques in N m → angles in rad.
     period
-        s.
+        Of the samples, s.
     labels, groups
         What each plant is, and what it stands for: ``"nominal"``, ``"spread"``, ``"Omega"`` or ``"faults"``.
     torques, angles
-        Signal names.
+        Names of the m inputs and p outputs.
     B_Omega : (N, n, 3)
-        Input of the platform's rate, held between samples and not delayed.
+        Input of the platform's rate in rad/s, held between samples and not delayed; in units of the states.
     Omega : (3,)
         Largest platform rate about each axis, rad/s.
     torque_limit : (m,)
-        N m; infinite for a torquer without a limit.
+        Of each torquer, N m; infinite for one without a limit.
     nutation
-        Nutation frequency of the nominal plant: its fastest open-loop motion without torquers, rad/s. Where it
-        hardly moves by itself, the frequency that stands in for it.
+        Nutation frequency of the nominal plant, rad/s: its fastest open-loop motion without torquers. Where it hardly
+        moves by itself, the frequency that stands in for it.
     noise : (p,)
         Rms of one sample of each pick-off, rad.
     frequency : (F,)
-        rad/s, up to the Nyquist frequency.
+        The grid that a tuner measures on, rad/s, up to the Nyquist frequency.
     response : complex (N, F, p, m)
-        Of the plants on `frequency`, torques → angles.
+        Of the plants on `frequency`, torques → angles, rad/(N m).
     Omega_response : complex (N, F, p, 3)
-        Of the plants on `frequency`, platform rate → angles.
+        Of the plants on `frequency`, platform rate → angles, s.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     A: FloatArray
@@ -76,6 +80,16 @@ class PlantSet:
 
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller in the order of this set's angles and torques.
+
+        Parameters
+        ----------
+        controller
+            u = K y with the set's sample period; a `control.StateSpace` is joined by the names of its signals.
+
+        Returns
+        -------
+        StateArrays
+            From all angles of the set to all of its torques.
 
         Raises
         ------
@@ -102,11 +116,41 @@ class PlantSet:
         return K
 
     def of(self, groups: Sequence[str]) -> BoolArray:
-        """Return which plants belong to `groups`, truth values (N,)."""
+        """Return which plants belong to `groups`, truth values (N,).
+
+        Parameters
+        ----------
+        groups
+            Among ``"nominal"``, ``"spread"``, ``"Omega"`` and ``"faults"``.
+
+        Returns
+        -------
+        (N,)
+            Truth values.
+
+        Notes
+        -----
+        The arguments are not judged: other names have no members.
+        """
         return members(self.groups, groups)
 
     def only(self, chosen: Sequence[int]) -> PlantSet:
-        """Return the set of the `chosen` plants (indices)."""
+        """Return the set of the `chosen` plants (indices).
+
+        Parameters
+        ----------
+        chosen
+            Indices of plants; the first one is the new nominal plant.
+
+        Returns
+        -------
+        PlantSet
+            With the same signals and grid.
+
+        Notes
+        -----
+        The arguments are not judged: an index out of range is an `IndexError`.
+        """
         index = np.asarray(chosen, dtype=np.intp)
         return dataclasses.replace(
             self,

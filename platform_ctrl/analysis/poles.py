@@ -29,7 +29,11 @@ class Damping:
     natural_frequency : (n,)
         |s|, rad/s.
     ratio : (n,)
-        -Re(s)/|s|: 1 for real stable poles and for z = 0, -1 for real unstable ones, 0 at s = 0.
+        -Re(s)/|s|, dimensionless: 1 for real stable poles and for z = 0, -1 for real unstable ones, 0 at s = 0.
+
+    References
+    ----------
+    As `damping`.
     """
 
     poles: ComplexArray
@@ -38,18 +42,78 @@ class Damping:
 
 
 def poles(system: control.StateSpace) -> ComplexArray:
-    """Return the poles of `system` in its own plane (s or z), computed in balanced states, (n,)."""
+    """Return the poles of `system` in its own plane (s or z), computed in balanced states, (n,).
+
+    Parameters
+    ----------
+    system
+        Continuous or discrete.
+
+    Returns
+    -------
+    complex (n,)
+        Of a continuous system in rad/s; those of a discrete one (z) are dimensionless.
+
+    Raises
+    ------
+    ArgumentError
+        `system` is not a `control.StateSpace` of finite numbers.
+
+    References
+    ----------
+    Textbook definition.
+    """
     A, B, C, _, _ = state_arrays(system, "poles")
     return pole_arrays(scaled(A, B, C)[0])
 
 
 def pole_arrays(A: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of a stack of matrices (..., n, n) as complex (..., n)."""
+    """Return the eigenvalues of a stack of matrices (..., n, n) as complex (..., n).
+
+    Parameters
+    ----------
+    A : (..., n, n)
+        In units of 1/s, or dimensionless for discrete systems.
+
+    Returns
+    -------
+    complex (..., n)
+        Eigenvalues in the units of A.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 
 def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
-    """Return s = ln(z)/dt for the poles of a discrete system; those of a continuous one (dt = 0) as they are."""
+    """Return s = ln(z)/dt for the poles of a discrete system; those of a continuous one (dt = 0) as they are.
+
+    Parameters
+    ----------
+    poles : complex (..., n)
+        Of the discrete system, dimensionless (z), or of the continuous one, rad/s.
+    dt
+        Sample period, s; 0: continuous.
+
+    Returns
+    -------
+    complex (..., n)
+        rad/s, |Im s| <= π/dt; ``-inf`` for z = 0.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 2.
+    """
     if dt == 0.0:
         return np.asarray(poles, dtype=np.complex128)
     z = np.asarray(poles, dtype=np.complex128)
@@ -67,7 +131,26 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:
-    """Return -Re(s)/|s| of continuous(-equivalent) poles; 1 for infinitely fast ones, 0 for s = 0."""
+    """Return -Re(s)/|s| of continuous(-equivalent) poles; 1 for infinitely fast ones, 0 for s = 0.
+
+    Parameters
+    ----------
+    poles : complex (..., n)
+        Of a continuous system, or continuous equivalents (see `continuous_poles`), rad/s.
+
+    Returns
+    -------
+    (..., n)
+        Dimensionless, from -1 to 1.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `damping`.
+    """
     s = np.asarray(poles, dtype=np.complex128)
     size = np.abs(s)
     plain = np.isfinite(size) & (size > 0.0)
@@ -77,7 +160,27 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
 
 
 def damping(system: control.StateSpace) -> Damping:
-    """Return natural frequency and damping ratio of every pole of `system`, slowest first."""
+    """Return natural frequency and damping ratio of every pole of `system`, slowest first.
+
+    Parameters
+    ----------
+    system
+        Continuous or discrete.
+
+    Returns
+    -------
+    Damping
+        One entry for each pole.
+
+    Raises
+    ------
+    ArgumentError
+        `system` is not a `control.StateSpace` of finite numbers.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 6.
+    """
     dt = state_arrays(system, "damping").dt
     s = continuous_poles(poles(system), dt)
     s = s[np.argsort(np.abs(s), kind="stable")]
@@ -90,7 +193,7 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
     Parameters
     ----------
     poles : complex (..., n)
-        In the s-plane (dt = 0), or in the z-plane of a system with sample period `dt`.
+        In the s-plane (dt = 0), rad/s, or in the z-plane of a system with sample period `dt`.
     above
         rad/s. Poles with a smaller magnitude do not count, unless they are unstable: those always count.
     dt
@@ -99,7 +202,15 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
     Returns
     -------
     (...)
-        In [-1, 1]; 1 where no pole is that fast.
+        Dimensionless, from -1 to 1; 1 where no pole is that fast.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `damping`.
     """
     s = continuous_poles(poles, dt)
     counts = (np.abs(s) > above) | (s.real > 0.0)
@@ -108,13 +219,51 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
 
 
 def spectral_radius(poles: ComplexArray) -> FloatArray:
-    """Return the largest magnitude along the last axis; 0 without poles."""
+    """Return the largest magnitude along the last axis; 0 without poles.
+
+    Parameters
+    ----------
+    poles : complex (..., n)
+        Of discrete systems, dimensionless.
+
+    Returns
+    -------
+    (...)
+        Dimensionless.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     out: FloatArray = np.abs(poles).max(axis=-1, initial=0.0)
     return out
 
 
 def spectral_abscissa(poles: ComplexArray) -> FloatArray:
-    """Return the largest real part along the last axis; -inf without poles."""
+    """Return the largest real part along the last axis; -inf without poles.
+
+    Parameters
+    ----------
+    poles : complex (..., n)
+        In rad/s or other units.
+
+    Returns
+    -------
+    (...)
+        In the units of the poles.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     out: FloatArray = np.real(poles).max(axis=-1, initial=-np.inf)
     return out
 
@@ -128,6 +277,20 @@ def is_stable(system: control.StateSpace, margin: float = 0.0) -> bool:
         Continuous or discrete.
     margin
         Decay rate in 1/s that every pole must exceed.
+
+    Returns
+    -------
+    bool
+        True if all poles do.
+
+    Raises
+    ------
+    ArgumentError
+        `system` is not a `control.StateSpace` of finite numbers.
+
+    References
+    ----------
+    Textbook definition.
     """
     dt = state_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -margin)

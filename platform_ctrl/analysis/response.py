@@ -40,12 +40,18 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
     Returns
     -------
     complex (p, m, N), or (K, p, m, N) for a sequence
-        inf where a frequency coincides with a pole.
+        In the units of the outputs per unit of the inputs; inf where a frequency coincides with a pole.
 
     Raises
     ------
     ArgumentError
         If `system` or `frequency` is not what is expected.
+
+    References
+    ----------
+    J. H. Wilkinson, The Algebraic Eigenvalue Problem, 1965, ch. 7, sec. 11.
+
+    J. Demmel et al., ACM Transactions on Mathematical Software 32, 2006.
     """
     w = frequencies(frequency, "frequency_response")
     if not isinstance(system, Sequence):
@@ -62,7 +68,30 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
 def frequency_response_arrays(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, frequency: FloatArray
 ) -> ComplexArray:
-    """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0."""
+    """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0.
+
+    Parameters
+    ----------
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Batch axes broadcast; in the system's units.
+    dt
+        Sample period, s; 0: continuous.
+    frequency : (N,)
+        rad/s.
+
+    Returns
+    -------
+    complex (..., N, p, m)
+        In the system's units; inf where a frequency coincides with a pole.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `frequency_response`.
+    """
     return np.moveaxis(_whole(A, B, C, D, dt, frequency), -1, -3)
 
 
@@ -105,15 +134,23 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
     Parameters
     ----------
-    A, B, C, D
-        ``(..., n, n)``, ``(..., n, m)``, ``(..., p, n)``, ``(..., p, m)``; batch axes broadcast.
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Batch axes broadcast; in the system's units.
     z : complex (N,)
-        The same points for the whole stack.
+        The same points for the whole stack, in the units of A.
 
     Returns
     -------
     complex (..., N, p, m)
-        inf where z is an eigenvalue of A.
+        In the system's units; inf where z is an eigenvalue of A.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `frequency_response`.
     """
     return np.moveaxis(_responses(A, B, C, D, z), -1, -3)
 

@@ -54,6 +54,10 @@ def sampled(
     ------
     ArgumentError
         If the system is not continuous, or `period`, `delay` or `lag` make no sense.
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
     arrays = state_arrays(system, "sampled")
     if arrays.dt != 0.0:
@@ -79,15 +83,26 @@ def sampled_arrays(
 
     Parameters
     ----------
-    A, B, C, D
-        ``(..., n, n)``, ``(..., n, m)``, ``(..., p, n)``, ``(..., p, m)``; batch axes broadcast.
-    period, delay, lag
-        As in `sampled`; the same for the whole stack.
+    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
+        Batch axes broadcast; in the system's units.
+    period, delay
+        As in `sampled`, s; the same for the whole stack.
+    lag : (m,) or scalar, optional
+        As in `sampled`, s; the same for the whole stack.
 
     Returns
     -------
-    A, B, C, D
-        With n + (number of lags) + m (number of periods that the delay reaches back) states.
+    A, B, C, D : (..., k, k), ...
+        In the same units, with k = n + (number of lags) + m (number of periods that the delay reaches back).
+
+    Raises
+    ------
+    ArgumentError
+        `period`, `delay` or `lag` make no sense.
+
+    References
+    ----------
+    As `sampled`.
     """
     return _sampled(A, B, C, D, period, delay, lag)[:4]
 
@@ -194,10 +209,24 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
     The map is exact: stability, the H-infinity norm and the values along the frequency axis are kept, the
     latter at w = j (2/T) tan(frequency T/2).
 
+    Parameters
+    ----------
+    system
+        Discrete; its ``dt`` is T, in s.
+
+    Returns
+    -------
+    control.StateSpace
+        Continuous, in w, with the same signals; w in rad/s.
+
     Raises
     ------
     ArgumentError
         If the system is continuous, or has a pole at z = -1 (which would go to infinity).
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 8.
     """
     arrays = state_arrays(system, "bilinear_to_continuous")
     if arrays.dt == 0.0:
@@ -209,10 +238,26 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
 def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.StateSpace:
     """Return a w-plane (continuous) system in z, the inverse of `bilinear_to_continuous` (Tustin's map).
 
+    Parameters
+    ----------
+    system
+        Continuous: a system in w, in rad/s.
+    period
+        Sample period T, s.
+
+    Returns
+    -------
+    control.StateSpace
+        Discrete, with the same signals.
+
     Raises
     ------
     ArgumentError
         If the system is discrete, `period` is not > 0, or a pole lies at 2/period (which would go to infinity).
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 8.
     """
     arrays = state_arrays(system, "bilinear_to_discrete")
     if arrays.dt != 0.0:

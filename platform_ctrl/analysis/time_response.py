@@ -42,22 +42,27 @@ def time_response(
     timepts : (N,)
         Increasing times, s. Equal steps are fastest, those of a discrete system have to be.
     inputs : (m, N), or (N,) for one input
-        Inputs at those times.
+        Inputs at those times, in the system's units.
     hold
         ``"zoh"``: held from each sample to the next; ``"foh"``: linear between samples; ``"impulse"``: impulses of
         that area at the samples, each in the output of its own time already. Without meaning for a discrete system.
     initial_state : (n,), optional
-        State at the first time (before its impulse); default zero.
+        State at the first time (before its impulse), in the system's units; default zero.
 
     Returns
     -------
     (p, N)
+        In the units of the outputs.
 
     Raises
     ------
     ArgumentError
         If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period, or
         impulses would reach an output at once (D is not zero).
+
+    References
+    ----------
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
     A, B, C, D, dt = state_arrays(system, "time_response")
     times, steps = _times(timepts, dt)
