@@ -42,21 +42,25 @@ class LinearModel:
     Q0 : (n,)
         Torques that the torquers need to hold the trim, N m.
     M, G, K : (n, n)
-        Inertia (symmetric), gyroscopic (skew) and stiffness (symmetric) matrix.
+        Inertia (symmetric), kg m², gyroscopic (skew), N m s, and stiffness (symmetric) matrix, N m/rad.
     M_Omega, G_Omega : (n, 3)
-        Coefficients of ω' and ω.
+        Coefficients of ω', kg m², and ω, N m s: the deviation of the platform's rate from `Omega0`.
     M_Omega_q : (n, 3, n)
-        Coefficient of Omega'_a q_j in row i, ``[i, a, j]``: for rates that change during a manoeuvre.
+        Coefficient of Omega'_a q_j in row i, ``[i, a, j]``, kg m²: for rates that change during a manoeuvre.
     root_inertia : (3, 3)
-        A* of the root rows.
+        A* of the root rows, kg m².
     root_momentum : (3,)
         ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
     Q_angle, Q_rate : (n, n)
-        ∂Q/∂q and ∂Q/∂q̇ of the force elements.
+        ∂Q/∂q, N m/rad, and ∂Q/∂q̇, N m s, of the force elements.
     Q_force, M_force : (n, 3), (3, 3)
         ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres.
     M_angle : (3, n)
         ∂M/∂q, the root's rows, N m/rad.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
     """
 
     platform: Platform
@@ -81,12 +85,12 @@ class LinearModel:
 
     @property
     def damping(self) -> FloatArray:
-        """G − ∂Q/∂q̇, (n, n): all that stands before q̇ in (19)."""
+        """G − ∂Q/∂q̇, (n, n), N m s: all that stands before q̇ in (19)."""
         return np.asarray(self.G - self.Q_rate)
 
     @property
     def stiffness(self) -> FloatArray:
-        """K − ∂Q/∂q, (n, n): all that stands before q in (19)."""
+        """K − ∂Q/∂q, (n, n), N m/rad: all that stands before q in (19)."""
         return np.asarray(self.K - self.Q_angle)
 
     @property
@@ -127,10 +131,21 @@ def linearise(
         Amplitudes of the gimbal rates, rad/s, > 0, at which dry friction is replaced by its describing function.
         Default: dry friction has no slope at rest and is left out.
 
+    Returns
+    -------
+    LinearModel
+        The matrices of (19) at the trim, and those of the root's rows.
+
     Raises
     ------
     ArgumentError
         Wrong shape, not finite, or unknown `terms`.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
+
+    See docs/the-paper.md.
     """
     tree = topology(platform)
     n = len(tree.parents)
@@ -190,10 +205,19 @@ def linearise(
 def expect_model(given: object) -> None:
     """Judge an argument that has to be a linear model.
 
+    Parameters
+    ----------
+    given
+        What a caller passed as a linear model.
+
     Raises
     ------
     ArgumentError
         It is something else, for example a platform.
+
+    References
+    ----------
+    Own definition.
     """
     if not isinstance(given, LinearModel):
         what = f"platform {given.name!r}" if isinstance(given, Platform) else short(given)

@@ -32,6 +32,25 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
 
     Found from the entries of M, G, K and ∂Q at the model's trim that are more than rounding of what both gimbals carry;
     not from the tree.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+
+    Returns
+    -------
+    tuple of tuples
+        Names of the gimbals of each group.
+
+    Raises
+    ------
+    ArgumentError
+        It is not a linear model.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
     """
     expect_model(model)
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
@@ -76,6 +95,12 @@ def state_space(
         Unknown gimbal or `root`; `gimbals` cuts through a subsystem; `gimbals` with a free root.
     MechanicsError
         A* is singular at the trim (gimbal lock).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
+
+    See docs/theory.md.
     """
     expect_model(model)
     if root not in ("prescribed", "free"):
@@ -140,10 +165,26 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
 def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     """Return the rows of the named gimbals, of all without names.
 
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    gimbals
+        Names; None: all.
+
+    Returns
+    -------
+    list of int
+        Indices of rows, in the file's order.
+
     Raises
     ------
     ArgumentError
         A string, an unknown name, or names that cut through a subsystem.
+
+    References
+    ----------
+    As `subsystems`.
     """
     expect_model(model)
     if gimbals is None:
@@ -159,7 +200,28 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
 
 
 def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
-    """Return the names of the torquers on the named gimbals, and which gimbal each turns, (gimbals, torquers)."""
+    """Return the torquers on the named gimbals.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    gimbals
+        Names of gimbals, in the order of the rows.
+
+    Returns
+    -------
+    names, selection : list of str, (g, t)
+        Names of the t torquers, in the file's order; and which of the g gimbals each turns, 1 or 0 (dimensionless).
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Own definition.
+    """
     torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
     torque_map = np.zeros((len(gimbals), len(torquers)))
     for column, torquer in enumerate(torquers):

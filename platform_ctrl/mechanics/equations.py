@@ -18,7 +18,7 @@ from platform_ctrl.mechanics.regularity import solved_inertia
 
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:
-    """Return the generalised forces [M, Q] that cause a motion, (3 + n,), N m.
+    """Return the generalised forces [M, Q] that cause a motion.
 
     Parameters
     ----------
@@ -27,7 +27,12 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     q : (n,)
         Gimbal angles, rad.
     velocity, acceleration : (3 + n,)
-        u = [Omega, q̇] and its derivative component by component, in root axes.
+        u = [Omega, q̇], rad/s, and its derivative component by component, in root axes, rad/s².
+
+    Returns
+    -------
+    (3 + n,)
+        [M, Q], N m.
 
     Raises
     ------
@@ -37,6 +42,12 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
     Notes
     -----
     Equal to A* u̇ + (G_A + G_R + G_root) u of `matrices`, eq. (11).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (11).
+
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5.
     """
     n = len(topology(platform).parents)
     angles = real_array("q", q, (n,))
@@ -47,7 +58,7 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
 
 
 def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, force: ArrayLike) -> FloatArray:
-    """Return the acceleration [Omega', q̈] under generalised forces, (3 + n,), rad/s².
+    """Return the acceleration [Omega', q̈] under generalised forces.
 
     Parameters
     ----------
@@ -58,12 +69,23 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     velocity, force : (3 + n,)
         u = [Omega, q̇], rad/s; [M, Q], N m.
 
+    Returns
+    -------
+    (3 + n,)
+        [Omega', q̈], rad/s².
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
     MechanicsError
         A* is singular at these angles (gimbal lock, or a gimbal that moves no inertia).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (11).
+
+    See docs/theory.md.
     """
     n = len(topology(platform).parents)
     angles = real_array("q", q, (n,))

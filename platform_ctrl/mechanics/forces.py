@@ -39,7 +39,7 @@ def element_forces(
     velocity: ArrayLike | None = None,
     specific_force: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return [M, Q] of all force elements together, (3 + n,), N m: they add to the torquers' in eq. (11).
+    """Return [M, Q] of all force elements together: they add to the torquers' in eq. (11).
 
     Parameters
     ----------
@@ -52,10 +52,21 @@ def element_forces(
     specific_force : (3,)
         In root axes, m/s²; default the platform's own.
 
+    Returns
+    -------
+    (3 + n,)
+        [M, Q], N m.
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (11).
+
+    See docs/theory.md.
     """
     n = len(topology(platform).parents)
     angles = real_array("q", q, (n,), 0.0)

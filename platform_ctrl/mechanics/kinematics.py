@@ -21,7 +21,7 @@ class Topology:
     Attributes
     ----------
     order
-        Gimbal indices, every parent before its children.
+        Indices of the n gimbals, every parent before its children.
     parents : (n,)
         Index of the parent gimbal, −1 for the root.
     on_path : (1 + n, n) bool
@@ -29,17 +29,21 @@ class Topology:
     above : (n, n) bool
         ``above[j, i]``: turning gimbal j turns the axis of gimbal i.
     carriers : (m,)
-        Body that each rotor spins in.
+        Body that each of the m rotors spins in.
     axes : (n, 3)
-        Gimbal axes in the parents' axes.
+        Gimbal axes in the parents' axes, unit vectors.
     inertias : (1 + n, 3, 3)
-        Bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes.
+        Bodies with the rotors' transverse inertia A (1 − s sᵀ), without C; in body axes, kg m².
     spin_axes : (m, 3)
-        In body axes.
+        In body axes, unit vectors.
     C, L : (m,)
-        Axial inertias; relative (regulated) or total axial (free) angular momenta.
+        Axial inertias, kg m²; relative (regulated) or total axial (free) angular momenta, N m s.
     regulated : (m,) bool
         Whether the rotor's relative spin is held (a servo rotor counts as held).
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
 
     order: tuple[int, ...]
@@ -56,12 +60,26 @@ class Topology:
 
 
 def topology(platform: Platform) -> Topology:
-    """Return the tree of `platform` as arrays (kept for the platforms used last).
+    """Return the tree of a platform as arrays (kept for the platforms used last).
+
+    Parameters
+    ----------
+    platform
+        The platform.
+
+    Returns
+    -------
+    Topology
+        The tree, in the file's order of gimbals and rotors.
 
     Raises
     ------
     ArgumentError
         Not a platform, or the gimbals carry each other in a ring.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
     expect_platform(platform)
     return _topology(platform)
@@ -127,13 +145,17 @@ class Kinematics:
     Attributes
     ----------
     rotations : (1 + n, 3, 3)
-        From body axes to root axes.
+        From body axes to root axes, dimensionless.
     axes : (n, 3)
-        Gimbal axes.
+        Gimbal axes, unit vectors.
     spin_axes : (m, 3)
-        Rotor axes.
+        Rotor axes, unit vectors.
     jacobians : (1 + n, 3, 3 + n)
-        Body rates: ω_b = jacobians[b] @ [Omega, q̇].
+        Body rates: ω_b = jacobians[b] @ [Omega, q̇]; dimensionless.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
 
     rotations: FloatArray
@@ -151,7 +173,29 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 
 def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
-    """Return the directions of everything at the angles `q` (n,), rad."""
+    """Return the directions of everything at given angles.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    q : (n,)
+        Gimbal angles in the file's order, rad.
+
+    Returns
+    -------
+    Kinematics
+        In root axes.
+
+    Raises
+    ------
+    ArgumentError
+        Not a platform, or the gimbals carry each other in a ring.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
+    """
     tree = topology(platform)
     n = len(tree.parents)
     turned = cross_matrix(tree.axes)

@@ -22,15 +22,21 @@ class MagnusMatrices:
     A_R : (m, m)
         diag(C), kg m².
     B : (m, 3 + n)
-        Direction cosines between rotor axes and generalised velocities, eq. (3).
+        Direction cosines between rotor axes and generalised velocities, eq. (3), dimensionless.
     A_star : (3 + n, 3 + n)
-        A plus the axial inertia of the regulated rotors, eq. (12).
+        A plus the axial inertia of the regulated rotors, eq. (12), kg m².
     L : (m,)
         Relative angular momenta (8); for free rotors the cyclic momenta p (4). N m s.
     G_A, G_R : (3 + n, 3 + n)
         Coriolis (13) and gyroscopic (14) matrix, N m s; the root columns count as rates of cyclic coordinates.
     G_root : (3 + n, 3 + n)
-        −[∂T/∂Omega]× in the root block: the Boltzmann-Hamel term, because Omega is no derivative of coordinates.
+        −[∂T/∂Omega]× in the root block, N m s: the Boltzmann-Hamel term, because Omega is no derivative of coordinates.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (1) to (4), (8), (11) to (14).
+
+    See docs/the-paper.md.
     """
 
     A: FloatArray
@@ -117,10 +123,21 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     velocity : (3 + n,)
         [Omega, q̇], rad/s; default zero. Only G_A and G_root depend on it.
 
+    Returns
+    -------
+    MagnusMatrices
+        All matrices at that state.
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (3), (11) to (14).
+
+    See docs/theory.md.
     """
     tree = topology(platform)
     n, m = len(tree.parents), len(tree.carriers)

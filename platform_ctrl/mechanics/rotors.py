@@ -26,9 +26,13 @@ class RotorMomenta:
     p : (m,)
         Axial momenta, C ω (4), N m s.
     spin : (m,)
-        φ̇, relative to the carriers, rad/s.
+        Rates φ̇ relative to the carriers, rad/s.
     rate : (m,)
-        ω = φ̇ + B u (2), absolute, about the rotors' axes, rad/s.
+        Absolute rates about the rotors' axes, ω = φ̇ + B u (2), rad/s.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (2), (4), (8).
     """
 
     L: FloatArray
@@ -49,10 +53,19 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
     velocity : (3 + n,)
         u = [Omega, q̇], rad/s; default zero.
 
+    Returns
+    -------
+    RotorMomenta
+        Of the m rotors in the file's order.
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (2), (4), (8).
     """
     tree = topology(platform)
     n = len(tree.parents)
@@ -65,10 +78,28 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
 def with_free_rotors(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike | None = None) -> Platform:
     """Return the platform with every rotor's drive taken off at a state: each keeps the p that it has there.
 
+    Parameters
+    ----------
+    platform
+        The platform.
+    q : (n,)
+        Gimbal angles, rad; default zero.
+    velocity : (3 + n,)
+        u = [Omega, q̇], rad/s; default zero.
+
+    Returns
+    -------
+    Platform
+        The same plant with cyclic rotors alone.
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
     """
     momenta = rotor_momenta(platform, q, velocity)
     return _with_rotors(platform, "free", momenta.p)
@@ -79,10 +110,28 @@ def with_regulated_rotors(
 ) -> Platform:
     """Return the platform with every rotor regulated from a state on: each keeps the L that it has there.
 
+    Parameters
+    ----------
+    platform
+        The platform.
+    q : (n,)
+        Gimbal angles, rad; default zero.
+    velocity : (3 + n,)
+        u = [Omega, q̇], rad/s; default zero.
+
+    Returns
+    -------
+    Platform
+        The same plant with regulated rotors alone.
+
     Raises
     ------
     ArgumentError
         Wrong shape or not finite.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
     """
     momenta = rotor_momenta(platform, q, velocity)
     return _with_rotors(platform, "regulated", momenta.L)
@@ -105,10 +154,24 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
     are φ; a rotor is symmetric, so φ itself does not matter. Nothing drives them: a drive is a torque on the gimbal.
     This is the form that general multi-body programs know; it shares nothing with (8)-(15) and serves to check them.
 
+    Parameters
+    ----------
+    platform
+        The platform.
+
+    Returns
+    -------
+    Platform
+        With n + m gimbals and no rotors.
+
     Raises
     ------
     ArgumentError
         A gimbal or an angle bears such a name already.
+
+    References
+    ----------
+    See docs/theory.md.
     """
     expect_platform(platform)
     added = []

@@ -46,10 +46,21 @@ def equations(
     terms
         ``"paper"``: A constant, G_A from BᵀA_R B alone, and in (27) what the paper keeps. ``"exact"``: everything.
 
+    Returns
+    -------
+    str, dict or Equations
+        As `form` says.
+
     Raises
     ------
     ArgumentError
         Not a platform, unknown `form` or `terms`, `order` out of range, or None for a large tree.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19), (21) to (27).
+
+    See docs/the-paper.md.
     """
     from platform_ctrl.arguments import one_of, short
     from platform_ctrl.description import expect_platform
