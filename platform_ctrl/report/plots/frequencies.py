@@ -1,0 +1,150 @@
+"""The frequencies at which responses are drawn: close to every pole and zero, however little it is damped.
+
+Around a pole at distance d from the stability boundary points stand at 0, d/3, ..., 4 d and then at distances that grow
+by a factor: flanks and tip of the sharpest resonance have their shape. A pole or zero on the boundary itself, where the
+response is infinite or 0, is come close to from both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, frequencies
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.plots.systems import DrawnSystem, sorted_data
+
+_NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
+_GROWTH = 1.5
+# Relative distance up to which a pole on the stability boundary is come close to; to a zero nearer is of no use either.
+CLOSEST = 1e-6
+# The range without a single pole or zero, Hz.
+_PLAIN = 2.0 * np.pi * np.array([0.01, 100.0])
+# The highest frequency that is drawn of a sampled system, over the Nyquist frequency.
+LAST = 0.9995
+
+
+def grid(
+    systems: Sequence[DrawnSystem],
+    frequency: ArrayLike | None = None,
+    *,
+    name: str = "frequency",
+    loops: bool = False,
+    points: int = 400,
+) -> FloatArray:
+    """Return the ascending frequencies > 0, rad/s, that responses of all `systems` are drawn at.
+
+    Parameters
+    ----------
+    systems
+        From `drawn_systems`.
+    frequency
+        None: a range that shows all poles and zeros, for sampled systems up to the Nyquist frequency. Two numbers: the
+        ends of the range. Otherwise the frequencies themselves.
+    name
+        What a message begins with: the plot's name.
+    loops
+        Whether gains of 1 have to be seen.
+    points
+        Of the plain grid, before poles and zeros add theirs.
+
+    Raises
+    ------
+    ArgumentError
+        `frequency` is not ascending, not finite, not positive, or nothing of the systems lies there.
+    """
+    if frequency is None:
+        low, high = _range(systems, loops)
+    else:
+        given = frequencies(frequency, name)
+        if given.size == 0 or not np.all(np.diff(given) > 0.0) or (given.size == 2 and given[0] == 0.0):
+            raise ArgumentError(
+                f"{name}: frequency: expected ascending numbers in rad/s, or the two ends of a range > 0 rad/s"
+            )
+        given = given[given > 0.0]
+        low, high = float(given[0]), float(given[-1])
+        if given.size != 2:
+            _judge(systems, low, high, name)
+            return given
+    _judge(systems, low, high, name)
+    own = [_around(s, low, high) for one in systems for s in (one.poles, one.zeros)]
+    edges = [np.array([LAST * one.nyquist]) for one in systems if low < LAST * one.nyquist < high]
+    every = np.unique(np.concatenate([np.geomspace(low, high, points), *own, *edges]))
+    every = every[(every >= low) & (every <= high)]
+    for one in systems:
+        for undamped in one.undamped:
+            every = every[np.abs(every - undamped) > 0.5 * CLOSEST * undamped]
+    return every
+
+
+def _around(s: ComplexArray, low: float, high: float) -> FloatArray:
+    """Return points around the resonances (or dips) among poles (or zeros)."""
+    s = np.unique(s[(np.abs(s.imag) > low) & (np.abs(s.imag) < high) & (np.abs(s.real) < 0.5 * np.abs(s.imag))])
+    out = [np.zeros(0)]
+    for centre, distance in sorted({(abs(one.imag), abs(one.real)) for one in s}):
+        width = max(distance, CLOSEST * centre)
+        count = math.ceil(math.log(max(0.25 * centre / (4.0 * width), 1.0)) / math.log(_GROWTH))
+        offsets = width * np.concatenate([_NEAR, 4.0 * _GROWTH ** np.arange(1, count + 1)])
+        out += [centre + offsets, centre - offsets]
+    return np.concatenate(out)
+
+
+def _judge(systems: Sequence[DrawnSystem], low: float, high: float, name: str) -> None:
+    for one in systems:
+        first, last = (0.0, one.nyquist)
+        if one.is_data:
+            own = sorted_data(one.source)[0]
+            first, last = float(own[0]), float(own[-1])
+        if low > last * (1.0 + 1e-9) or high < first * (1.0 - 1e-9):
+            what = f"{one.label or 'the system'} is known from {first:.6g} to {last:.6g} rad/s"
+            raise ArgumentError(f"{name}: frequency: given {low:.6g} to {high:.6g} rad/s; {what}")
+
+
+def _range(systems: Sequence[DrawnSystem], loops: bool) -> tuple[float, float]:
+    ends: list[float] = []
+    fixed: list[float] = []
+    for one in systems:
+        if one.is_data:
+            own = sorted_data(one.source)[0]
+            fixed += [float(own[0]), float(own[-1])]
+            continue
+        corners = np.abs(one.poles)
+        corners = corners[corners > 1e-12 * corners.max(initial=0.0)]
+        zeros = np.abs(one.zeros)
+        if corners.size:
+            zeros = zeros[(zeros > 1e-2 * corners.min()) & (zeros < 1e2 * corners.max())]
+        else:
+            zeros = zeros[zeros > 1e-12 * zeros.max(initial=0.0)]
+        corners = np.concatenate([corners, zeros])
+        own = _crossed(one, corners) if loops or not corners.size else np.zeros(0)
+        spread = np.concatenate([corners, own])
+        if spread.size:
+            ends += [0.1 * float(spread.min()), min(10.0 * float(spread.max()), LAST * one.nyquist)]
+        if one.dt:
+            ends.append(LAST * one.nyquist)
+            ends.append(min([1e-3 * one.nyquist, *ends]))
+    if not ends and not fixed:
+        return float(_PLAIN[0]), float(_PLAIN[1])
+    if fixed:
+        return min(fixed + ends), max(fixed + ends)
+    return min(ends), max(ends)
+
+
+def _crossed(one: DrawnSystem, corners: ComplexArray | FloatArray) -> FloatArray:
+    """Return the frequencies where gains cross 1 next to a grid, as far out as four decades beyond all corners."""
+    if corners.size:
+        low, high = 1e-4 * float(np.min(corners)), 1e4 * float(np.max(corners))
+    else:
+        low, high = 1e-6, 1e6
+    high = min(high, LAST * one.nyquist)
+    if not low < high:
+        return np.zeros(0)
+    w = np.geomspace(low, high, 300)
+    gain = np.abs(one.response(w))
+    with np.errstate(invalid="ignore"):
+        crossing = np.any(np.diff((gain > 1.0).astype(np.int8), axis=-1) != 0, axis=(0, 1))
+    return np.asarray(w[:-1][crossing])

@@ -1,0 +1,381 @@
+"""What the plots for scripts are given: systems of several kinds judged and made alike, with labels and units.
+
+Frequency responses of them are drawn on `platform_ctrl.report.plots.frequencies.grid`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.arguments import short
+from platform_ctrl.description import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.greek import LETTERS
+
+if TYPE_CHECKING:
+    import control
+
+    LinearSystem = control.StateSpace | control.TransferFunction | control.FrequencyResponseData
+
+# States up to which poles next to the stability boundary are worked out in more digits, and entries whose zeros are
+# sought: beyond that the grid does without.
+_PRECISE, _ENTRIES = 60, 36
+# Relative distance from the stability boundary below which a pole or zero counts as on it.
+_ON = 1e-10
+_LONGEST = 48
+# What python-control calls a system that nobody named.
+_NAMELESS = re.compile(r"(?:.*\$)?sys\[\d+\]")
+
+
+@value
+class DrawnSystem:
+    """One system as plots use it.
+
+    Attributes
+    ----------
+    label
+        What the legend calls it; empty for a single system without a name.
+    inputs, outputs
+        Signal names.
+    dt
+        Sample period, s; 0: continuous.
+    poles, zeros : complex
+        s-plane equivalents, rad/s, finite ones; zeros of every entry and of the whole. Empty for data.
+    undamped : (k,)
+        Frequencies > 0 of poles and zeros on the stability boundary, rad/s.
+    arrays
+        State-space arrays; None for data and for improper transfer functions.
+    source
+        What was given.
+    """
+
+    label: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    poles: ComplexArray
+    zeros: ComplexArray
+    undamped: FloatArray
+    arrays: StateArrays | None
+    source: Any
+
+    @property
+    def nyquist(self) -> float:
+        """Highest frequency that the system has, rad/s."""
+        return math.pi / self.dt if self.dt > 0.0 else math.inf
+
+    @property
+    def is_data(self) -> bool:
+        """Whether it is known at some frequencies only."""
+        return hasattr(self.source, "frdata")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Outputs and inputs."""
+        return len(self.outputs), len(self.inputs)
+
+    def along(self, grid: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Return frequencies (N,), rad/s, and the response there, (p, m, N): NaN where it is not finite.
+
+        They are those of `grid` up to the Nyquist frequency; of data, its own between the ends of `grid`.
+        """
+        if self.is_data:
+            own, response = sorted_data(self.source)
+            inside = (own >= grid[0] * (1.0 - 1e-9)) & (own <= grid[-1] * (1.0 + 1e-9))
+            return own[inside], gaps(response[..., inside])
+        frequency = grid[grid <= self.nyquist]
+        return frequency, self.response(frequency)
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response of a system that is no data at `frequency` (N,), rad/s, as (p, m, N)."""
+        if self.arrays is not None:
+            return gaps(np.moveaxis(frequency_response_arrays(*self.arrays, frequency), 0, -1))
+        return gaps(_rational(self.source, frequency, self.dt))
+
+
+def drawn_systems(
+    name: str,
+    systems: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
+    labels: Sequence[str] | None = None,
+    *,
+    square: bool = False,
+    data: bool = True,
+) -> tuple[DrawnSystem, ...]:
+    """Return one or several systems judged and made alike.
+
+    Parameters
+    ----------
+    name
+        What the plot is called: it begins every message.
+    systems
+        `control.StateSpace`, `TransferFunction` or `FrequencyResponseData`; several in a sequence or under their
+        labels in a mapping.
+    labels
+        One for each; default the systems' names, or their numbers.
+    square
+        Whether as many outputs as inputs are needed (a loop transfer).
+    data
+        Whether data will do.
+
+    Raises
+    ------
+    ArgumentError
+        No system, another type, no sample period, not finite, not square, or labels that do not fit.
+    """
+    if isinstance(systems, Mapping):
+        if labels is not None:
+            raise ArgumentError(f"{name}: labels are given twice; expected them as keys or as labels")
+        labels, systems = [str(key) for key in systems], list(systems.values())
+    given = list(systems) if isinstance(systems, Sequence | np.ndarray) and not isinstance(systems, str) else [systems]
+    if not given:
+        raise ArgumentError(f"{name}: given no system; expected at least one")
+    texts = _labels(name, given, labels)
+    return tuple(
+        _drawn(name if len(given) == 1 else f"{name}: system {k + 1}", system, text, square, data)
+        for k, (system, text) in enumerate(zip(given, texts, strict=True))
+    )
+
+
+def _labels(name: str, systems: Sequence[Any], labels: Sequence[str] | None) -> list[str]:
+    if labels is None:
+        known = [str(getattr(system, "name", None) or "") for system in systems]
+        known = ["" if _NAMELESS.fullmatch(text) else text for text in known]
+        if len(systems) > 1:
+            known = [text if text and known.count(text) == 1 else f"{text} {k + 1}" for k, text in enumerate(known)]
+        return [drawable(text.strip()) for text in known]
+    if isinstance(labels, str):
+        labels = [labels]
+    try:
+        texts = list(labels)
+    except TypeError:
+        texts = [None]  # type: ignore[list-item]  # judged next
+    if not all(isinstance(text, str) for text in texts):
+        raise ArgumentError(f"{name}: labels: given {short(labels)}; expected strings")
+    if len(texts) != len(systems):
+        raise ArgumentError(f"{name}: labels: given {len(texts)}; expected {len(systems)}, one for each system")
+    return [drawable(text) for text in texts]
+
+
+def _drawn(where: str, system: Any, label: str, square: bool, data: bool) -> DrawnSystem:
+    if not all(hasattr(system, needed) for needed in ("input_labels", "output_labels", "dt")):
+        kinds = "control.StateSpace, TransferFunction" + (" or FrequencyResponseData" if data else "")
+        raise ArgumentError(f"{where}: given {short(system)}; expected a {kinds}, or several in a list")
+    if system.dt is True:
+        raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
+    p, m = system.noutputs, system.ninputs
+    if not p or not m or (square and p != m):
+        expected = "a square loop transfer" if square else "at least one of each"
+        raise ArgumentError(f"{where}: the system has {p} outputs and {m} inputs; expected {expected}")
+    dt = 0.0 if system.dt is None else float(system.dt)
+    arrays = None
+    nothing = np.zeros(0, dtype=np.complex128)
+    poles, zeros, undamped = nothing, nothing, np.zeros(0)
+    if hasattr(system, "frdata"):
+        if not data:
+            raise ArgumentError(f"{where}: given data; expected a control.StateSpace or TransferFunction")
+        if not np.any(sorted_data(system)[0]):
+            raise ArgumentError(f"{where}: the data have no frequency above 0; expected at least one")
+    elif hasattr(system, "num_list"):
+        arrays = _companion(where, system, dt)
+        if arrays is None:
+            poles, zeros = (_finite_roots(rows, dt) for rows in (system.den_list, system.num_list))
+    else:
+        arrays = state_arrays(system, where)
+    if arrays is not None:
+        poles, zeros, undamped = features(arrays)
+    return DrawnSystem(
+        label=label,
+        inputs=tuple(system.input_labels),
+        outputs=tuple(system.output_labels),
+        dt=dt,
+        poles=poles,
+        zeros=zeros,
+        undamped=undamped,
+        arrays=arrays,
+        source=system,
+    )
+
+
+def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Return finite poles and zeros (s-plane), and the frequencies > 0 of those on the stability boundary."""
+    A, B, C, D, dt = arrays
+    A, B, C = scaled(A, B, C)
+    on = np.zeros(len(A), dtype=np.bool_)
+    if len(A) <= _PRECISE:
+        poles, on = boundary_poles(A, dt)
+    else:
+        poles = continuous_poles(pole_arrays(A), dt)
+    p, m = D.shape
+    entries = [([i], [j]) for i in range(p) for j in range(m)] if p * m <= _ENTRIES else []
+    if 1 < p == m:
+        entries.append((list(range(p)), list(range(m))))
+    nothing = np.zeros(0, dtype=np.complex128)
+    found = [_zeros(A, B[:, j], C[i], D[np.ix_(i, j)], dt) for i, j in entries] if len(A) else []
+    zeros = np.concatenate([nothing, *found])
+    both = np.concatenate([poles, zeros])
+    with np.errstate(invalid="ignore"):
+        on = np.concatenate([on, np.zeros(len(zeros), dtype=np.bool_)]) | (np.abs(both.real) <= _ON * np.abs(both))
+    undamped = np.unique(np.abs(both.imag[on & np.isfinite(both) & (both.imag != 0.0)]))
+    return _finite(poles), _finite(zeros), undamped
+
+
+def _zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> ComplexArray:
+    """Return the finite transmission zeros, s-plane."""
+    from scipy.linalg import eigvals
+
+    n, size = len(A), len(A) + len(D)
+    M, N = np.zeros((size, size)), np.zeros((size, size))
+    largest = np.abs(A).max(initial=0.0) or 1.0
+    # Inputs and outputs in units that make all blocks alike.
+    columns, rows = (np.abs(block).max(axis=axis, initial=0.0) for block, axis in ((B, 0), (C, 1)))
+    columns, rows = (np.where(item > 0.0, item, 1.0) / largest for item in (columns, rows))
+    M[:n, :n], M[:n, n:], M[n:, :n] = A, B / columns, C / rows[:, None]
+    M[n:, n:] = D * (largest / columns) / rows[:, None] / largest
+    N[:n, :n] = np.eye(n)
+    with np.errstate(all="ignore"):
+        found = eigvals(M, N, check_finite=False)
+    found = found[np.isfinite(found)]
+    bound = 1e7 * max(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), 1.0 if dt else 0.0)
+    return continuous_poles(found[np.abs(found) <= bound], dt)
+
+
+def _finite(s: ComplexArray) -> ComplexArray:
+    return np.asarray(s[np.isfinite(s)])
+
+
+def _trimmed(polynomial: Any) -> FloatArray:
+    return np.trim_zeros(np.asarray(polynomial, dtype=np.float64), "f")
+
+
+def _finite_roots(rows: Any, dt: float) -> ComplexArray:
+    every = [np.roots(_trimmed(polynomial)).astype(np.complex128) for row in rows for polynomial in row]
+    return _finite(continuous_poles(np.concatenate(every), dt))
+
+
+def _companion(where: str, system: Any, dt: float) -> StateArrays | None:
+    """Return state-space arrays of a transfer function, entry by entry; None where an entry is improper."""
+    p, m = system.noutputs, system.ninputs
+    blocks, D = [], np.zeros((p, m))
+    for i in range(p):
+        for j in range(m):
+            num, den = _trimmed(system.num_list[i][j]), _trimmed(system.den_list[i][j])
+            if not (den.size and np.all(np.isfinite(num)) and np.all(np.isfinite(den))):
+                raise ArgumentError(f"{where}: a coefficient is not finite, or a denominator is 0; check the system")
+            n = len(den) - 1
+            if len(num) > n + 1:
+                return None
+            num = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
+            den = den / den[0]
+            D[i, j] = num[0]
+            blocks.append((i, j, den[1:], num[1:] - num[0] * den[1:]))
+    size = sum(len(den) for _, _, den, _ in blocks)
+    A, B, C = np.zeros((size, size)), np.zeros((size, m)), np.zeros((p, size))
+    at = 0
+    for i, j, den, num in blocks:
+        n = len(den)
+        if n and np.any(num):
+            A[at, at : at + n] = -den
+            A[np.arange(at + 1, at + n), np.arange(at, at + n - 1)] = 1.0
+            B[at, j] = 1.0
+            C[i, at : at + n] = num
+            at += n
+    return StateArrays(A[:at, :at], B[:at], C[:, :at], D, dt)
+
+
+def _rational(system: Any, frequency: FloatArray, dt: float) -> ComplexArray:
+    point = np.exp(1j * frequency * dt) if dt else 1j * frequency
+    out = np.empty((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)
+    with np.errstate(all="ignore"):
+        for i, j in np.ndindex(out.shape[:2]):
+            out[i, j] = np.polyval(system.num_list[i][j], point) / np.polyval(system.den_list[i][j], point)
+    return out
+
+
+def sorted_data(system: Any) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies > 0, ascending, and the response of data there."""
+    frequency = np.asarray(system.omega, dtype=np.float64)
+    order = np.argsort(frequency, kind="stable")
+    order = order[frequency[order] > 0.0]
+    return frequency[order], np.asarray(system.frdata, dtype=np.complex128)[..., order]
+
+
+def gaps(response: ComplexArray) -> ComplexArray:
+    """Return `response` with NaN where it is not finite: nothing is drawn there."""
+    out = np.array(response, dtype=np.complex128)
+    out[~np.isfinite(out)] = complex(math.nan, math.nan)
+    return out
+
+
+def unit(signal: str) -> str:
+    """Return the unit of a signal of this package by its name: rad, rad/s, N m, m/s²; empty where it is not known."""
+    name = signal.removeprefix("noise_")
+    if is_rate(name):
+        return "rad/s"
+    if name in FORCE_NAMES:
+        return "m/s²"
+    if name in ROOT_TORQUE_NAMES or re.fullmatch(r"Q\d.*|Q_\w+", name):
+        return "N m"
+    letters = re.match(r"[A-Za-z]+", name)
+    if name.startswith("q_") or (letters and letters[0] in LETTERS):
+        return "rad"
+    return ""
+
+
+def unit_of_gain(system: DrawnSystem) -> str:
+    """Return the unit that all entries share, of an output over an input; empty where they differ or are not known."""
+    above, below = ({unit(name) for name in names} for names in (system.outputs, system.inputs))
+    if len(above) != 1 or len(below) != 1 or "" in above | below:
+        return ""
+    return ratio_unit(above.pop(), below.pop())
+
+
+def ratio_unit(above: str, below: str) -> str:
+    """Return the unit of `above` over `below`; ``1`` where they are the same."""
+    if above == below:
+        return "1"
+    if not above or not below:
+        return ""
+    return (
+        f"{above}/({below})" if " " in below else f"{above} per {below}" if "/" in above + below else f"{above}/{below}"
+    )
+
+
+def drawable(text: str) -> str:
+    """Return a name as one short line of letters that the figures' font has."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    line = "".join(c if ord(c) < 128 or _has_glyph(c) else "\ufffd" for c in line)
+    return line if len(line) <= _LONGEST else line[: _LONGEST - 1] + "…"
+
+
+@lru_cache(maxsize=4096)
+def _has_glyph(letter: str) -> bool:
+    return _font().get_char_index(ord(letter)) != 0
+
+
+@lru_cache(maxsize=1)
+def _font() -> Any:
+    from matplotlib.font_manager import findfont, get_font
+
+    return get_font(findfont("DejaVu Sans"))
+
+
+def near_undamped(system: DrawnSystem, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
+    """Return where `frequency` is closer than `within`, relatively, to a pole or zero without damping."""
+    if not system.undamped.size:
+        return np.zeros(len(frequency), dtype=np.bool_)
+    at = np.clip(np.searchsorted(system.undamped, frequency), 1, len(system.undamped)) - 1
+    right = np.minimum(at + 1, len(system.undamped) - 1)
+    nearest = np.minimum(np.abs(frequency - system.undamped[at]), np.abs(frequency - system.undamped[right]))
+    return np.asarray(nearest < within * frequency)
