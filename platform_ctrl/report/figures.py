@@ -20,6 +20,7 @@ from platform_ctrl.report.loop_figures import (
     sensitivity_figure,
 )
 from platform_ctrl.report.plant_figures import nutation_figure
+from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
@@ -30,7 +31,9 @@ __all__ = [
     "nutation_figure",
     "platform_disturbance_figure",
     "pole_figure",
+    "root_locus",
     "root_locus_figure",
+    "root_locus_over_spin",
     "run_figure",
     "sensitivity_figure",
     "servo_figure",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
@@ -17,6 +15,7 @@ from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_pla
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.report.branches import followed, near_breakaways
 from platform_ctrl.state_space import state_space
 
 # Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
@@ -241,42 +240,13 @@ def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> R
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
     gains = np.linspace(0.0, highest, points)
-    gains = np.union1d(gains, _near_breakaways(gains, poles))
-    z = _branches(poles(gains))
+    gains = np.union1d(gains, near_breakaways(gains, poles))
+    z = followed(poles(gains))
     return RootLocus(
         gains=gains,
         branches=continuous_poles(z, plants.period),
         stable=np.abs(z).max(axis=1) < 1.0,
     )
-
-
-def _near_breakaways(gains: FloatArray, poles: Callable[[FloatArray], ComplexArray]) -> FloatArray:
-    """Return more gains around those where poles leave the real axis: there they move fastest."""
-
-    def real(z: ComplexArray) -> FloatArray:
-        return np.asarray((z.imag == 0.0).sum(axis=-1), dtype=np.float64)
-
-    counts = real(poles(gains))
-    at = np.flatnonzero(np.diff(counts))
-    low, high, left = gains[at].copy(), gains[at + 1].copy(), counts[at]
-    for _ in range(24 if at.size else 0):
-        middle = 0.5 * (low + high)
-        before = real(poles(middle)) == left
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    steps = (gains[1] - gains[0]) * (np.arange(-8, 9) / 8.0) ** 2 * np.sign(np.arange(-8, 9))
-    more = (high[:, None] + steps).ravel()
-    return np.asarray(more[(more >= gains[0]) & (more <= gains[-1])])
-
-
-def _branches(z: ComplexArray) -> ComplexArray:
-    """Sort the columns of each row so that every column moves as little as possible from row to row."""
-    from scipy.optimize import linear_sum_assignment
-
-    out = z.copy()
-    for k in range(1, len(z)):
-        distance = np.abs(out[k - 1][:, None] - z[k][None, :])
-        out[k] = z[k][linear_sum_assignment(distance)[1]]
-    return out
 
 
 def _frequency_first(response: ComplexArray) -> ComplexArray:

@@ -1,0 +1,149 @@
+"""Where words find room in a panel: beside what they name, off the curves, never on each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.style import INK, MUTED
+from platform_ctrl.report.svg_pieces import text_width
+
+# Directions in degrees, the favourite first, and distances in points at which words are tried.
+_WAYS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)
+_DISTANCES = (4.5, 9.0, 14.0)
+_LINE = 1.25  # height of a line over its font size
+_APART = 2.0  # between words, points
+
+
+class Places:
+    """Room for words in one panel whose limits are set.
+
+    Parameters
+    ----------
+    axes
+        The panel.
+    curves
+        Points (k, 2) in data coordinates that words had better not hide.
+    """
+
+    def __init__(self, axes: Axes, curves: Sequence[FloatArray] = ()) -> None:
+        axes.apply_aspect()
+        self.axes = axes
+        self._unit = 72.0 / axes.figure.dpi
+        box = axes.get_window_extent()
+        self._low, self._high = (np.array(corner) * self._unit for corner in (box.min, box.max))
+        self._ink = np.concatenate([np.zeros((0, 2)), *(_dense(self.points(curve)) for curve in curves)])
+        self._taken: list[tuple[FloatArray, FloatArray]] = []
+        self._later: list[tuple[str, float, float, tuple[int, ...]]] = []
+
+    def avoid(self, curves: Sequence[FloatArray]) -> None:
+        """Keep words off more curves, points (k, 2) each."""
+        self._ink = np.concatenate([self._ink, *(_dense(self.points(curve)) for curve in curves)])
+
+    def points(self, at: FloatArray) -> FloatArray:
+        """Return data coordinates (k, 2) as points of the page, those that are not finite left out."""
+        at = np.asarray(at, dtype=np.float64).reshape(-1, 2)
+        placed = self.axes.transData.transform(at[np.isfinite(at).all(axis=1)]) * self._unit
+        # Far outside nothing is written.
+        reach = self._high - self._low
+        return np.asarray(np.clip(placed, self._low - reach, self._high + reach))
+
+    def shows(self, x: float, y: float) -> bool:
+        """Whether a point lies within the panel."""
+        at = self.points(np.array([[x, y]]))
+        return bool(len(at) and np.all(at[0] >= self._low - 0.5) and np.all(at[0] <= self._high + 0.5))
+
+    def length(self, curve: ComplexArray) -> float:
+        """Return how long a curve in the upper half plane is within the panel, points."""
+        at = self.points(np.column_stack([curve.real, np.where(curve.imag < 0.0, np.nan, curve.imag)]))
+        inside = np.all((at > self._low - 1.0) & (at < self._high + 1.0), axis=1)
+        steps = np.linalg.norm(np.diff(at, axis=0), axis=1)
+        return float(steps[inside[1:] & inside[:-1]].sum())
+
+    def reserve(self, x: float, y: float, radius: float = 3.5) -> None:
+        """Keep words off a marker."""
+        for at in self.points(np.array([[x, y]])):
+            self._taken.append((at - radius, at + radius))
+
+    def later(self, text: str, x: float, y: float, ways: tuple[int, ...]) -> None:
+        """Remember what the panel's own scales say: it is written by `settle`, where the rest leaves room."""
+        self._later.append((text, x, y, ways))
+
+    def settle(self) -> None:
+        """Write what was remembered."""
+        for text, x, y, ways in self._later:
+            self.put(text, x, y, colour=MUTED, size=6.5, ways=ways)
+        self._later = []
+
+    def put(
+        self,
+        text: str,
+        x: float,
+        y: float,
+        *,
+        colour: str = INK,
+        size: float = 7.0,
+        bold: bool = False,
+        anyway: bool = False,
+        ways: Sequence[int] = _WAYS,
+    ) -> bool:
+        """Write `text` beside a point where there is room, and return whether there was; `anyway`: where it is best."""
+        if not self.shows(x, y):
+            return False
+        at = self.points(np.array([[x, y]]))[0]
+        lines = text.split("\n")
+        half = 0.5 * np.array([max(text_width(line, size) for line in lines), _LINE * size * len(lines)])
+        best: tuple[float, FloatArray] | None = None
+        for distance in _DISTANCES:
+            for rank, turn in enumerate(np.radians(ways)):
+                way = np.array([np.cos(turn), np.sin(turn)])
+                # Straight up or down the words stand centred, to the sides they begin or end at the point.
+                middle = at + distance * way + half * np.where(np.abs(way) > 0.3, np.sign(way), 0.0)
+                low, high = middle - half, middle + half
+                outside = float(np.maximum(0.0, np.maximum(self._low - low, high - self._high)).sum())
+                hidden = sum(bool(np.all(low - _APART < b) and np.all(a < high + _APART)) for a, b in self._taken)
+                if (outside > 0.5 or hidden) and not anyway:
+                    continue
+                crossed = int(np.count_nonzero(np.all((self._ink > low - 1.0) & (self._ink < high + 1.0), axis=1)))
+                cost = 0.6 * distance + 0.4 * rank + 1.5 * crossed + 40.0 * outside + 400.0 * hidden
+                if best is None or cost < best[0]:
+                    best = cost, middle
+        if best is None:
+            return False
+        self._write(text, at, best[1], half, colour, size, bold)
+        return True
+
+    def _write(
+        self, text: str, at: FloatArray, middle: FloatArray, half: FloatArray, colour: str, size: float, bold: bool
+    ) -> None:
+        self._taken.append((middle - half, middle + half))
+        x, y = self.axes.transData.inverted().transform(at / self._unit)
+        self.axes.annotate(
+            text,
+            (x, y),
+            tuple(middle - at),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            color=colour,
+            fontsize=size,
+            fontweight="bold" if bold else "normal",
+            annotation_clip=False,
+            zorder=6,
+        )
+
+
+def _dense(points: FloatArray) -> FloatArray:
+    """Return the points of a polyline with more between those that lie apart, page points."""
+    if len(points) < 2:
+        return points
+    out = [points]
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    for k in np.flatnonzero((gaps > 3.0) & (gaps < 2000.0)):
+        t = np.linspace(0.0, 1.0, int(gaps[k] / 3.0) + 2)[1:-1, None]
+        out.append((1.0 - t) * points[k] + t * points[k + 1])
+    return np.concatenate(out)

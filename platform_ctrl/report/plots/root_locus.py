@@ -1,0 +1,268 @@
+"""Root loci over the loop's gain and over the speed of the rotors, with the numbers written along the branches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
+from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.plots.loci import Locus, gain_locus, spin_locus
+from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.planes import s_plane, z_plane
+from platform_ctrl.report.quantities import listed
+from platform_ctrl.report.quantities import plain as number
+from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.description import Platform
+
+Plane = Literal["s", "z"]
+
+_HEIGHT = 5.6
+# Numbers written along the branches: about so many.
+_LABELS = 6
+# Branches shorter than this in the panel, points, carry none.
+_SHORTEST = 24.0
+
+
+@standalone
+def root_locus(
+    plant: control.StateSpace,
+    controller: control.StateSpace,
+    *,
+    gains: ArrayLike | None = None,
+    plane: Plane = "s",
+    reach: float | None = None,
+) -> control.ControlPlot:
+    """Poles of the closed loop while all of the controller's gains are multiplied by one factor.
+
+    Crosses stand where the factor is least (0: the poles of plant and controller), rings at the design itself; the
+    factors are written along the branches, and the stability boundary is crossed where the red diamonds are. Only the
+    upper half plane is drawn, the lower one is its mirror image.
+
+    Parameters
+    ----------
+    plant, controller
+        Joined as in `analysis.loop_transfer`: u = K y with no hidden sign; both continuous, or with the same sample
+        period. Several channels are closed together.
+    gains : (k,), optional
+        Increasing factors, at least two: the range. More are taken between them wherever poles run. Default 0 to 2.5.
+    plane
+        ``"s"``: a sampled loop by s = ln(z)/T; ``"z"``: as it is.
+    reach
+        How far the view of the s-plane goes, rad/s; default as far as the slow poles need.
+
+    Returns
+    -------
+    control.ControlPlot
+        Its ``locus`` holds the branches and the edges of stability in numbers.
+
+    Raises
+    ------
+    ArgumentError
+        Plant and controller do not fit, a direct gain makes the loop singular, or an option makes no sense.
+    """
+    return _drawn(gain_locus(plant, controller, gains), "gain", "loop gain / nominal", plane, reach)
+
+
+@standalone
+def root_locus_over_spin(
+    platform: Platform,
+    gimbals: Sequence[str] | None,
+    controller: control.StateSpace,
+    *,
+    rotors: Sequence[str] | None = None,
+    spins: ArrayLike | None = None,
+    period: float | None = None,
+    delay: float = 0.0,
+    Omega: ArrayLike = (0.0, 0.0, 0.0),
+    plane: Plane = "s",
+    reach: float | None = None,
+) -> control.ControlPlot:
+    """Poles of the closed loop while rotors run slower and faster and the controller stays as it is.
+
+    Drawn as `root_locus`. The plant is linearised about zero angles and `Omega`, with the lags of its torquers.
+
+    Parameters
+    ----------
+    platform
+        The plant.
+    gimbals
+        Names of the gimbals of one or several subsystems; None: all.
+    controller
+        u = K y, torque = K(pick-off); joined by signal names, by position where they are others.
+    rotors
+        Names of the rotors whose momentum changes, all by one factor; default all.
+    spins : (k,), optional
+        Increasing factors on the rotors' angular momenta, at least two: the range. Default 0.2 to 1.8.
+    period, delay
+        Of the sampled loop, s: sample period, and delay from sample to torque. None: a continuous loop.
+    Omega : (3,)
+        Constant platform rate, rad/s.
+    plane, reach
+        As in `root_locus`.
+
+    Returns
+    -------
+    control.ControlPlot
+        Its ``locus`` holds the branches and the edges of stability in numbers.
+
+    Raises
+    ------
+    ArgumentError
+        Names that do not exist, a controller that does not fit, no rotor that spins, or an option without sense.
+    """
+    locus = spin_locus(
+        platform, gimbals, controller, rotors=rotors, spins=spins, period=period, delay=delay, Omega=Omega
+    )
+    return _drawn(locus, "speed", "rotor speed / nominal", plane, reach)
+
+
+def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> Any:
+    import control
+
+    one_of("plane", plane, ("s", "z"))
+    if plane == "z" and not locus.dt:
+        raise ArgumentError("plane: given 'z' for a continuous loop; expected 's', or a sampled plant and controller")
+    view = locus.reach if reach is None else positive("reach", reach)
+    figure, [[axes]] = panels(1, 1, _HEIGHT, legend=1)
+    places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
+    points = locus.branches if plane == "z" else locus.s
+    nominal = locus.nominal if plane == "z" else continuous_poles(locus.nominal, locus.dt)
+    lines = _branches(axes, points)
+    curves = [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in lines]
+    places.avoid(curves)
+    handles: list[Any] = [Line2D([], [], marker="o", linestyle="-", markersize=3.2, color=SERIES[0], linewidth=1.3)]
+    names = [quantity]
+    at_start = f"{word} {number(locus.values[0], 3)}"
+    if locus.values[0] == 0.0 and word == "gain":
+        at_start += ": plant and controller"
+    for where, marker, colour, size, name in (
+        (points[0], "x", INK, 5.5, at_start),
+        (nominal, "o", SERIES[1], 7.0, f"{word} 1: nominal"),
+    ):
+        if marker == "o" and not locus.values[0] <= 1.0 <= locus.values[-1]:
+            continue
+        upper = _upper(where)
+        handles += axes.plot(
+            upper.real,
+            upper.imag,
+            linestyle="none",
+            marker=marker,
+            color=colour,
+            markersize=size,
+            markerfacecolor="none",
+            markeredgewidth=1.3,
+            zorder=4,
+        )
+        names.append(name)
+        for s in upper:
+            places.reserve(s.real, s.imag, 4.0)
+    marks = _dots(axes, places, locus, points)
+    ends = _edges(axes, places, locus, plane, word)
+    if ends is not None:
+        handles.append(ends)
+        names.append("stability begins or ends")
+    for text, at in marks:
+        places.put(text, at.real, at.imag)
+    places.settle()
+    legend_above(figure, handles, names)
+    axes.set_title(f"{_stable_words(locus, word)}")
+    plot = control.ControlPlot(np.array([lines], dtype=object), np.array([[axes]]), figure)
+    plot.locus = locus
+    return plot
+
+
+def _branches(axes: Axes, points: ComplexArray) -> list[Line2D]:
+    size = np.abs(np.where(np.isfinite(points), points, 0.0)).max(initial=1e-300)
+    lines: list[Line2D] = []
+    for branch in points.T:
+        shown = np.where(np.isfinite(branch) & (branch.imag > -1e-9 * size), branch, complex(np.nan, np.nan))
+        if np.isfinite(shown.real).any():
+            lines += axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.3, zorder=2)
+    return lines
+
+
+def _edges(axes: Axes, places: Places, locus: Locus, plane: Plane, word: str) -> Line2D | None:
+    """Mark the poles that lie on the boundary where stability begins or ends, each with its number."""
+    drawn: Line2D | None = None
+    for edge in locus.edges:
+        k = int(np.argmin(np.abs(locus.values - edge)))
+        s = locus.s[k]
+        outermost = _upper(s[np.isfinite(s)])
+        if not outermost.size:
+            continue
+        pole = outermost[int(np.argmax(outermost.real))]
+        at = np.exp(pole * locus.dt) if plane == "z" else 1j * pole.imag
+        [drawn] = axes.plot([at.real], [at.imag], "D", color=LIMIT, markersize=5.0, linestyle="none", zorder=5)
+        places.reserve(at.real, at.imag, 4.0)
+        places.put(f"{word} {number(edge, 3)}", at.real, at.imag, colour=LIMIT, size=7.5, bold=True, anyway=True)
+    return drawn
+
+
+def _dots(axes: Axes, places: Places, locus: Locus, points: ComplexArray) -> list[tuple[str, complex]]:
+    """Put dots at round numbers on every branch; return the numbers with their places, the least damped first."""
+    chosen = [
+        x for x in _round_numbers(float(locus.values[0]), float(locus.values[-1])) if x not in (locus.values[0], 1)
+    ]
+    rows = [int(np.argmin(np.abs(locus.values - x))) for x in chosen]
+    finite = np.where(np.isfinite(points), points, 0.0)
+    scale = float(np.abs(finite).max(initial=1e-300))
+    long = [k for k, branch in enumerate(points.T) if places.length(branch) > _SHORTEST]
+    s = continuous_poles(locus.branches[rows], locus.dt)
+    ratio = np.where(np.isfinite(s), damping_ratio(s), 1.0).min(axis=0, initial=1.0)
+    out: list[tuple[str, complex]] = []
+    for column in sorted(long, key=lambda k: float(ratio[k])):
+        for x, row in zip(chosen, rows, strict=True):
+            at = complex(points[row, column])
+            if np.isfinite(at) and at.imag >= -1e-9 * scale:
+                axes.plot([at.real], [at.imag], "o", color=SERIES[0], markersize=3.2, linestyle="none", zorder=3)
+                places.reserve(at.real, at.imag, 1.8)
+                out.append((number(x, 3), at))
+    return out
+
+
+def _round_numbers(low: float, high: float) -> FloatArray:
+    if low > 0.0 and high > 20.0 * low:
+        units = np.outer(10.0 ** np.arange(np.floor(np.log10(low)), np.log10(high) + 1.0), [1.0, 2.0, 5.0]).ravel()
+        return np.asarray(units[(units >= low * (1.0 - 1e-12)) & (units <= high * (1.0 + 1e-12))])
+    rough = (high - low) / _LABELS
+    decade = 10.0 ** np.floor(np.log10(rough))
+    step = decade * min((1.0, 2.0, 5.0, 10.0), key=lambda unit: abs(np.log(unit * decade / rough)))
+    first = np.ceil(low / step - 1e-9)
+    return np.asarray(np.round(np.arange(first, np.floor(high / step + 1e-9) + 1.0) * step, 12) + 0.0)
+
+
+def _stable_words(locus: Locus, word: str) -> str:
+    low, high = float(locus.values[0]), float(locus.values[-1])
+    span = f"{number(low, 3)} to {number(high, 3)}"
+    ranges = locus.stable_ranges
+    if not ranges:
+        return f"{word} {span}: stable nowhere"
+    if ranges == [(low, high)]:
+        return f"{word} {span}: stable everywhere"
+    told = []
+    for start, end in ranges:
+        if start == low:
+            told.append(f"below {number(end, 4)}")
+        elif end == high:
+            told.append(f"above {number(start, 4)}")
+        else:
+            told.append(f"between {number(start, 4)} and {number(end, 4)}")
+    return f"{word} {span}: stable {listed(told)}"
+
+
+def _upper(z: ComplexArray) -> ComplexArray:
+    """Poles of the closed upper half plane that are finite."""
+    return np.asarray(z[np.isfinite(z.real) & (z.imag >= -1e-9 * np.maximum(np.abs(z), 1e-12))])
