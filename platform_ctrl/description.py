@@ -30,7 +30,7 @@ class Gimbal:
     name, parent
         Names of this gimbal and of the body that carries it (another gimbal or the root).
     axis : (3,)
-        Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes.
+        Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes; dimensionless.
     inertia : (3, 3)
         The gimbal's own body without rotors, kg m², in its own axes.
     angle
@@ -39,6 +39,12 @@ class Gimbal:
         Lowest and highest angle, rad, or None.
     restitution
         Share of the rate that a stop gives back, 0 to 1; 0: the gimbal stays at its stop.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, section 2.
+
+    See docs/plant-file.md.
     """
 
     name: str
@@ -59,7 +65,7 @@ class Rotor:
     name, carrier
         Names of the rotor and of the gimbal (or root) that it spins in.
     axis : (3,)
-        Unit vector of the spin axis in the carrier's axes.
+        Unit vector of the spin axis in the carrier's axes; dimensionless.
     axial_inertia, transverse_inertia
         C and A of the paper, kg m².
     angular_momentum
@@ -73,6 +79,12 @@ class Rotor:
         Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
     torque_limit
         Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
+
+    See docs/plant-file.md.
     """
 
     name: str
@@ -108,6 +120,10 @@ class Torquer:
         Time constant of the first-order lag from command to torque, s.
     rate_limit
         Largest rate at which the torque follows its command, N m/s, or None.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     name: str
@@ -137,6 +153,10 @@ class PickOff:
         White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
     quantisation
         Step of the reading, rad; 0 for none.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     name: str
@@ -146,7 +166,22 @@ class PickOff:
     quantisation: float = 0.0
 
     def sampled_noise(self, period: float) -> float:
-        """Rms of one sample, rad, when sampled every `period` s behind a filter at the Nyquist frequency."""
+        """Return the rms of one sample behind a filter at the Nyquist frequency.
+
+        Parameters
+        ----------
+        period
+            Sample period, s.
+
+        Returns
+        -------
+        float
+            rad.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
 
 
@@ -164,6 +199,10 @@ class RateSensor:
         White noise: `noise_rms` rad/s within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
     quantisation
         Step of the reading, rad/s; 0 for none.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     name: str
@@ -174,7 +213,22 @@ class RateSensor:
     quantisation: float = 0.0
 
     def sampled_noise(self, period: float) -> float:
-        """Rms of one sample, rad/s, when sampled every `period` s behind a filter at the Nyquist frequency."""
+        """Return the rms of one sample behind a filter at the Nyquist frequency.
+
+        Parameters
+        ----------
+        period
+            Sample period, s.
+
+        Returns
+        -------
+        float
+            rad/s.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
 
 
@@ -189,15 +243,23 @@ class Platform:
     ----------
     name, source
         Title, and where the numbers come from.
-    root_name, root_inertia : (3, 3)
-        The body whose rate is Omega, with everything rigidly attached, kg m².
+    root_name
+        Name of the body whose rate is Omega.
+    root_inertia : (3, 3)
+        Of that body with everything rigidly attached, kg m².
     gimbals, rotors, torquers, pickoffs, rate_sensors
-        In the file's order.
+        What the plant has of each, in the file's order.
     springs, frictions, cages, unbalances, erections
         What acts besides the torquers, in the file's order.
     specific_force : (3,)
         f of the fixed point in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
         (at rest it points upward). It turns with the root.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, section 2.
+
+    See docs/plant-file.md.
     """
 
     name: str
@@ -248,6 +310,16 @@ class Platform:
     def body(self, name: str) -> int:
         """Return the number of a body: 0 the root, 1 + k that of gimbal k.
 
+        Parameters
+        ----------
+        name
+            Of the root or of a gimbal.
+
+        Returns
+        -------
+        int
+            From 0 to n.
+
         Raises
         ------
         ArgumentError
@@ -257,6 +329,16 @@ class Platform:
 
     def gimbal(self, name: str) -> int:
         """Return the index of the named gimbal.
+
+        Parameters
+        ----------
+        name
+            Of a gimbal.
+
+        Returns
+        -------
+        int
+            From 0 to n − 1.
 
         Raises
         ------
@@ -268,6 +350,16 @@ class Platform:
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.
 
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        Torquer
+            The first one in the file's order.
+
         Raises
         ------
         ArgumentError
@@ -278,6 +370,16 @@ class Platform:
     def pickoff_on(self, gimbal: str) -> PickOff:
         """Return the pick-off of the named gimbal.
 
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        PickOff
+            The first one in the file's order.
+
         Raises
         ------
         ArgumentError
@@ -287,22 +389,69 @@ class Platform:
 
 
 def gimbal_rate(angle: str) -> str:
-    """Return the signal name of a gimbal's rate, from that of its angle."""
+    """Return the signal name of a gimbal's rate, from that of its angle.
+
+    Parameters
+    ----------
+    angle
+        Name of the gimbal's angle.
+
+    Returns
+    -------
+    str
+        The same with ``_rate`` behind it.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Own definition.
+    """
     return f"{angle}_rate"
 
 
 def is_rate(signal: str) -> bool:
-    """Return whether a signal's name is that of a rate, of the root or of a gimbal."""
+    """Return whether a signal's name is that of a rate, of the root or of a gimbal.
+
+    Parameters
+    ----------
+    signal
+        Name of a signal.
+
+    Returns
+    -------
+    bool
+        True for Omega1 to Omega3 and for names that end in ``_rate``.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Own definition.
+    """
     return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
 
 
 def expect_platform(given: object) -> None:
     """Judge an argument that has to be a platform.
 
+    Parameters
+    ----------
+    given
+        What a caller passed as a platform.
+
     Raises
     ------
     ArgumentError
         It is something else, for example its name.
+
+    References
+    ----------
+    Own definition.
     """
     if not isinstance(given, Platform):
         raise ArgumentError(f"platform: given {short(given)}; expected a Platform, for example from read_platform")

@@ -19,9 +19,13 @@ class Spring:
     gimbal
         Name of the gimbal.
     stiffness
-        N m/rad; negative where a field or a flexure drives the gimbal away.
+        Torque per angle, N m/rad; negative where a field or a flexure drives the gimbal away.
     rest
         Angle at which it is relaxed, rad.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     gimbal: str
@@ -41,17 +45,22 @@ class Friction:
     gimbal
         Name of the gimbal.
     viscous
-        N m s.
+        Torque per rate, N m s.
     coulomb
         Dry friction of fast sliding against negative and against positive rates, N m, both >= 0.
     coulomb_rate
         Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
         so that equations and integrators stay well-defined.
     breakaway
-        Dry friction at the begin of sliding, the same way; not less than `coulomb`, which stands in where it would be.
+        Dry friction at the begin of sliding, N m, the same way; not less than `coulomb`, which stands in where it would
+        be.
     stribeck_rate
         Rate at which 1/e of the difference is left, rad/s. Infinite: there is no Stribeck curve, and `breakaway` is
         `coulomb`.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     gimbal: str
@@ -69,7 +78,22 @@ class Friction:
         object.__setattr__(self, "breakaway", raised)
 
     def dry(self, rate: float) -> float:
-        """Return the dry part of the friction torque at a rate in rad/s, N m, without its minus sign."""
+        """Return the dry part of the friction torque, without its minus sign.
+
+        Parameters
+        ----------
+        rate
+            Rate of the gimbal, rad/s.
+
+        Returns
+        -------
+        float
+            N m.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         side = 0 if rate < 0.0 else 1
         left = math.exp(-((rate / self.stribeck_rate) ** 2)) if abs(rate) < 30.0 * self.stribeck_rate else 0.0
         level = self.coulomb[side] + (self.breakaway[side] - self.coulomb[side]) * left
@@ -100,11 +124,15 @@ class Cage:
     gimbal
         Name of the gimbal.
     stiffness, damping
-        N m/rad, N m s.
+        Of the contact, N m/rad and N m s.
     clearance
         Free play to either side, rad.
     angle
         Middle of the cage, rad.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     gimbal: str
@@ -126,6 +154,10 @@ class Unbalance:
         Name of the gimbal or of the root, rotors included.
     moment : (3,)
         Mass times offset of the centre of mass from the fixed point, body axes, kg m.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     body: str
@@ -146,11 +178,15 @@ class Erection:
     senses
         Name of the body that carries the sensor.
     axis : (3,)
-        Sensing axis s, a unit vector in that body's axes.
+        Sensing axis s, a unit vector in that body's axes; dimensionless.
     gain
         N m per unit of the sine of the tilt.
     limit
         Largest torque, N m, or None.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
 
     gimbal: str

@@ -29,6 +29,10 @@ class Spread:
         Relative half-widths: of J about every gimbal axis, of L of every rotor.
     samples
         Number of plants taken from inside this box, beside its corners.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     inertia: float = 0.0
@@ -46,6 +50,10 @@ class Faults:
         Share of its L that a rotor keeps; 0: it has stopped.
     weak_torquer
         Share of its torque that a torquer keeps.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     slow_rotor: float | None = None
@@ -54,7 +62,19 @@ class Faults:
 
 @value
 class Sampling:
-    """Sample period and the delay from sample to torque, both in s."""
+    """Sample period, and how long the computer takes.
+
+    Attributes
+    ----------
+    period
+        From sample to sample, s.
+    delay
+        From the sample to the torque, s.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
 
     period: float
     delay: float
@@ -71,11 +91,15 @@ class DesignSpec:
     method
         Which method makes it.
     options
-        The method's own numbers, by the names of the job file.
+        The method's own numbers, by the names of the job file, in SI units.
     tune
         Whether the method may move the options to meet the loop's limits.
     structure
         What a structured controller is made of; None leaves it to the method.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     name: str
@@ -95,17 +119,17 @@ class LoopLimits:
     Attributes
     ----------
     bandwidth_hz
-        Lowest frequency where the largest singular value of S reaches 1/sqrt(2), at least.
+        Lowest frequency where the largest singular value of S reaches 1/sqrt(2), Hz, at least.
     disk_margin, disk_margin_spread, disk_margin_faults
-        1/‖(S − T)/2‖ at least.
+        1/‖(S − T)/2‖, dimensionless, at least.
     sensitivity_peak, sensitivity_peak_spread, complementary_peak, complementary_peak_spread
-        ‖S‖ and ‖T‖ at most, the larger of plant input and output.
+        ‖S‖ and ‖T‖, dimensionless, at most, the larger of plant input and output.
     damping, damping_spread, damping_faults
         Damping ratio of every closed-loop pole above a tenth of the nutation frequency, at least.
     fastest_pole
         Largest magnitude of a closed-loop pole, in the w-plane of a sampled loop, rad/s, at most.
     tracking, tracking_hz
-        Largest singular value of S at the output up to `tracking_hz`, at most.
+        Largest singular value of S at the output, dimensionless, up to `tracking_hz`, Hz, at most.
     Omega_rejection
         Peak gain from the platform's rate to the angles, rad per rad/s, at most.
     torque_rejection
@@ -113,12 +137,16 @@ class LoopLimits:
     torque_noise
         Rms torque from pick-off noise, N m, per torquer, at most.
     torque_limit, torque_limit_hz
-        Torque amplitude that any platform rate within the job's Omega asks for, over the torquer's limit, at most; for
-        rates up to `torque_limit_hz`, None: of any frequency.
+        Torque amplitude that any platform rate within the job's Omega asks for, as a share of the torquer's limit, at
+        most; for rates up to `torque_limit_hz`, Hz, None: of any frequency.
     controller_poles
         Largest magnitude of a pole of the controller, in the w-plane of a sampled one, rad/s, at most.
     controller_gain
         Largest singular value of the controller above a tenth of the nutation frequency, N m/rad, at most.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     bandwidth_hz: float | None = None
@@ -158,6 +186,10 @@ class LoopSpec:
         What it has to reach: the verdict rests on it.
     soft
         Goals: a method that optimises makes their largest ratio small within the limits. No part of the verdict.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     name: str
@@ -176,9 +208,13 @@ class CoupledLimits:
     Attributes
     ----------
     disk_margin
-        Simultaneous disk margin in all channels, at least.
+        Simultaneous disk margin in all channels, dimensionless, at least.
     coupling_cost
         Largest relative loss of a loop-by-loop disk margin against the decoupled design.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     disk_margin: float | None = None
@@ -195,6 +231,8 @@ class Manoeuvre:
         ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free and a torque acts on it.
     axis
         Root axis of the rate or torque, 1 to 3.
+    duration
+        Length of the run, s.
     rate, rise, hold
         Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s; no rate: none.
     torque
@@ -207,11 +245,13 @@ class Manoeuvre:
         Names of the faults that happen in it.
     initial
         What does not begin at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
-    duration
-        Length of the run, s.
     limits
         ``angle``: largest gimbal angle, rad; ``attitude``: largest platform angle, rad; ``torque_share``: largest
         share of a torquer's limit (1: at the limit).
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     name: str
@@ -232,7 +272,19 @@ class Manoeuvre:
 
 @value
 class CampaignManoeuvre:
-    """A manoeuvre of a campaign, and how often it is flown relative to the others."""
+    """A manoeuvre of a campaign.
+
+    Attributes
+    ----------
+    name
+        Of a manoeuvre of the job.
+    weight
+        How often it is flown, relative to the others.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
 
     name: str
     weight: float = 1.0
@@ -240,7 +292,19 @@ class CampaignManoeuvre:
 
 @value
 class CampaignFault:
-    """A fault of the job that happens in a run with a probability."""
+    """A fault of the job that happens in some runs.
+
+    Attributes
+    ----------
+    fault
+        Its name.
+    probability
+        That it happens in a run: probability from 0 to 1.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
 
     fault: str
     probability: float
@@ -262,6 +326,10 @@ class Campaign:
         Which are flown; none: all of the job's, equally often.
     vary, faults
         What differs from run to run, and what may fail.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     runs: int = 1000
@@ -279,6 +347,33 @@ class Job:
 
     `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone. `faults` are
     those that the design allows for, `fault_events` those that happen at a time in a simulated run.
+
+    Attributes
+    ----------
+    name, plant
+        Title; the shipped name or path of the plant.
+    platform
+        The plant itself.
+    Omega : (3,)
+        Largest platform rate about each axis, rad/s.
+    spread, faults
+        How far the parameters may lie from their nominal values, and the faults that the design allows for.
+    sampling
+        Sample period and delay of the controllers.
+    loops, coupled
+        The loops with their designs and limits, and what all of them together have to reach.
+    manoeuvres, fault_events
+        The simulated runs, and the faults that happen at a time in them.
+    seed
+        What everything random in design and simulation is drawn from.
+    Omega_grid
+        Number of points between −Omega and Omega about each axis; 2: the corners alone.
+    campaign
+        Many runs, or None.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     name: str
@@ -298,7 +393,10 @@ class Job:
 
     @property
     def flown(self) -> tuple[tuple[Manoeuvre, float], ...]:
-        """Manoeuvres of the campaign with their weights; all alike where it names none or there is no campaign."""
+        """Manoeuvres of the campaign with their weights, relative to one another.
+
+        All alike where it names none or there is no campaign.
+        """
         if self.campaign is None or not self.campaign.manoeuvres:
             return tuple((manoeuvre, 1.0) for manoeuvre in self.manoeuvres)
         by_name = {manoeuvre.name: manoeuvre for manoeuvre in self.manoeuvres}
@@ -306,7 +404,29 @@ class Job:
 
 
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
-    """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0."""
+    """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0.
+
+    Parameters
+    ----------
+    job
+        The job that it stands in.
+    manoeuvre
+        One of the job's.
+
+    Returns
+    -------
+    Scenario
+        With the job's seed as run 0.
+
+    Raises
+    ------
+    ArgumentError
+        The manoeuvre does not fit the plant.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     caged = manoeuvre.mode == "caged"
     torque = np.zeros(3)
     torque[manoeuvre.axis - 1] = manoeuvre.torque

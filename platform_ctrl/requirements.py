@@ -84,9 +84,9 @@ class CheckResult:
     subject, design
         Loop or manoeuvre; name of the design, empty where all closed loops are meant.
     value, limit, unit, sense
-        As measured and as asked.
+        As measured and as asked, both in `unit`.
     ratio
-        At most 1 when met.
+        Dimensionless; at most 1 when met.
     passed
         Whether it is.
     stage
@@ -95,6 +95,10 @@ class CheckResult:
         What recomputes the value.
     hard
         Whether the verdict rests on it; a goal that is missed is no failure.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
 
     name: str
@@ -125,9 +129,13 @@ class Requirement:
     name
         The figure, in the field's words.
     limit, unit, sense
-        The bound, > 0.
+        The bound, > 0, in `unit`, and whether it is one from above or below.
     hard
         Whether it has to be met; a soft one is a goal, made as small as the hard ones allow.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     name: str
@@ -137,7 +145,22 @@ class Requirement:
     hard: bool = True
 
     def ratio(self, measured: float) -> float:
-        """Return a number that is at most 1 when `measured` meets the bound; infinite when it is no number."""
+        """Return a number that is at most 1 when the bound is met.
+
+        Parameters
+        ----------
+        measured
+            The figure, in the requirement's unit.
+
+        Returns
+        -------
+        float
+            Dimensionless; infinite when `measured` is no number.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         measured = float(measured)
         if not np.isfinite(measured):
             return float("inf")
@@ -146,7 +169,30 @@ class Requirement:
         return self.limit / measured if measured > 0.0 else float("inf")
 
     def judge(self, measured: float, *, subject: str, stage: Stage, evidence: str, design: str = "") -> CheckResult:
-        """Hold `measured` against the bound: met where the ratio is at most 1."""
+        """Hold a measured figure against the bound: met where the ratio is at most 1.
+
+        Parameters
+        ----------
+        measured
+            The figure, in the requirement's unit.
+        subject
+            Loop or manoeuvre.
+        stage
+            Where in the chain it was measured.
+        evidence
+            What recomputes it.
+        design
+            Name of the design.
+
+        Returns
+        -------
+        CheckResult
+            With ratio and verdict.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         ratio = self.ratio(measured)
         return CheckResult(
             name=self.name,
@@ -175,7 +221,7 @@ class LoopRequirement(Requirement):
     Attributes
     ----------
     kind
-        Which figure.
+        Which figure, as in `requirement`.
     over
         Of which groups of plants it is asked.
     frequency
@@ -183,6 +229,16 @@ class LoopRequirement(Requirement):
         None: from a tenth of the nutation frequency.
     channel
         "H-infinity norm" and "H2 norm": between which signals, with which weights; None: all signals.
+    name
+        The figure, in the field's words.
+    limit, unit, sense
+        The bound, > 0, in `unit`, and whether it is one from above or below.
+    hard
+        Whether it has to be met; a soft one is a goal.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     kind: Kind
@@ -198,6 +254,16 @@ class LoopRequirement(Requirement):
     def figures(self, measures: LoopMeasures) -> FloatArray:
         """Return the figures that this bound is held against, one or several.
 
+        Parameters
+        ----------
+        measures
+            Taken with this requirement among what was asked.
+
+        Returns
+        -------
+        (k,)
+            In the requirement's unit.
+
         Raises
         ------
         ArgumentError
@@ -206,11 +272,47 @@ class LoopRequirement(Requirement):
         return measures.figures(self)
 
     def ratios(self, measures: LoopMeasures) -> FloatArray:
-        """Return a ratio for every figure."""
+        """Return a ratio for every figure.
+
+        Parameters
+        ----------
+        measures
+            Taken with this requirement among what was asked.
+
+        Returns
+        -------
+        (k,)
+            Dimensionless; at most 1 where the bound is met.
+
+        Raises
+        ------
+        ArgumentError
+            `measures` were taken without this requirement.
+        """
         return np.array([self.ratio(float(figure)) for figure in self.figures(measures)])
 
     def result(self, plants: PlantSet, measures: LoopMeasures, *, subject: str = "", design: str = "") -> CheckResult:
-        """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from."""
+        """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from.
+
+        Parameters
+        ----------
+        plants
+            The plants that were measured.
+        measures
+            Taken with this requirement among what was asked.
+        subject, design
+            Names for the result.
+
+        Returns
+        -------
+        CheckResult
+            Of the worst figure.
+
+        Raises
+        ------
+        ArgumentError
+            `measures` were taken without this requirement.
+        """
         return self._worst(plants, self.figures(measures), subject, design)
 
     def _worst(self, plants: PlantSet, figures: FloatArray, subject: str, design: str) -> CheckResult:
@@ -245,6 +347,11 @@ class LoopRequirement(Requirement):
         subject, design
             Names for the result.
 
+        Returns
+        -------
+        CheckResult
+            Of the worst plant.
+
         Raises
         ------
         ArgumentError
@@ -273,6 +380,11 @@ class LoopRequirement(Requirement):
         above
             "damping": poles slower than this, rad/s, do not count.
 
+        Returns
+        -------
+        CheckResult
+            Of this one loop.
+
         Raises
         ------
         ArgumentError
@@ -297,6 +409,18 @@ class LoopRequirement(Requirement):
 
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge a controller by itself: kinds "controller poles" and "controller gain" (from `frequency` on).
+
+        Parameters
+        ----------
+        controller
+            Continuous or sampled.
+        subject, design
+            Names for the result.
+
+        Returns
+        -------
+        CheckResult
+            Of the controller alone.
 
         Raises
         ------
@@ -337,7 +461,7 @@ def requirement(
         for any sinusoidal platform rate, up to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity
         norm"``, ``"H2 norm"`` (of `channel`), ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
     limit
-        > 0.
+        > 0, in the unit of the kind.
     over
         Of which groups of plants: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
     hard
@@ -349,10 +473,19 @@ def requirement(
     name
         Instead of the kind's own.
 
+    Returns
+    -------
+    LoopRequirement
+        The same object for tuning, checking and reporting.
+
     Raises
     ------
     ArgumentError
         An unknown kind or group, a limit that is not > 0, or a frequency or channel that is missing or means nothing.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     one_of("requirement: kind", kind, get_args(Kind))
     over = tuple(over)
@@ -380,7 +513,27 @@ def requirement(
 
 
 def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
-    """Return what `limits` ask of a loop; stability of every plant that something is asked of is always asked."""
+    """Return what `limits` ask of a loop; stability of every plant that something is asked of is always asked.
+
+    Parameters
+    ----------
+    limits
+        As a job file has them.
+
+    Returns
+    -------
+    tuple of LoopRequirement
+        One for each number given, and stability.
+
+    Raises
+    ------
+    ArgumentError
+        A limit that is not > 0, or a frequency that is missing.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     always = [
         requirement("stability", STABLE.limit),
         requirement("stability", STABLE.limit, over=SPREAD, name="slowest decay over the spread"),
@@ -393,7 +546,27 @@ def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
 def hard_and_soft(
     limits: LoopLimits, soft: LoopLimits
 ) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:
-    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on."""
+    """Return the limits of a loop, stability among them, and its goals, which no verdict rests on.
+
+    Parameters
+    ----------
+    limits, soft
+        What has to be met, and the goals.
+
+    Returns
+    -------
+    hard, soft
+        Requirements of either kind.
+
+    Raises
+    ------
+    ArgumentError
+        A limit that is not > 0, or a frequency that is missing.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     return loop_requirements(limits), _asked(soft, hard=False)
 
 

@@ -45,6 +45,10 @@ class HalfCosine:
         Rate that is held, rad/s.
     rise, hold
         Length of the rise (and of the fall), and of the time between, s.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     axis: int
@@ -60,13 +64,17 @@ class TimeTable:
     Attributes
     ----------
     t : (k,)
-        Increasing, s.
+        Times of the points, increasing, s.
     values : (k, 3)
         Of a rate, rad/s, or a torque, N m, in root axes.
     smooth
         Between the points: a cubic spline with natural ends, or straight lines.
     scale
-        Factor on all of them.
+        Factor on all of the values.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     t: FloatArray
@@ -81,7 +89,10 @@ class TimeTable:
 
     @property
     def pieces(self) -> FloatArray:
-        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point; unscaled."""
+        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point.
+
+        SI units, unscaled.
+        """
         if self.smooth:
             from scipy.interpolate import CubicSpline
 
@@ -94,7 +105,22 @@ class TimeTable:
         return out
 
     def at(self, t: ArrayLike) -> FloatArray:
-        """Return the three numbers at times of any shape, (..., 3)."""
+        """Return the three numbers at given times.
+
+        Parameters
+        ----------
+        t : any shape (...)
+            Times, s.
+
+        Returns
+        -------
+        (..., 3)
+            In the units of `values`, scaled.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         times = np.clip(np.asarray(t, dtype=np.float64), self.t[0], self.t[-1])
         if len(self.t) == 1:
             return self.scale * np.broadcast_to(self.values[0], (*times.shape, 3))
@@ -116,11 +142,16 @@ class Vibration:
         ``"rate"`` adds to the prescribed Omega (caged alone); ``"force"`` adds to the specific force.
     axis
         Root axis, 1 to 3.
-    frequencies_hz : (k,), densities : (k,)
-        Increasing, Hz; (rad/s)²/Hz or (m/s²)²/Hz. Straight lines between the points on logarithmic scales, zero
-        outside.
+    frequencies_hz : (k,)
+        Increasing, Hz.
+    densities : (k,)
+        One-sided, (rad/s)²/Hz or (m/s²)²/Hz. Straight lines between the points on logarithmic scales, zero outside.
     lines
         Number of sinusoids.
+
+    References
+    ----------
+    M. Shinozuka, Journal of the Acoustical Society of America 49, 1971.
     """
 
     kind: VibrationKind
@@ -176,6 +207,10 @@ class Fault:
         When it begins and when the part is sound again, s.
     share, time_constant, amplitude, frequency_hz, rate, probability, impulse
         Numbers of the kinds above: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     name: str
@@ -194,7 +229,19 @@ class Fault:
 
 @value
 class FaultKeys:
-    """What a kind of fault is made of beside `at`: the part that fails, the numbers it needs and those it may have."""
+    """What a kind of fault is made of beside `at`.
+
+    Attributes
+    ----------
+    part
+        The kind of part that fails; None for the controllers.
+    needed, optional
+        Names of the numbers that it needs, and of those it may have.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
 
     part: PartKind | None
     needed: tuple[str, ...] = ()
@@ -230,11 +277,13 @@ class Scenario:
     mode
         ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free.
     duration, delay
-        Length of the run, delay from sample to torque, s.
+        Length of the run, and from the sample to the torque, s.
     profile, Omega_table
         Caged: what Omega is the sum of, rate vibration included; none of them: zero.
-    torque : (3,), torque_table
-        Stabilised: torques on the platform in its own axes, N m; they add up.
+    torque : (3,)
+        Stabilised: constant torque on the platform in its own axes, N m; `torque_table` adds to it.
+    torque_table
+        Stabilised: a torque over time, or None.
     vibrations
         Of the base.
     faults
@@ -242,14 +291,20 @@ class Scenario:
         samples, then is stuck, then dead.
     q, rate : (n,)
         Gimbal angles and their rates at t = 0, rad and rad/s; empty: all zero.
-    Omega : (3,), attitude : (4,)
-        Platform rate (stabilised alone) and unit quaternion w, x, y, z at t = 0.
+    Omega : (3,)
+        Platform rate at t = 0 (stabilised alone), rad/s.
+    attitude : (4,)
+        Unit quaternion w, x, y, z of the platform at t = 0, dimensionless.
     spin : (servo rotors,)
         Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
     seed, run
         What the noise is drawn from.
     limits
         Largest ``angle``, ``attitude``, ``torque_share``, as in `platform_ctrl.job.Manoeuvre`.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     platform: Platform

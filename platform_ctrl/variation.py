@@ -35,12 +35,17 @@ class Vary:
     distribution
         What it is drawn from.
     numbers
-        What the distribution is made of: ``low``, ``high``, ``mean``, ``median``, ``peak``; ``deviation`` is the
-        standard deviation (before truncation), of the natural logarithm for ``"log-normal"``.
+        What the distribution is made of, in the parameter's unit: ``low``, ``high``, ``mean``, ``median``, ``peak``;
+        ``deviation`` is the standard deviation (before truncation), of the natural logarithm for ``"log-normal"``.
     values, weights
-        ``"choice"``: what is chosen from and how often, relative to one another; no weights: all alike.
+        ``"choice"``: what is chosen from, in the parameter's unit, and how often, relative to one another; no weights:
+        all alike.
     relative
         Whether what is drawn multiplies the nominal value instead of taking its place.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     parameter: str
@@ -57,7 +62,7 @@ class Vary:
 
     @property
     def support(self) -> tuple[float, float]:
-        """Lowest and highest number that can be drawn; infinite where there is none."""
+        """Lowest and highest number that can be drawn, in the parameter's unit; infinite where there is none."""
         match self.distribution:
             case "normal":
                 return -math.inf, math.inf
@@ -80,9 +85,13 @@ class Range:
     words
         As a message says it.
     low, high
-        The bounds.
+        The bounds, in the parameter's unit.
     low_itself
         Whether `low` itself is allowed.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     words: str
@@ -91,7 +100,24 @@ class Range:
     low_itself: bool = True
 
     def holds(self, low: float, high: float, continuous: bool) -> bool:
-        """Whether everything drawn between two numbers is allowed; a continuous distribution never hits its end."""
+        """Return whether everything drawn between two numbers is allowed.
+
+        Parameters
+        ----------
+        low, high
+            Lowest and highest number that can be drawn, in the parameter's unit.
+        continuous
+            Whether the distribution is: then it never hits its end.
+
+        Returns
+        -------
+        bool
+            True if it is.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return self.low <= low and high <= self.high and (low > self.low or self.low_itself or continuous)
 
 

@@ -58,13 +58,26 @@ def parameter_varying(
         What the states p of the state-space form are. ``"rates"``: p = M q̇; the parameters are monomials of Omega and
         Omega'. ``"momenta"``: p = M q̇ + (∂A*/∂q Omega) (q − q0) + M_Omega Omega; Omega' drops out, without
         approximation, and fewer parameters are left.
-    specific_force, rate_amplitude
-        For force elements, see `linearise`; constant.
+    specific_force : (3,)
+        For unbalance, see `linearise`, m/s²; constant.
+    rate_amplitude : (n,)
+        For dry friction, see `linearise`, rad/s.
+
+    Returns
+    -------
+    ParameterVaryingModel
+        Exact in Omega and Omega', first order in the angles.
 
     Raises
     ------
     ArgumentError
         Wrong shape, not finite, no gimbal, an unknown one, or unknown `terms` or `form`.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    See docs/parameter-varying.md.
     """
     if form not in ("rates", "momenta"):
         raise ArgumentError(f"form: given {form!r}; expected 'rates' or 'momenta'")

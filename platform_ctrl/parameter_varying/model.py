@@ -38,9 +38,14 @@ class FrozenRows:
     Attributes
     ----------
     M, G, K : (k, k)
-        Inertia, what stands before q̇ (friction included), what stands before q − q0 (springs and Omega' included).
+        Inertia, kg m², what stands before q̇ (friction included), N m s, what stands before q − q0 (springs and Omega'
+        included), N m/rad.
     forcing : (k,)
         M_Omega Omega' + Q0(Omega), N m.
+
+    References
+    ----------
+    As `parameter_varying`.
     """
 
     M: FloatArray
@@ -58,11 +63,15 @@ class AffineModel:
     parameters
         Names of the monomials rho.
     A_0, A : (2k, 2k), (parameters, 2k, 2k)
-        Constant part and coefficients.
+        Constant part and coefficients, in the units of the states over s and the monomials.
     B, C : (2k, inputs), (k, 2k)
-        Constant.
+        Constant, in SI units.
     states, inputs, outputs
         Signal names.
+
+    References
+    ----------
+    As `parameter_varying`.
     """
 
     parameters: tuple[str, ...]
@@ -75,12 +84,44 @@ class AffineModel:
     outputs: tuple[str, ...]
 
     def state_matrix(self, parameters: ArrayLike) -> FloatArray:
-        """Return A at parameter values (parameters,)."""
+        """Return A at values of the monomials.
+
+        Parameters
+        ----------
+        parameters : (parameters,)
+            In the order of `parameters`, SI units.
+
+        Returns
+        -------
+        (2k, 2k)
+            In the units of the states over s.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
         rho = real_array("parameters", parameters, (len(self.parameters),))
         return np.asarray(self.A_0 + np.tensordot(rho, self.A, axes=1))
 
     def system(self, parameters: ArrayLike) -> control.StateSpace:
-        """Return the system at parameter values (parameters,), which need not belong to any Omega."""
+        """Return the system at values of the monomials, which need not belong to any Omega.
+
+        Parameters
+        ----------
+        parameters : (parameters,)
+            In the order of `parameters`, SI units.
+
+        Returns
+        -------
+        control.StateSpace
+            With the names of `states`, `inputs` and `outputs`.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
         import control
 
         names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}
@@ -95,11 +136,15 @@ class FrozenSystem:
     Attributes
     ----------
     parameters : (parameters,)
-        Values of the monomials, in the order of `AffineModel.parameters`.
-    Omega, Omega_dot : (3,)
-        The rate and its derivative at a grid point; None at a vertex, which need not belong to any.
+        Values of the monomials, in the order of `AffineModel.parameters`, SI units.
     system
         The control.StateSpace.
+    Omega, Omega_dot : (3,)
+        The rate, rad/s, and its derivative, rad/s², at a grid point; None at a vertex, which need not belong to any.
+
+    References
+    ----------
+    As `parameter_varying`.
     """
 
     parameters: FloatArray
@@ -123,10 +168,14 @@ class ParameterVaryingModel:
     q0 : (n,)
         Angles of all gimbals that the model is about; the gimbals that are no coordinates are held there, rad.
     M, M_Omega : (k, k), (k, 3)
-        Coefficients of q̈ and Omega'.
+        Coefficients of q̈ and Omega', kg m².
     G, K, Q0
-        Matrix polynomials, (k, k), (k, k), (k,): before q̇ (G − ∂Q/∂q̇ of `linearise`), before q − q0 (K − ∂Q/∂q and the
-        Omega' terms), and what torquers must supply at q0 while Omega' = 0.
+        Matrix polynomials, (k, k), (k, k), (k,): before q̇ (G − ∂Q/∂q̇ of `linearise`), N m s, before q − q0 (K − ∂Q/∂q
+        and the Omega' terms), N m/rad, and what torquers must supply at q0 while Omega' = 0, N m.
+
+    References
+    ----------
+    As `parameter_varying`.
     """
 
     platform: Platform
@@ -142,7 +191,25 @@ class ParameterVaryingModel:
     Q0: MatrixPolynomial
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
-        """Return the matrices at a rate (3,), rad/s, and its derivative (3,), rad/s², default zero."""
+        """Return the matrices at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        FrozenRows
+            Of the chosen gimbals.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         forcing = self.M_Omega @ change + self.Q0.at(rate)
         return FrozenRows(M=self.M, G=self.G.at(rate), K=self.K.at(rate, change), forcing=forcing)
@@ -153,6 +220,11 @@ class ParameterVaryingModel:
         States: the angles (from q0), then ``p_`` + angle. Inputs: the gimbals' torquers in the file's order, then
         ``d_`` + the states that Omega drives: `forcing` says how. Outputs: the angles.
 
+        Returns
+        -------
+        AffineModel
+            With a proper name for each signal.
+
         Raises
         ------
         MechanicsError
@@ -161,7 +233,27 @@ class ParameterVaryingModel:
         return _affine(self)
 
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
-        """Return the system frozen at a rate (3,) and its derivative (3,), default zero; signals as in `affine`."""
+        """Return the system frozen at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        control.StateSpace
+            Signals as in `affine`.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        MechanicsError
+            M is singular.
+        """
         affine = _affine(self)
         return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
 
@@ -170,6 +262,25 @@ class ParameterVaryingModel:
 
         ``form="rates"``: (k,), −M_Omega Omega' − Q0(Omega), N m. ``form="momenta"``: (2k,), rad/s and N m, and Omega'
         does not enter.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        (k,) or (2k,)
+            N m, or rad/s and N m.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        MechanicsError
+            M is singular.
         """
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         if self.form == "rates":
@@ -180,7 +291,27 @@ class ParameterVaryingModel:
         return np.concatenate([-carried, rest])
 
     def state(self, q: ArrayLike, rates: ArrayLike, Omega: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
-        """Return the state x, (2k,), at angles from q0 (k,), gimbal rates (k,) and a platform rate (3,)."""
+        """Return the state x of the state-space form at a motion.
+
+        Parameters
+        ----------
+        q : (k,)
+            Angles, counted from q0, rad.
+        rates : (k,)
+            Gimbal rates, rad/s.
+        Omega : (3,)
+            Platform rate, rad/s.
+
+        Returns
+        -------
+        (2k,)
+            Angles, rad, and the states p, N m s.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
         k = len(self.M)
         angles, rate = real_array("q", q, (k,)), real_array("Omega", Omega, (3,))
         momenta = self.M @ real_array("rates", rates, (k,))
@@ -191,18 +322,23 @@ class ParameterVaryingModel:
     def rhs(
         self, t: float, x: ArrayLike, Omega: Signal, Omega_dot: Signal | None = None, Q: Signal | None = None
     ) -> FloatArray:
-        """Return ẋ along a manoeuvre, (2k,), for `scipy.integrate.solve_ivp` and the like.
+        """Return ẋ along a manoeuvre, for `scipy.integrate.solve_ivp` and the like.
 
         Parameters
         ----------
         t
             Time, s.
         x : (2k,)
-            State, see `affine` and `state`.
-        Omega, Omega_dot
-            (3,) or functions of time: rad/s, rad/s². ``form="momenta"`` needs no `Omega_dot`.
-        Q
-            (k,) or a function of time: torques on the gimbals, N m; default zero.
+            State, see `affine` and `state`: rad and N m s.
+        Omega, Omega_dot : (3,) or functions of time
+            rad/s, rad/s². ``form="momenta"`` needs no `Omega_dot`.
+        Q : (k,) or a function of time
+            Torques on the gimbals, N m; default zero.
+
+        Returns
+        -------
+        (2k,)
+            rad/s and N m.
 
         Raises
         ------
@@ -236,6 +372,11 @@ class ParameterVaryingModel:
         Omega_max, Omega_dot_max : (3,)
             Largest sizes, >= 0, rad/s and rad/s². A zero leaves the axis out; `Omega_dot_max` is zero by default.
 
+        Returns
+        -------
+        list of FrozenSystem
+            One for each vertex.
+
         Raises
         ------
         ArgumentError
@@ -266,6 +407,11 @@ class ParameterVaryingModel:
             for Omega and Omega'. An axis whose limit is zero has one point.
         Omega_max, Omega_dot_max : (3,)
             Largest sizes, >= 0, rad/s and rad/s²; `Omega_dot_max` is zero by default.
+
+        Returns
+        -------
+        list of FrozenSystem
+            One for each point.
 
         Raises
         ------

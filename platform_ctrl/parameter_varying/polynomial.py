@@ -36,19 +36,56 @@ class MatrixPolynomial:
     monomials
         Those that occur, such as ``"1"``, ``"Omega1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
     coefficients : (monomials, ...)
-        Their coefficient matrices.
+        Their coefficient matrices, SI units.
+
+    References
+    ----------
+    As `parameter_varying`.
     """
 
     monomials: tuple[str, ...]
     coefficients: FloatArray
 
     def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
-        """Return the matrix at a rate (3,) and its derivative (3,), default zero; rad/s, rad/s²."""
+        """Return the matrix at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        (...)
+            In SI units.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
         values = monomial_values(self.monomials, Omega, Omega_dot)
         return np.asarray(np.tensordot(values, self.coefficients, axes=1))
 
     def part(self, *rows: Sequence[int]) -> MatrixPolynomial:
-        """Return the polynomial of these rows (and columns, and so on)."""
+        """Return the polynomial of some rows (and columns, and so on).
+
+        Parameters
+        ----------
+        rows
+            Indices along each axis.
+
+        Returns
+        -------
+        MatrixPolynomial
+            With the same monomials.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         chosen = self.coefficients[np.ix_(range(len(self.monomials)), *rows)]
         return polynomial(dict(zip(self.monomials, chosen, strict=True)), chosen.shape[1:])
 
@@ -63,12 +100,30 @@ class MatrixPolynomial:
 def monomial_values(
     monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
 ) -> FloatArray:
-    """Return the values of named monomials at a rate (3,) and its derivative (3,), default zero.
+    """Return the values of named monomials at a rate and its derivative.
+
+    Parameters
+    ----------
+    monomials
+        Names such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
+    Omega : (3,)
+        rad/s.
+    Omega_dot : (3,)
+        rad/s²; default zero.
+
+    Returns
+    -------
+    (monomials,)
+        In SI units.
 
     Raises
     ------
     ArgumentError
         Wrong shape, not finite, or a name that is no monomial.
+
+    References
+    ----------
+    Own definition.
     """
     variables = np.concatenate([real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)])
     for name in monomials:

@@ -92,6 +92,10 @@ class Parameter:
         What it may be; of a factor: what the factor may be.
     factor
         Whether it multiplies something that is more than a number (an inertia matrix, a table) and is 1 as it stands.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
 
     path: str
@@ -112,6 +116,19 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
         The runs as they stand, all of one plant: one for each manoeuvre that is flown.
     faults
         What may fail in them.
+
+    Returns
+    -------
+    dict
+        What the number is and what it may be, by its path.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     if not scenarios:
         return {}

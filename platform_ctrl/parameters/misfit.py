@@ -14,9 +14,31 @@ from platform_ctrl.variation import Vary
 def misfits(
     varied: Sequence[Vary], scenarios: Sequence[Scenario], faults: Sequence[Fault]
 ) -> Iterator[tuple[int, str, str]]:
-    """Walk what cannot be drawn: the number of the entry, its key that is wrong, and a line that says why.
+    """Walk what cannot be drawn.
 
     A value that a plant or job file would refuse is refused here if it can be drawn at all, however seldom.
+
+    Parameters
+    ----------
+    varied
+        What differs from run to run.
+    scenarios
+        The runs as they stand, one for each manoeuvre that is flown.
+    faults
+        What may fail in them.
+
+    Yields
+    ------
+    entry, key, line
+        The number of the entry of `varied`, its key that is wrong, and a line that says why.
+
+    Notes
+    -----
+    The arguments are not judged beyond that.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     known = parameters(scenarios, faults)
     drawn: dict[str, tuple[float, float]] = {}

@@ -29,10 +29,23 @@ def varied_scenario(
     scenario
         The run as it stands.
     drawn
-        Parameter, number, and whether the number multiplies what stands there. What the run does not have is passed
+        Parameter, number, and whether the number is a factor of what stands there. What the run does not have is passed
         over: the rate of a half-cosine where there is none, a fault that does not happen.
     faults, seed, run
         What happens in it, and what its noise is drawn from, where these differ from `scenario`.
+
+    Returns
+    -------
+    Scenario
+        A new one.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
     parts: dict[tuple[str, int, str], dict[str, Any]] = {}
     own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}

@@ -30,13 +30,19 @@ class PrecessionPart:
         Of Tᵀ G T with Tᵀ M T = 1, rad/s, largest first; with nothing else in the equations they are the nutation
         frequencies. Small against the loop is what counts, not small in N m s.
     null_directions : (n, k)
-        Columns: motions q̇ that G does nothing about, in as few angles each as possible.
+        Columns: motions q̇ that G does nothing about, in as few angles each as possible; dimensionless.
     direction_names
         The same in words: "beta5 - beta7" is a motion of β5 against β7.
     momentum_directions : (n, k)
-        Motions whose momenta a cured model keeps; none where precession theory is admissible.
+        Motions whose momenta a cured model keeps, dimensionless; none where precession theory is admissible.
     reasons, cures
         Why precession theory may not be used as it stands, and what would help: lines of text, none where it may.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19).
+
+    See docs/precession.md.
     """
 
     model: LinearModel
@@ -63,22 +69,22 @@ class PrecessionPart:
 
     @property
     def M(self) -> FloatArray:
-        """Inertia, (n, n)."""
+        """Inertia, (n, n), kg m²."""
         return self._of(self.model.M)
 
     @property
     def G(self) -> FloatArray:
-        """G of (19), (n, n)."""
+        """G of (19), (n, n), N m s."""
         return self._of(self.model.G)
 
     @property
     def damping(self) -> FloatArray:
-        """G − ∂Q/∂q̇, (n, n): what the test was made with."""
+        """G − ∂Q/∂q̇, (n, n), N m s: what the test was made with."""
         return self._of(self.model.damping)
 
     @property
     def stiffness(self) -> FloatArray:
-        """K − ∂Q/∂q, (n, n)."""
+        """K − ∂Q/∂q, (n, n), N m/rad."""
         return self._of(self.model.stiffness)
 
     @property
@@ -98,7 +104,7 @@ class PrecessionPart:
 
     @property
     def nutation(self) -> FloatArray:
-        """Frequencies |s| of the poles of the full equations that are dropped, rad/s, lowest first.
+        """Frequencies |s| of the poles of the full equations that are dropped, (k,), rad/s, lowest first.
 
         One for a conjugate pair: nutation, and motion against a restraint. Where null directions are not restrained,
         these, the roots and the separation are those of the model that keeps their momenta.
@@ -107,7 +113,7 @@ class PrecessionPart:
 
     @property
     def precession_roots(self) -> ComplexArray:
-        """Roots of the model, rad/s, slowest first."""
+        """Roots of the model, (k,), rad/s, slowest first."""
         return self._choice.trial.roots
 
     @property
@@ -127,7 +133,7 @@ class PrecessionPart:
 
     @property
     def separation(self) -> float:
-        """Lowest nutation frequency over the loop frequency or the fastest precession, whichever is higher.
+        """Ratio of the lowest nutation frequency to the loop frequency or the fastest precession, whichever is higher.
 
         Precession is as fast as stiffness drives it in any direction, ‖G⁻¹ K‖ in coordinates of unit inertia: roots
         alone can be 0 under the stiffest spring.
@@ -140,7 +146,27 @@ class PrecessionPart:
         return float(self.nutation.min(initial=np.inf)) / self.required_separation
 
     def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
-        """Return the relative error of this subsystem's model, (N,): see `Precession.error`."""
+        """Return the relative error of this subsystem's model: see `Precession.error`.
+
+        Parameters
+        ----------
+        frequency : (N,)
+            > 0, rad/s.
+        momentum_states, each_direction
+            As in `Precession.error`.
+
+        Returns
+        -------
+        (N,)
+            Dimensionless.
+
+        Raises
+        ------
+        ArgumentError
+            Not a row of numbers > 0.
+        MechanicsError
+            The precession equations have no unique solution.
+        """
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0):

@@ -32,6 +32,12 @@ class Precession:
         Names, in the file's order.
     parts
         The test of each subsystem.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (15).
+
+    See docs/precession.md.
     """
 
     model: LinearModel
@@ -60,6 +66,16 @@ class Precession:
 
     def part(self, gimbal: str) -> PrecessionPart:
         """Return the test of the subsystem that the named gimbal belongs to.
+
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        PrecessionPart
+            The test with its figures.
 
         Raises
         ------
@@ -100,7 +116,7 @@ class Precession:
         return system(self.parts, momentum_states, self.gimbals, angles, torquers, torque_map)
 
     def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
-        """Return the relative error of the precession model against the full one, (N,).
+        """Return the relative error of the precession model against the full one.
 
         ‖P_precession − P‖₂ / ‖P‖₂ with the largest singular values of the transfer functions from torques to angles
         (or rates: the factor jω cancels), in coordinates q = T x, Tᵀ M T = 1, so that no unit and no choice of gimbals
@@ -116,6 +132,11 @@ class Precession:
             ‖P⁻¹ (P_precession − P)‖₂: the error in each direction against the response in that direction. It bounds the
             other, in which a direction with a large response outshines those with a small one.
 
+        Returns
+        -------
+        (N,)
+            Dimensionless.
+
         Raises
         ------
         ArgumentError
@@ -128,7 +149,13 @@ class Precession:
         return np.max(of_parts, axis=0) if of_parts else np.zeros(np.size(frequency))
 
     def summary(self) -> str:
-        """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures."""
+        """Return a few lines of text: for each subsystem the verdict, its figures, the reasons and the cures.
+
+        Returns
+        -------
+        str
+            To print.
+        """
         lines = [] if self.parts else ["no gimbals: nothing precesses"]
         for part in self.parts:
             verdict = "admissible" if part.admissible else "not admissible"
@@ -161,7 +188,12 @@ def precession(
         Up to which the model has to hold, rad/s: the bandwidth of the loop. Default: a hundredth of each subsystem's
         highest nutation frequency, so that weak friction does not pass for a restraint.
     separation
-        How many times higher than that, and than the fastest precession root, everything dropped has to lie.
+        Factor by which everything dropped has to lie higher than that, and than the fastest precession root.
+
+    Returns
+    -------
+    Precession
+        The test of every subsystem, and the model.
 
     Raises
     ------
@@ -169,6 +201,12 @@ def precession(
         Unknown gimbal, `gimbals` that cut through a subsystem, or a number that is not > 0.
     MechanicsError
         A* is singular at the trim (gimbal lock).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (15).
+
+    See docs/precession.md.
     """
     frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
     required = positive("separation", separation)

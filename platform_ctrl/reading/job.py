@@ -84,6 +84,10 @@ def read_job(
     ------
     InputError
         One line: which file, table and key, what was given, what is expected.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     start = None if folder is None else path_of(folder, "a folder")
     if isinstance(source, Mapping):

@@ -170,6 +170,10 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platfor
     ------
     InputError
         One line: which file, table and key, what was given, what is expected.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
     document = open_plant(source, Path())
     platform, mistakes = judge_plant(document)

@@ -29,17 +29,41 @@ class Document:
 
 
 def shipped_models() -> tuple[str, ...]:
-    """Return the names of the plants that come with the package, sorted."""
+    """Return the names of the plants that come with the package, sorted.
+
+    Returns
+    -------
+    tuple of str
+        What `read_platform` takes as names.
+
+    References
+    ----------
+    See docs/models.md.
+    """
     return tuple(sorted(_shipped_files()))
 
 
 def platform_source(name: str) -> str:
     """Return the TOML text of a shipped plant: what to copy in order to describe another one.
 
+    Parameters
+    ----------
+    name
+        Of a shipped model.
+
+    Returns
+    -------
+    str
+        TOML, comments included.
+
     Raises
     ------
     InputError
         No shipped model has this name.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
     if not isinstance(name, str):
         raise InputError(f"given {given(name)}; expected the name of a shipped model")

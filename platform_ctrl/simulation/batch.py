@@ -44,15 +44,21 @@ class Figures:
     attitude : (N, 3)
         Largest component of the platform's rotation vector against inertial axes, rad.
     torque_share : (N, torquers)
-        Largest commanded torque over the torquer's limit.
+        Largest commanded torque as a share of the torquer's limit.
     saturated : (N, torquers)
         Number of samples whose command reached the limit.
     stop_contacts : (N, n)
         How often each gimbal came up against a stop.
-    samples : (N,), asked : (N,)
-        How many samples were flown before the run ended or diverged, and how many there should have been.
+    samples : (N,)
+        How many samples were flown before the run ended or diverged.
+    asked : (N,)
+        How many there should have been.
     period
         Sample period, s.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     angle: FloatArray
@@ -110,12 +116,23 @@ def fly(
     device
         ``"cpu"`` or ``"cuda"``.
 
+    Returns
+    -------
+    Figures
+        In the order of the scenarios.
+
     Raises
     ------
     ArgumentError
         As `simulate`; the plants differ in what they are made of.
     SimulationError
         The device is not there.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
+
+    See docs/simulation.md.
     """
     period, longest = steps(period, step)
     threads = whole("threads", threads, 1)
@@ -168,7 +185,30 @@ def _kind(platform: Platform) -> tuple[object, ...]:
 
 
 def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: Mode) -> list[control.StateSpace]:
-    """Return the controllers that act in a mode: caged, those on the root do not."""
+    """Return the controllers that act in a mode: caged, those on the root do not.
+
+    Parameters
+    ----------
+    controllers
+        Outputs named as the platform's torquers.
+    platform
+        The plant.
+    mode
+        ``"caged"`` or ``"stabilised"``.
+
+    Returns
+    -------
+    list of control.StateSpace
+        In the given order.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Own definition.
+    """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     # What is no controller stays: where they are joined it is told.
     return [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]

@@ -38,8 +38,10 @@ class Trajectory:
     command, torque : (N, torquers)
         The controllers' output computed from this sample's readings, before limiting; and the torque that acts just
         after this instant: delayed, limited, then lagged. N m.
-    Omega : (N, 3), attitude : (N, 4)
-        Platform rate in its own axes, rad/s; unit quaternion w, x, y, z from platform axes to inertial axes.
+    Omega : (N, 3)
+        Platform rate in its own axes, rad/s.
+    attitude : (N, 4)
+        Unit quaternion w, x, y, z from platform axes to inertial axes, dimensionless.
     rotor_spin, rotor_torque : (N, servo rotors)
         Spins against the carriers, rad/s, and the torques of their motors, N m.
     angle_names, pickoff_names, torquer_names, rotor_names
@@ -51,7 +53,12 @@ class Trajectory:
     ended
         ``"completed"``, or ``"diverged at t = ... s"``: the arrays then end there.
     mode, period, delay, step, seed
-        What the run was made with; together with plant, controllers and manoeuvre they reproduce it bit for bit.
+        What the run was made with, times in s; together with plant, controllers and manoeuvre they reproduce it bit for
+        bit.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
 
     t: FloatArray
@@ -149,9 +156,11 @@ def simulate(
         Longest substep, s; default 1e-4. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor,
         2.7 times the shortest time constant of friction and cages.
     q, rate : (n,), optional
-        Initial gimbal angles and rates; default zero.
-    Omega : (3,), attitude : (4,), optional
-        Initial platform rate (stabilised only) and attitude.
+        Initial gimbal angles, rad, and rates, rad/s; default zero.
+    Omega : (3,), optional
+        Initial platform rate (stabilised only), rad/s.
+    attitude : (4,), optional
+        Initial unit quaternion w, x, y, z of the platform, dimensionless; default identity.
     spin : (servo rotors,), optional
         Initial spins of the servo rotors against their carriers, rad/s; default the nominal ones. Their loops start in
         the steady state of the nominal spin: with no torque.
@@ -167,6 +176,12 @@ def simulate(
     ArgumentError
         If an argument has the wrong shape, is out of range, or names something that the plant does not have; if the
         step is too long for a speed loop, a spring, a cage or friction.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
+
+    See docs/simulation.md.
     """
     expect_platform(platform)
     n = len(platform.gimbals)
@@ -225,10 +240,21 @@ def flight(
     noise
         Whether the sensors' noise is there.
 
+    Returns
+    -------
+    Trajectory
+        As of `simulate`.
+
     Raises
     ------
     ArgumentError
         As `simulate`.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
+
+    See docs/simulation.md.
     """
     period, step = steps(period, step)
     expect_several("controllers", controllers)

@@ -25,15 +25,28 @@ class Rollout:
 
     Attributes
     ----------
-    q : (N, n), velocity : (N, 3 + n), attitude : (N, 4)
-        Gimbal angles, [Omega, q̇] and the root's unit quaternion w, x, y, z at the end. A run that overflowed or met a
-        singular mass matrix holds NaN.
+    q : (N, n)
+        Gimbal angles at the end, rad. A run that overflowed or met a singular mass matrix holds NaN, here and below.
+    velocity : (N, 3 + n)
+        [Omega, q̇] at the end, rad/s.
+    attitude : (N, 4)
+        The root's unit quaternion w, x, y, z at the end, dimensionless.
     spin : (N, m)
         Spins of the m servo rotors against their carriers at the end, in the file's order, rad/s.
     t : (S,)
         Times that were recorded, s: the start, every `every` steps, and the end. Only the end without `every`.
-    q_history : (N, S, n), velocity_history : (N, S, 3 + n), attitude_history : (N, S, 4), spin_history : (N, S, m)
-        The runs at those times.
+    q_history : (N, S, n)
+        Angles at the times `t`, rad.
+    velocity_history : (N, S, 3 + n)
+        [Omega, q̇] at those times, rad/s.
+    attitude_history : (N, S, 4)
+        Unit quaternions at those times, dimensionless.
+    spin_history : (N, S, m)
+        Spins at those times, rad/s.
+
+    References
+    ----------
+    As `rollout`.
     """
 
     q: FloatArray
@@ -69,13 +82,15 @@ def rollout(
     ----------
     platform
         The plant.
-    q : (N, n), velocity : (N, 3 + n)
-        Initial gimbal angles, rad, and [Omega, q̇], rad/s.
+    q : (N, n)
+        Initial gimbal angles, rad.
+    velocity : (N, 3 + n)
+        Initial [Omega, q̇], rad/s.
     step, steps
         Step, s, and number of steps. Stiff elements need short steps: less than 2.7 C/speed_gain for a servo rotor,
         2.7 times the shortest time constant of friction and cages.
     attitude : (N, 4), optional
-        Initial unit quaternions w, x, y, z that take root axes to inertial axes; default identity.
+        Initial unit quaternions w, x, y, z that take root axes to inertial axes, dimensionless; default identity.
     force : (N, 3 + n), optional
         [M, Q] in root axes and at the joints, N m, held constant; default zero.
     every
@@ -88,6 +103,11 @@ def rollout(
     device
         "cpu", or "cuda" for a GPU with numba-cuda: the same to rounding.
 
+    Returns
+    -------
+    Rollout
+        The runs at their ends and, with `every`, on their way.
+
     Raises
     ------
     ArgumentError
@@ -95,6 +115,12 @@ def rollout(
         a spring, a cage or friction.
     SimulationError
         If the device is not there.
+
+    References
+    ----------
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
+
+    See docs/simulation.md.
     """
     expect_platform(platform)
     n = len(platform.gimbals)

@@ -55,11 +55,16 @@ def terms(
     angles, accelerations : (n,)
         Amplitudes; default rates / frequency, rad, and rates × frequency, rad/s².
     Omega_dot : (3,)
-        Default Omega × frequency, rad/s².
+        Derivative of the rate; default Omega × frequency, rad/s².
     q : (n,)
         Angles about which the motion takes place, rad; default zero.
     specific_force : (3,)
         In root axes, m/s²; default the platform's own.
+
+    Returns
+    -------
+    TermTable
+        Ranked equation by equation.
 
     Raises
     ------
@@ -71,6 +76,12 @@ def terms(
     Poles are those of the gimbals whose equations share terms, also such that are zero at this Omega; Omega and Omega'
     are held. Dropped is one term of one equation, so that a gyroscopic action loses its counterpart. The change is
     relative to the pole's size, but at least to 1 % of `frequency`: slower poles stand still for this motion.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    See docs/terms.md.
     """
     expect_platform(platform)
     n = len(platform.gimbals)

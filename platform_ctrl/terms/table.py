@@ -78,7 +78,7 @@ class Term:
     size
         Its amplitude at the operating point, N m: the torque that is missing when it is dropped.
     share, torque_error
-        `size` over the largest of its equation, and over the sum of all of them.
+        `size` as a share of the largest of its equation, and of the sum of all of them.
     rank
         Place by size in its equation, from 1.
     sense
@@ -90,6 +90,12 @@ class Term:
         What dropping it alone does to the poles of its subsystem: the largest relative change of those that remain, and
         how many go to infinity (all, where nothing else determines the motion). None for a forcing term, which no pole
         feels.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    See docs/terms.md.
     """
 
     gimbal: str
@@ -124,6 +130,12 @@ class TermTable:
         Amplitudes of the gimbals' motion, rad, rad/s, rad/s².
     terms
         Equations in the file's order, the terms of each by falling size.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    See docs/terms.md.
     """
 
     platform: Platform
@@ -137,6 +149,16 @@ class TermTable:
     def of(self, gimbal: str) -> tuple[Term, ...]:
         """Return the terms of the named gimbal's equation.
 
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        tuple of Term
+            By falling size.
+
         Raises
         ------
         ArgumentError
@@ -146,7 +168,13 @@ class TermTable:
         return tuple(term for term in self.terms if term.gimbal == gimbal)
 
     def dropped_by_the_paper(self) -> tuple[Term, ...]:
-        """Return the terms that (27) leaves out, the largest of all equations first."""
+        """Return the terms that (27) leaves out, the largest of all equations first.
+
+        Returns
+        -------
+        tuple of Term
+            By falling size.
+        """
         return tuple(sorted((term for term in self.terms if not term.kept), key=lambda term: -term.size))
 
     def text(self, gimbals: Sequence[str] | None = None, smallest: float = 0.0) -> str:
@@ -157,8 +185,13 @@ class TermTable:
         gimbals
             Names of those whose equations are wanted, shown in the file's order; default all.
         smallest
-            Terms whose share of the largest of their equation is not above this are left out; by default those that
-            are zero at the operating point.
+            Terms whose share of the largest of their equation is not above this are left out; by default those that are
+            zero at the operating point.
+
+        Returns
+        -------
+        str
+            A block for each gimbal.
 
         Raises
         ------
@@ -178,7 +211,13 @@ class TermTable:
         return "\n".join(lines) or f"platform {self.platform.name!r} has no gimbals: there is no term to rank"
 
     def legend(self) -> str:
-        """Return what the kinds of terms that occur mean, a line each."""
+        """Return what the kinds of terms that occur mean, a line each.
+
+        Returns
+        -------
+        str
+            For the terms of this table alone.
+        """
         kinds = dict.fromkeys(term.kind for term in self.terms)
         return "\n".join(f"{kind}: {MEANINGS[kind]}" for kind in MEANINGS if kind in kinds)
 
