@@ -58,7 +58,7 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     }
 
 
-_WORDS = {
+RUN_FIGURES = {
     "angle": ("largest gimbal angle", "rad"),
     "attitude": ("largest platform angle", "rad"),
     "torque_share": ("largest torque over its limit", ""),
@@ -70,7 +70,7 @@ def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[Chec
     found = largest(job, trajectory)
     out = []
     for key, limit in manoeuvre.limits.items():
-        name, unit = _WORDS[key]
+        name, unit = RUN_FIGURES[key]
         figure, signal = found[key]
         asked = Requirement(name=name, limit=limit, unit=unit, sense="at most")
         evidence = (
