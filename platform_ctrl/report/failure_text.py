@@ -1,0 +1,153 @@
+"""What failed, as plain text: for the messages of tests, of JUnit files and of the command line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from platform_ctrl.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.report.quantities import count, handy_unit, listed
+from platform_ctrl.requirements import CheckResult
+
+# Digits until two numbers are told apart.
+_DIGITS = (4, 6, 9)
+# Lines for what is better or new: they are no failure.
+_LINES = 6
+
+
+def requirement_text(one: CheckResult) -> str:
+    """Return a requirement with value, limit and margin in one line."""
+    shown = shown_alike((one.value, one.limit), one.unit)
+    where = f"{one.subject}, {one.design}" if one.design else one.subject
+    verdict = "met" if one.passed else "not met"
+    return f"{where}: {one.name} {shown[0]}, {one.sense} {shown[1]}: {verdict}, margin {margin_text(one)}"
+
+
+def margin_text(one: CheckResult) -> str:
+    """Return the margin in per cent with its sign: negative where the requirement is missed."""
+    return _percent(one.margin)
+
+
+def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requirement") -> str:
+    """Return a table of those `requirements` that are not met, the worst first; empty where all are.
+
+    Parameters
+    ----------
+    requirements
+        All of them, or goals.
+    title
+        What they are asked of.
+    of
+        What one of them is called.
+    """
+    missed = sorted((one for one in requirements if not one.passed), key=lambda one: one.margin)
+    if not missed:
+        return ""
+    rows = [("", "value", "limit", "margin", "")]
+    for one in missed:
+        shown = shown_alike((one.value, one.limit), one.unit)
+        where = f"{one.subject}, {one.design}" if one.design else one.subject
+        rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", margin_text(one), one.evidence))
+    head = f"{title}: {len(missed)} of {count(len(requirements), of)} not met"
+    return "\n".join([head, *_table(rows)])
+
+
+def moved_text(comparison: Comparison, name: str) -> str:
+    """Return what has moved beyond its tolerance since the baseline `name` was accepted, and why it may have.
+
+    First what fails, the worst first; then, in a few lines, what is better, what is new, and which loops have changed.
+    """
+    worse = sorted(comparison.of("worse"), key=lambda change: -change.of_tolerance)
+    lines = [_head(comparison, name)]
+    if worse:
+        rows = [("", "before", "now", "change", "tolerance", "limit")]
+        lines += _table(rows + [_row(change) for change in worse])
+    lines += [f"  not measured any more: {_named(change)}" for change in comparison.of("missing")]
+    lines += _others("better by more than its tolerance", comparison.of("better"))
+    lines += _others("not in the baseline", comparison.of("new"))
+    lines += _causes(comparison.pairs) if worse else []
+    return "\n".join(lines)
+
+
+def change_text(change: Change) -> str:
+    """Return one figure before and now in one line."""
+    if change.state == "missing":
+        return f"{_named(change)}: not measured any more"
+    if change.state == "new":
+        return f"{_named(change)}: {shown_alike((change.now,), change.unit)[0]}, not in the baseline"
+    before, now, allowed = shown_alike((change.before, change.now, change.allowed), change.unit)
+    words = {"within": "within its tolerance", "worse": "worse", "better": "better"}[change.state]
+    return f"{_named(change)}: {before} -> {now} ({_percent(change.share)}), tolerance {allowed}: {words}"
+
+
+def shown_alike(numbers: Sequence[float | None], unit: str) -> list[str]:
+    """Return numbers with their unit, all in the same, with digits enough to tell the different ones apart."""
+    finite = [abs(number) for number in numbers if number is not None and math.isfinite(number)]
+    factor, name = handy_unit(unit, max(finite, default=1.0))
+    told_apart = len(set(finite[:2]))
+    for digits in _DIGITS:
+        if len({f"{number:.{digits}g}" for number in finite[:2]}) == told_apart:
+            break
+
+    def words(number: float | None) -> str:
+        if number is None:
+            return ""
+        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else "none (unstable)"
+
+    return [words(number) for number in numbers]
+
+
+def _head(comparison: Comparison, name: str) -> str:
+    worse, missing = len(comparison.of("worse")), len(comparison.of("missing"))
+    compared = len(comparison.changes) - len(comparison.of("new"))
+    if not worse and not missing:
+        return f"{name}: none of {count(compared, 'figure')} is worse by more than its tolerance"
+    parts = [f"{worse} worse by more than {'its' if worse == 1 else 'their'} tolerance"] if worse else []
+    parts += [f"{missing} not measured any more"] if missing else []
+    return f"{name}: of {count(compared, 'figure')} {listed(parts)}"
+
+
+def _row(change: Change) -> tuple[str, ...]:
+    numbers = (change.before, change.now, change.allowed, change.limit)
+    before, now, allowed, limit = shown_alike(numbers, change.unit)
+    limit = f"{change.sense} {limit}" if change.limit is not None else ""
+    return _named(change), before, now, _percent(change.share), allowed, limit
+
+
+def _named(change: Change) -> str:
+    return f"{change.subject}: {change.name}"
+
+
+def _others(words: str, changes: Sequence[Change]) -> list[str]:
+    """Return lines for what is no failure: not more than a few."""
+    shown = []
+    for change in changes[:_LINES]:
+        before, now = shown_alike((change.before, change.now), change.unit)
+        shown.append(f"{_named(change)} {now if change.before is None else f'{before} -> {now}'}")
+    more = len(changes) - len(shown)
+    return [f"  {words}: {line}" for line in shown] + ([f"  {words}: and {more} more"] if more > 0 else [])
+
+
+def _causes(pairs: Sequence[tuple[LoopMatrices, LoopMatrices]]) -> Iterator[str]:
+    """Walk lines that say of every loop which of its matrices are not those of the baseline."""
+    for before, now in pairs:
+        plant = before.plant is not None and now.plant is not None and not before.same_plant(now)
+        parts = ["its plant"] * plant + ["its controller"] * (not before.same_controller(now))
+        if parts:
+            design = f" ({before.design} -> {now.design})" if before.design != now.design else ""
+            yield f"  {now.loop}: changed since the baseline: {listed(parts)}{design}"
+        else:
+            yield f"  {now.loop}: plant and controller are those of the baseline"
+
+
+def _percent(share: float) -> str:
+    if not math.isfinite(share):
+        return "-" if math.isnan(share) else f"{share:+}"
+    return f"{100.0 * share:+.{1 if abs(share) < 0.0995 else 0}f} %"
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
