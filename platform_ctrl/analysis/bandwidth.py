@@ -45,7 +45,7 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
 
     References
     ----------
-    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 5.
+    S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 2.
 
     S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """

@@ -34,7 +34,7 @@ class Channel:
 
     References
     ----------
-    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 6.
+    S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 9.
     """
 
     inputs: tuple[str, ...] = ()

@@ -281,7 +281,7 @@ def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
 
     References
     ----------
-    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 4.
+    K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 10.
     """
     A, B, C, D, dt = state_arrays(system, "noise_rms")
     if dt == 0.0:

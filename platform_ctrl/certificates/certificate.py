@@ -58,10 +58,14 @@ class Verification:
     reason
         What was shown, or what failed and where.
     margin
-        Distance from failing: a lower bound of the smallest eigenvalue of the matrices that have to be positive
-        definite, each scaled to a unit diagonal; 0 if not proved.
+        Distance from failing, relative: a lower bound of the smallest eigenvalue of the matrices that have to be
+        positive definite, each scaled to a unit diagonal; 0 if not proved.
     precision
         Bits that it took.
+
+    References
+    ----------
+    As `Certificate`.
     """
 
     proved: bool
@@ -80,18 +84,26 @@ class Certificate:
     claim
         ``"stability"``, ``"norm"`` (H-infinity), ``"h2"`` or ``"region"``.
     bound
-        Decay rate, 1/s, that no solution falls short of (0: stability alone); the norm that is not reached; of no
-        meaning for a region.
+        Decay rate, 1/s, that no solution falls short of (0: stability alone); the norm that is not reached, in units of
+        z per w; of no meaning for a region.
     loops
         The closed loops, all with the same X. With several the claim holds for every system whose [A B; C D] lies in
         the convex hull of theirs, and stability and norm however it moves there in time. A sampled region then has to
         have L + (2/dt) (M + M') > 0, without which what lies between is not covered.
     X : (n, n)
-        Symmetric. The function that decreases is x'Xx, x the states of plant and controller.
+        Symmetric. The function that decreases is x'Xx, x the states of plant and controller in their units.
     coordinates : (n, n), optional
-        T: then the function is (Tx)'X(Tx).
+        T, in the units of these states: then the function is (Tx)'X(Tx).
     L, M : (k, k), optional
-        Of a region, L symmetric.
+        Of a region {s : L + s M + s* M' < 0} with s in rad/s; L symmetric.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996.
+
+    See docs/certificates.md.
     """
 
     claim: Claim
@@ -128,6 +140,16 @@ class Certificate:
         ----------
         precision
             Bits to begin with; doubled up to three times where the balls are too wide to tell.
+
+        Returns
+        -------
+        Verification
+            Whether it is proved, by what margin, and if not what fails.
+
+        Raises
+        ------
+        ArgumentError
+            `precision` is not a whole number of at least 2.
         """
         if not isinstance(precision, int) or precision < 2:
             raise ArgumentError(f"Certificate.verify: precision = {precision!r}; expected a number of bits, 2 or more")
@@ -305,10 +327,26 @@ def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls
 def proved(certificate: Certificate, problem: object = None) -> Certificate:
     """Return `certificate` if it verifies.
 
+    Parameters
+    ----------
+    certificate
+        To be verified.
+    problem
+        What the error carries along, for whoever wants to look at it.
+
+    Returns
+    -------
+    Certificate
+        The same.
+
     Raises
     ------
     NotCertifiedError
         It does not; the message says what fails.
+
+    References
+    ----------
+    Own definition.
     """
     found = certificate.verify()
     if not found.proved:

@@ -28,14 +28,18 @@ class ClosedLoop:
 
     Attributes
     ----------
-    A, B, C, D
-        The system; with a controller the plant with inputs [w, u] and outputs [z, y].
+    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y].
     dt
         Sample period, s; 0: continuous.
-    A_K, B_K, C_K, D_K
-        The controller u = K y of the last inputs and outputs, or None.
+    A_K, B_K, C_K, D_K : (k, k), (k, y), (u, k), (u, y)
+        The controller u = K y of the last inputs and outputs, in its units, or None.
     label
         What it is, for example the corner of a plant set.
+
+    References
+    ----------
+    See docs/certificates.md.
     """
 
     A: FloatArray
@@ -51,7 +55,7 @@ class ClosedLoop:
 
     @property
     def controller(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-        """A, B, C, D of the controller, or None."""
+        """A, B, C, D (k, k), (k, y), (u, k), (u, y) of the controller in its units, or None."""
         if self.A_K is None or self.B_K is None or self.C_K is None or self.D_K is None:
             return None
         return self.A_K, self.B_K, self.C_K, self.D_K
@@ -90,10 +94,10 @@ class ClosedLoop:
     def rounded(self) -> StateArrays:
         """Return the closed loop from w to z in floating point: what a certificate is looked for with.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            The loop is not well posed.
+        Returns
+        -------
+        StateArrays
+            From w to z; not well posed it is a `numpy.linalg.LinAlgError`.
         """
         if self.controller is None:
             return StateArrays(self.A, self.B, self.C, self.D, self.dt)
@@ -114,10 +118,11 @@ class ClosedLoop:
     def enclosed(self) -> BallSystem:
         """Return balls that contain the exact closed loop from w to z, at the present working precision.
 
-        Raises
-        ------
-        ZeroDivisionError
-            The loop is not well posed, or the precision does not suffice to tell.
+        Returns
+        -------
+        BallSystem
+            From w to z; a loop that is not well posed, or that the precision cannot tell from one, is a
+            `ZeroDivisionError`.
         """
         if self.controller is None:
             return BallSystem(*(balls(part) for part in (self.A, self.B, self.C, self.D)))
@@ -176,7 +181,28 @@ def matrices_of(
 
 
 def static_gain(gain: FloatArray, dt: float) -> StateArrays:
-    """Return u = gain y as a controller without states."""
+    """Return u = gain y as a controller without states.
+
+    Parameters
+    ----------
+    gain : (u, y)
+        In units of u per y.
+    dt
+        Sample period, s; 0: continuous.
+
+    Returns
+    -------
+    StateArrays
+        With D alone.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    Textbook definition.
+    """
     q, p = gain.shape
     return StateArrays(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((q, 0)), gain, dt)
 
@@ -184,12 +210,32 @@ def static_gain(gain: FloatArray, dt: float) -> StateArrays:
 def closed(
     system: StateArrays, controller: StateArrays | None = None, label: str = "", where: str = "certificate"
 ) -> ClosedLoop:
-    """Return the loop of a plant with inputs [w, u], outputs [z, y] and u = K y; without a controller the system.
+    """Return the loop of a plant and u = K y as a certificate speaks of it; without a controller the system.
+
+    Parameters
+    ----------
+    system
+        The plant with inputs [w, u] and outputs [z, y], or the whole system.
+    controller
+        K of the last inputs and outputs.
+    label
+        What it is, for example the corner of a plant set.
+    where
+        What messages call it.
+
+    Returns
+    -------
+    ClosedLoop
+        With the matrices as given, nothing rounded.
 
     Raises
     ------
     ArgumentError
         Sizes or sample periods do not fit.
+
+    References
+    ----------
+    See docs/certificates.md.
     """
     A, B, C, D, dt = matrices_of(*system[:4], system.dt, where)
     if controller is None:

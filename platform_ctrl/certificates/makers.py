@@ -75,14 +75,23 @@ def stability_certificate(
 
     Parameters
     ----------
-    A, dt
-        The system x' = A x, or x(k+1) = A x(k) every `dt` seconds.
+    A : (n, n)
+        x' = A x, or x(k+1) = A x(k), in the system's units.
+    dt
+        Sample period, s; 0: continuous.
     decay
         Rate, 1/s, that is claimed; default 99 % of the slowest pole's, or less where that cannot be proved.
-    B, C, D, controller
-        With a controller u = K y: A, B, C, D are the plant from u to y.
+    B, C, D : (n, m), (p, n), (p, m), optional
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units.
+    controller
+        K.
     label
         What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
 
     Raises
     ------
@@ -90,6 +99,12 @@ def stability_certificate(
         Matrices that do not fit together.
     NotCertifiedError
         The system is not stable, does not decay at `decay`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
     """
     loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
     system = _rounded(loop, "stability_certificate")
@@ -131,16 +146,23 @@ def norm_certificate(
 
     Parameters
     ----------
-    A, B, C, D, dt
-        The system; with a controller the plant with inputs [w, u] and outputs [z, y].
+    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y].
+    dt
+        Sample period, s; 0: continuous.
     gamma
-        The bound that is claimed; default the norm and as little above it as can be proved.
+        The bound that is claimed, in units of z per w; default the norm and as little above it as can be proved.
     controller
         u = K y.
     norm
-        The norm, where it is known already: it is not computed again.
+        The norm, in the same units, where it is known already: it is not computed again.
     label
         What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
 
     Raises
     ------
@@ -148,6 +170,12 @@ def norm_certificate(
         Matrices that do not fit together.
     NotCertifiedError
         The system is not stable, its norm is not below `gamma`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
     """
     where = "norm_certificate"
     loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
@@ -171,10 +199,20 @@ def h2_certificate(
 
     Parameters
     ----------
-    A, B, C, D, dt, controller, label
+    A, B, C, D
         As in `norm_certificate`; D zero if continuous.
+    dt
+        As in `norm_certificate`, s.
     bound
-        What is claimed; default the norm and as little above it as can be proved.
+        What is claimed, in units of z per w (continuous: times s^-1/2); default the norm and as little above it as can
+        be proved.
+    controller, label
+        As in `norm_certificate`.
+
+    Returns
+    -------
+    Certificate
+        Verified.
 
     Raises
     ------
@@ -182,6 +220,12 @@ def h2_certificate(
         Matrices that do not fit together.
     NotCertifiedError
         The system is not stable, its norm is not below `bound`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
     """
     where = "h2_certificate"
     loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)

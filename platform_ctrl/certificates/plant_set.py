@@ -22,10 +22,11 @@ def plant_set_certificates(
     plants, controller
         The loop, u = K y.
     decay, margin : (N,)
-        Decay rate and disk margin with each plant as measured. What is unstable is not claimed to be stable.
+        Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured. What is unstable is not claimed to
+        be stable.
     asked : (N,)
-        Disk margin that is asked for with each plant, 0: none. Where the measured one is larger, the asked one is
-        proved; with the nominal plant that which it has.
+        Disk margin that is asked for with each plant, dimensionless, 0: none. Where the measured one is larger, the
+        asked one is proved; with the nominal plant that which it has.
 
     Returns
     -------
@@ -34,6 +35,17 @@ def plant_set_certificates(
         norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
     unproved
         A line for each claim without a proof.
+
+    Raises
+    ------
+    ArgumentError
+        Plant and controller do not fit together.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/certificates.md.
     """
     proved: list[Certificate] = []
     unproved: list[str] = []
@@ -60,10 +72,28 @@ def plant_set_certificates(
 def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
     """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
 
+    Parameters
+    ----------
+    plant
+        From torques to angles.
+    controller
+        u = K y, with the plant's sample period.
+
+    Returns
+    -------
+    stability, torques, pickoffs
+        The three certificates.
+
     Raises
     ------
     NotCertifiedError
         One of them was not found.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/certificates.md.
     """
     A, B, C, D, dt = plant
     torque, pickoff = _sensitivity_plants(plant)

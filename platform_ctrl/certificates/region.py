@@ -32,15 +32,23 @@ def region_certificate(
 
     Parameters
     ----------
-    A, dt
-        The system x' = A x, or x(k+1) = A x(k) every `dt` seconds: then the region is one of the w-plane,
-        w = (2/dt) (z − 1)/(z + 1).
+    A : (n, n)
+        x' = A x, or x(k+1) = A x(k), in the system's units.
     L, M : (k, k)
-        The region, L symmetric. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
-    B, C, D, controller
-        With a controller u = K y: A, B, C, D are the plant from u to y.
+        The region, L symmetric, s in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
+    dt
+        Sample period, s; > 0: the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
+    B, C, D : (n, m), (p, n), (p, m), optional
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units.
+    controller
+        K.
     label
         What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
 
     Raises
     ------
@@ -48,6 +56,12 @@ def region_certificate(
         Matrices that do not fit together.
     NotCertifiedError
         A pole lies outside, or poles are so nearly multiple that the modes do not show it.
+
+    References
+    ----------
+    M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996.
+
+    See docs/certificates.md.
     """
     where = "region_certificate"
     loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)

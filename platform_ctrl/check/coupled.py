@@ -41,22 +41,29 @@ class CoupledCheck:
     plant, controller
         The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs
         and rate sensors to torquers.
-    poles
-        Of the closed loop, in z.
+    poles : complex (n,)
+        Of the closed loop, in z (dimensionless).
     free
         Whether the platform is free: a controller acts on the root. Otherwise it is carried.
     channels
         Torquer names: one channel each.
     decoupled, coupled : (channels,)
-        Loop-by-loop disk margins (one channel broken, all others closed) in the design models and in the coupled one.
+        Loop-by-loop disk margins (one channel broken, all others closed) in the design models and in the coupled one,
+        dimensionless.
     cost : (channels,)
-        Relative loss.
+        Relative loss of margin against the decoupled design.
     simultaneous
         Disk margin in all channels at once.
     torque_noise : (channels,)
-        Rms, N m.
+        Rms torque from pick-off noise, N m.
     results
         The job's limits held against these.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/job-file.md.
     """
 
     plant: control.StateSpace
@@ -80,10 +87,30 @@ class CoupledCheck:
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
     """Close `controllers` around the coupled sampled model and hold the job's limits against it.
 
+    Parameters
+    ----------
+    job
+        Limits, sampling and torquers.
+    model
+        From `linearise`, at rest.
+    controllers
+        u = K y in the order in which they are computed, with the job's sample period.
+
+    Returns
+    -------
+    CoupledCheck
+        Poles, margins and noise of the whole, and the verdicts.
+
     Raises
     ------
     ArgumentError
         The controllers do not fit the plant.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/job-file.md.
     """
     plant = coupled_plant(job, model, controllers)
     K = _one_controller(job, controllers, plant)

@@ -53,6 +53,10 @@ def read_controllers(
     ------
     InputError
         One line: the file, the controller and the key, what was given, what is expected.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     label, data = ("controllers given as a dict", source) if isinstance(source, Mapping) else opened(source)
     if not isinstance(data, Mapping):
@@ -241,6 +245,10 @@ def outcomes_from(
     ------
     InputError
         A controller fits no loop, two fit the same, or a loop has none.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     placed: dict[str, control.StateSpace] = {}
     for K in controllers:

@@ -32,6 +32,24 @@ def result_record(result: JobResult) -> Record:
     """Return what a job came to in plain types: the content of ``result.json``.
 
     Numbers that are not finite (the margin of an unstable loop, say) are None, ``null`` in the file.
+
+    Parameters
+    ----------
+    result
+        From `checked`.
+
+    Returns
+    -------
+    dict
+        Keys as in ``result.json``, numbers in SI units.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     job = result.job
     record = {
@@ -85,10 +103,21 @@ def versions() -> dict[str, str]:
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
     """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete.
 
+    Parameters
+    ----------
+    record
+        From `result_record`.
+    path
+        Of the file; its folder is there.
+
     Raises
     ------
     InputError
         The file cannot be written there.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     write_whole(path, laid_out(record) + "\n")
 

@@ -18,7 +18,21 @@ if TYPE_CHECKING:
 
 @value
 class Run:
-    """A manoeuvre, how it went, and its limits held against it."""
+    """A manoeuvre, how it went, and its limits held against it.
+
+    Attributes
+    ----------
+    manoeuvre
+        As the job asks for it.
+    trajectory
+        The run, sample by sample.
+    results
+        The limits of the manoeuvre held against its figures.
+
+    References
+    ----------
+    See docs/simulation.md.
+    """
 
     manoeuvre: Manoeuvre
     trajectory: Trajectory
@@ -28,10 +42,28 @@ class Run:
 def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
 
+    Parameters
+    ----------
+    job
+        Plant, sampling and seed.
+    manoeuvre
+        One of the job's.
+    controllers
+        u = K y in the order in which they are computed.
+
+    Returns
+    -------
+    Run
+        With its verdicts.
+
     Raises
     ------
     ArgumentError
         The controllers do not fit the plant.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
     scenario = manoeuvre_scenario(job, manoeuvre)
     used = acting(controllers, job.platform, scenario.mode)
@@ -44,6 +76,26 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
 
     ``angle``: largest gimbal angle, rad; ``attitude``: largest component of the platform's rotation vector, rad;
     ``torque_share``: largest commanded torque over the torquer's limit. Infinite when the run diverged.
+
+    Parameters
+    ----------
+    job
+        The job that the run is from.
+    trajectory
+        From `fly`.
+
+    Returns
+    -------
+    dict
+        Figure and signal by name; rad, rad and a share.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/job-file.md.
     """
     if not trajectory.completed:
         return {name: (float("inf"), trajectory.ended) for name in ("angle", "attitude", "torque_share")}

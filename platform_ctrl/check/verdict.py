@@ -37,6 +37,10 @@ class JobResult:
         Of every design by (loop, design), and of the coupled system by ("", ""): its certificates, verified.
     requirements
         All results that the verdict rests on: the closed designs', the coupled system's, the runs'.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
 
     job: Job
@@ -66,10 +70,19 @@ def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = 
     progress
         Called with a line before each step.
 
+    Returns
+    -------
+    JobResult
+        With every requirement held against its measured value.
+
     Raises
     ------
     ArgumentError
         The controllers do not fit the plant.
+
+    References
+    ----------
+    See docs/loops.md.
     """
     say = progress or (lambda line: None)
     model = linearise(job.platform)

@@ -39,12 +39,16 @@ class SurvivedOmega:
     Omega
         rad/s. It may have either sign and change as the loop's manoeuvre does (`LimitedLoop.jerk`), often.
     static_Omega
-        Where the torques in equilibrium take all of a limit: no loop survives more for long.
+        Where the torques in equilibrium take all of a limit, rad/s: no loop survives more for long.
     ellipsoid
         The proof's data; its `gain` is the anti-windup gain that the figure counts on, zero where torques stay
         below their limits.
     verification
         What became of the proof.
+
+    References
+    ----------
+    As `survived_Omega`.
     """
 
     Omega: float
@@ -60,9 +64,9 @@ class AntiWindup:
     Attributes
     ----------
     loop
-        The loop.
+        What was asked for.
     gain : (n_K, m)
-        E.
+        E of x⁺ = A x + B y + E (limited u − u), in units of the controller's states per N m.
     controller
         Inputs: the measurements, then ``excess_`` + name for every control, limited less commanded torque of the same
         sample; outputs as before.
@@ -76,6 +80,10 @@ class AntiWindup:
         The largest common multiple of the shocks that lies inside: N m s where they are the unit torque impulses.
     verification
         What became of the proof of `ellipsoid`.
+
+    References
+    ----------
+    As `anti_windup`.
     """
 
     loop: LimitedLoop
@@ -105,12 +113,23 @@ def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: f
     time_limit
         Longest time that one call of the solver may take, s.
 
+    Returns
+    -------
+    SurvivedOmega
+        The rate, and the ellipsoid that proves it.
+
     Raises
     ------
     NotCertifiedError
         The proof failed.
     DesignError
         The solver failed.
+
+    References
+    ----------
+    J. M. Gomes da Silva, S. Tarbouriech, IEEE Trans. Automatic Control 50, 2005.
+
+    See docs/torque-limits.md.
     """
     slowest = slowest_decay(loop)
     best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
@@ -138,9 +157,15 @@ def anti_windup(
     Omega
         Rate of the manoeuvres that may go on at the same time, rad/s: less than the loop survives.
     shocks : (n, k), optional
-        States whose common multiple is to be as large as possible; default unit torque impulses on each axis.
+        States whose common multiple is to be as large as possible, in units of the loop's states; default unit torque
+        impulses on each axis.
     time_limit
         Longest time that one call of the solver may take, s.
+
+    Returns
+    -------
+    AntiWindup
+        The gain, and the region with it and without.
 
     Raises
     ------
@@ -150,6 +175,12 @@ def anti_windup(
         No region is left at that Omega.
     DesignError
         The solver failed, or its answer could not be proved.
+
+    References
+    ----------
+    J. M. Gomes da Silva, S. Tarbouriech, IEEE Trans. Automatic Control 50, 2005.
+
+    See docs/torque-limits.md.
     """
     Omega = positive("anti_windup: Omega", Omega, zero=True)
     n = len(loop.A)

@@ -39,7 +39,13 @@ class LoopSurvival:
     nominal
         Of the plant as it is.
     spread
-        The least over the plants of the parameter spread (at rest), rad/s, each with a proof of its own; and whose.
+        The least over the plants of the parameter spread (at rest), rad/s, each with a proof of its own.
+    spread_label
+        Which plant that is.
+
+    References
+    ----------
+    As `survived_Omega`.
     """
 
     axis: int
@@ -72,10 +78,19 @@ def caging_loop_limits(
     platform
         In place of the job's own.
 
+    Returns
+    -------
+    LimitedLoop
+        For `survived_Omega` and `anti_windup`.
+
     Raises
     ------
     ArgumentError
         Unknown signals or axis; a torquer without limit; or the loop is not stable.
+
+    References
+    ----------
+    See docs/torque-limits.md.
     """
     if axis not in (1, 2, 3):
         raise ArgumentError(f"axis: given {axis!r}; expected 1, 2 or 3")
@@ -114,12 +129,30 @@ def caging_survival(
 ) -> tuple[LoopSurvival, ...]:
     """Return the Omega that a caging loop survives about every root axis that loads its torquers.
 
+    Parameters
+    ----------
+    job, controller
+        As in `caging_loop_limits`.
+    rise
+        As in `caging_loop_limits`, s.
+    axes
+        Root axes that are asked about, 1 to 3.
+
+    Returns
+    -------
+    tuple of LoopSurvival
+        One for each axis that loads a torquer.
+
     Raises
     ------
     ArgumentError
         As in `caging_loop_limits`.
     NotCertifiedError
         A proof failed.
+
+    References
+    ----------
+    See docs/torque-limits.md.
     """
     torquers = {t.name: str(t.gimbal) for t in job.platform.torquers}
     gimbals = tuple(torquers[name] for name in controller.output_labels if name in torquers)

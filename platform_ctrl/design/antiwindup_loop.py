@@ -44,22 +44,26 @@ class LimitedLoop:
 
     Attributes
     ----------
-    A, B, B_w, R, K, C
-        As above; R selects the controller's states.
-    u_steady, angle_steady
-        N m and rad for each rad/s.
-    limits, stops
+    A, B, B_w, R, K, C : (n, n), (n, m), (n, 1), (n, n_K), (m, n), (p, n)
+        Matrices of the equations above, SI units for one rad/s of Omega; R selects the controller's states.
+    u_steady, angle_steady : (m,), (p,)
+        Torques and angles in equilibrium, N m and rad for each rad/s.
+    limits, stops : (m,), (p,)
         Largest torques, N m, and angles, rad (inf: none).
     period, rise, corner
-        s; s; rad/s.
+        Sample period, s; length of the half-cosine, s; corner ρ of the filter, rad/s.
     jerk
         Bound of |Ω' + Ω''/ρ| for one rad/s of Omega, 1/s.
     controls, measurements
         Signal names.
     controller
         As given.
-    impulses
-        States after unit torque impulses, one column a control.
+    impulses : (n, m)
+        States after unit torque impulses (1 N m s), one column a control.
+
+    References
+    ----------
+    See docs/torque-limits.md.
     """
 
     A: FloatArray
@@ -89,7 +93,17 @@ class LimitedLoop:
         return float(shares.min(initial=np.inf))
 
     def impulse(self, control: str) -> FloatArray:
-        """Return the state after a unit torque impulse, N m s, where `control` acts, behind its lag.
+        """Return the state after a unit torque impulse where a control acts, behind its lag.
+
+        Parameters
+        ----------
+        control
+            Name of the control.
+
+        Returns
+        -------
+        (n,)
+            In units of the states, for 1 N m s.
 
         Raises
         ------
@@ -121,20 +135,31 @@ def limited_loop(
     controller
         u = K y, ``dt`` the sample period.
     disturbance
-        Input of the plant that plays Omega, or several with the direction cosines.
-    limits, stops
-        Largest torques, and largest angles; in the controller's order of signals, or one for all.
-    delay, lag
-        From sample to torque, s; time constants of the torquers, s (default none).
+        Input of the plant that plays Omega, or several with their direction cosines (dimensionless).
+    limits, stops : (m,), (p,) or scalar
+        Largest torques, N m, and largest angles, rad; in the controller's order of signals, or one for all.
+    delay
+        From sample to torque, s.
+    lag : (m,) or scalar, optional
+        Time constants of the torquers, s; default none.
     rise
         Length of the half-cosine that has to be covered, s.
     corner
         Corner ρ of the filter, rad/s; default 4 π/rise.
 
+    Returns
+    -------
+    LimitedLoop
+        With its states in deviation from the equilibrium.
+
     Raises
     ------
     ArgumentError
         The arguments do not fit, or the loop without limits is not stable.
+
+    References
+    ----------
+    See docs/torque-limits.md.
     """
     P, K = state_arrays(plant, "limited_loop (plant)"), state_arrays(controller, "limited_loop (controller)")
     if P.dt != 0.0 or not K.dt > 0.0:

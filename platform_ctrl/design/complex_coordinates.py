@@ -41,7 +41,7 @@ class ComplexSystem:
     Attributes
     ----------
     A, B, C, D : complex (n, n), (n, 1), (1, n), (1, 1)
-        Half the states of the real system.
+        Half the states of the real system; in the units that `input_scale` and `output_scale` make.
     dt
         Sample period, s; 0 for a continuous system.
     delay
@@ -49,9 +49,13 @@ class ComplexSystem:
     inputs, outputs
         Names of the real and of the imaginary part.
     input_scale, output_scale : (2,)
-        Real signals are those of the complex coordinates times these.
+        Real signals are those of the complex coordinates times these factors.
     inertia, momentum
         J, kg m², and L, N m s, of a plant P = 1/(J s² − i L s) behind its lags; 0 of a controller.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
 
     A: ComplexArray
@@ -68,11 +72,22 @@ class ComplexSystem:
     momentum: float = 0.0
 
     def real_arrays(self) -> StateArrays:
-        """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time."""
+        """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time.
+
+        Returns
+        -------
+        StateArrays
+            Two inputs, two outputs, 2n states, in the complex coordinates' units.
+        """
         return StateArrays(_real(self.A), _real(self.B), _real(self.C), _real(self.D), self.dt)
 
     def real_system(self) -> control.StateSpace:
         """Return the real system with two inputs and two outputs, in SI units.
+
+        Returns
+        -------
+        control.StateSpace
+            With the names of `inputs` and `outputs`.
 
         Raises
         ------
@@ -119,6 +134,10 @@ def complex_plant(
     ------
     ArgumentError
         Not two gimbals, or not symmetric to 1e-9; the message names what breaks the symmetry.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
     expect_model(model)
     rows = whole_subsystems(model, gimbals)
@@ -167,7 +186,7 @@ def complex_plant(
 
 
 def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArray:
-    """Return the response at positive and negative frequencies, complex (N,).
+    """Return the response at positive and negative frequencies.
 
     Parameters
     ----------
@@ -176,10 +195,19 @@ def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArra
     frequency : (N,)
         rad/s, of either sign. Not at a pole.
 
+    Returns
+    -------
+    complex (N,)
+        In the units of the complex coordinates.
+
     Raises
     ------
     ArgumentError
         Not a vector of finite numbers.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
     w = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
     if w.ndim != 1 or not np.all(np.isfinite(w)):

@@ -48,21 +48,25 @@ class TwoSidedNyquist:
     Attributes
     ----------
     frequency : (N,)
-        rad/s, rising from negative to positive.
+        Where L is given, rad/s, rising from negative to positive.
     loop_transfer : complex (N,)
-        L = −K P; S = 1/(1 + L).
+        L = −K P, dimensionless; S = 1/(1 + L).
     encirclements
         Turns round −1, counted anticlockwise as the frequency rises; poles on the axis are passed on the right.
     open_unstable, closed_unstable
         Number of unstable poles without and with the loop; closed = open − encirclements.
     disk_margin
-        1/max |(S − T)/2|; 0 where the loop is unstable.
+        1/max |(S − T)/2|, dimensionless; 0 where the loop is unstable.
     margin_frequency
         Where that is, rad/s, with its sign.
     crossings : (k,)
         Frequencies with |L| = 1, rad/s.
     phase_margins : (k,)
         Phase of L there, from −1: positive where L lags less than half a turn, rad.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
 
     frequency: FloatArray
@@ -88,6 +92,10 @@ class ComplexLoop:
         u = K y of the two gimbals, in SI units.
     nyquist
         Its loop transfer, with margins.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
 
     plant: ComplexSystem
@@ -135,13 +143,18 @@ def complex_loop(
     plant
         From `complex_plant`; continuous ones give a continuous controller, sampled ones one by Tustin's rule.
     crossover_hz, integral_hz
-        ωc and ωi of the PI across.
+        ωc and ωi of the PI across, Hz.
     damping_hz, lead_hz, rolloff_hz
-        d, ωz and ωr of the lead along.
+        d, ωz and ωr of the lead along, Hz.
     notch_hz
-        ωn of the one-sided notch, with its sign: that of nutation is the sign of L/J. Default none.
+        ωn of the one-sided notch, Hz, with its sign: that of nutation is the sign of L/J. Default none.
     notch_depth, notch_width
-        Gain at its centre; width w over |ωn|.
+        Gain at its centre, dimensionless; width w as a ratio to |ωn|.
+
+    Returns
+    -------
+    ComplexLoop
+        With its two-sided Nyquist curve and margins.
 
     Raises
     ------
@@ -149,6 +162,10 @@ def complex_loop(
         A number makes no sense.
     NotStabilisableError
         The loop is not stable; what it does is attached.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
     numbers = {"crossover_hz": crossover_hz, "integral_hz": integral_hz, "damping_hz": damping_hz, "lead_hz": lead_hz}
     numbers |= {"rolloff_hz": rolloff_hz, "notch_depth": notch_depth, "notch_width": notch_width}
@@ -204,12 +221,21 @@ def two_sided_nyquist(
     plant, controller
         u = K z, the same `dt`.
     frequency : (N,), optional
-        rad/s, rising; default logarithmic on both sides, denser at poles. Counts and margins do not depend on it.
+        Rising, rad/s; default logarithmic on both sides, denser at poles. Counts and margins do not depend on it.
+
+    Returns
+    -------
+    TwoSidedNyquist
+        The curve with what it tells.
 
     Raises
     ------
     ArgumentError
         Different sample periods, or frequencies that do not rise.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
     if plant.dt != controller.dt:
         raise ArgumentError(

@@ -51,9 +51,13 @@ class CrossoverDesign:
     controller
         u = K y, sampled; inputs are the pair's angles, outputs its torques.
     options
-        Of the method ``classical``, complete: what a job file would take.
+        Of the method ``classical``, complete: what a job file would take, in the units of the job file.
     disk_margin
-        1/‖(S − T)/2‖ of the sampled loop, the smaller of input and output.
+        1/‖(S − T)/2‖ of the sampled loop, dimensionless, the smaller of input and output.
+
+    References
+    ----------
+    As `from_crossover_and_margin`.
     """
 
     plant: control.StateSpace
@@ -97,13 +101,20 @@ def from_crossover_and_margin(
     crossover_hz
         Of the cross-axis gain, Hz.
     disk_margin
-        Wanted, 0 to 2; or
+        Wanted, dimensionless, 0 to 2; or
     phase_margin_deg
-        phases of so many degrees in all channels at once, which is the disk margin 2 tan(phase/2).
+        phases of so many degrees (the one angle not in rad) in all channels at once, which is the disk margin 2
+        tan(phase/2).
     period, delay
         Of the controller, s; the torquers' lags come from the plant.
     **options
-        Others of the method ``classical`` (see the job file): ``integral_hz``, ``lead_hz``, ``notch_depth``, ...
+        Others of the method ``classical`` (see the job file), in its units: ``integral_hz``, ``lead_hz``,
+        ``notch_depth``, ...
+
+    Returns
+    -------
+    CrossoverDesign
+        The sampled controller, its numbers and its margin.
 
     Raises
     ------
@@ -111,6 +122,12 @@ def from_crossover_and_margin(
         The gimbals are no pair, or a number makes no sense.
     InfeasibleError
         No strength of the lead reaches the margin; the message says what is the most.
+
+    References
+    ----------
+    See docs/classical.md.
+
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     expect_model(model)
     wanted = _wanted(disk_margin, phase_margin_deg)

@@ -67,7 +67,7 @@ def h2(
     time_limit
         Longest time that one call of the LMI solver may take, s.
     regularise
-        As in `hinf`.
+        As in `hinf`, relative.
 
     Returns
     -------
@@ -84,6 +84,14 @@ def h2(
         The route failed.
     NotCertifiedError
         The controller does not reach what was promised.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, section 14.5.
+
+    C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997.
+
+    M. C. de Oliveira, J. C. Geromel, J. Bernussou, Int. J. Control 75, 2002.
     """
     one_of("h2: method", method, ("riccati", "lmi"))
     backoff = positive("h2: backoff", backoff)

@@ -29,10 +29,14 @@ class IntersampleGains:
     torque_rejection
         From disturbing torques at the gimbals to the angles, rad/(N m). At the gimbals: not through hold, delay and
         lag as the torques of the controller.
+    torque_frequency, Omega_frequency
+        Where the peaks are, rad/s, up to π/T; None where the peak belongs to no frequency.
     Omega_rejection
         From Omega to the angles, rad s/rad.
-    torque_frequency, Omega_frequency
-        rad/s, up to π/T; None where the peak belongs to no frequency.
+
+    References
+    ----------
+    As `intersample_gains`.
     """
 
     torque_rejection: float
@@ -42,7 +46,7 @@ class IntersampleGains:
 
 
 def intersample_gains(job: Job, controller: control.StateSpace) -> IntersampleGains:
-    """Return the gains of the loop that `controller` closes around the job's plant at rest, between samples as at them.
+    """Return the gains of a caging loop around the job's plant at rest, between samples as at them.
 
     Parameters
     ----------
@@ -51,10 +55,21 @@ def intersample_gains(job: Job, controller: control.StateSpace) -> IntersampleGa
     controller
         A caging controller, u = K y with the names of pick-offs and torquers.
 
+    Returns
+    -------
+    IntersampleGains
+        From disturbing torques and from Omega to the angles.
+
     Raises
     ------
     ArgumentError
         Unknown signals, or the loop is not stable.
+
+    References
+    ----------
+    B. Bamieh, J. B. Pearson, Systems & Control Letters 18, 1992.
+
+    See docs/sampled-data.md.
     """
     plant, m, p = caging_plant(job, controller)
     torque, at = intersample_norm(_chosen(plant, range(m), m), controller, p, m, job.sampling.delay)

@@ -37,6 +37,10 @@ class LoopOutcome:
         In the job's order.
     use
         Name of the design that is closed.
+
+    References
+    ----------
+    As `loops`.
     """
 
     spec: LoopSpec
@@ -66,12 +70,23 @@ def loops(
     progress
         Called with a line before and during each design.
 
+    Returns
+    -------
+    tuple of LoopOutcome
+        In the job's order.
+
     Raises
     ------
     InputError
         The job makes no sense, or a loop's gimbals cut through a subsystem.
     DesignError
         A method found no controller that its certificate accepts.
+
+    References
+    ----------
+    See docs/loop-design.md.
+
+    See docs/loops.md.
     """
     job = job if isinstance(job, Job) else read_job(job)
     say = progress or (lambda line: None)

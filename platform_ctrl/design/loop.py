@@ -41,7 +41,7 @@ class LoopDesign:
     controller
         u = K y with ``dt`` the sample period; inputs are signals that it measures, outputs the torques that it sets.
     options
-        The method's numbers as finally used.
+        The method's numbers as finally used, in the units of the job file.
     plants
         What it was designed for, nominal plant first; None for a loop that is judged in the coupled system alone.
     measures
@@ -51,12 +51,16 @@ class LoopDesign:
     goals
         The loop's goals held against the measures: no verdict rests on them.
     claims
-        What the method claims, by name: for example ``gamma``.
+        What the method claims, by name, in SI units: for example ``gamma``.
     certificates
         Proofs that the loop is stable with each of its plants, of the disk margin that is asked for with each, and of
         the nominal one.
     unproved
         A line for each such claim without a proof.
+
+    References
+    ----------
+    As `loops`.
     """
 
     loop: str

@@ -41,15 +41,20 @@ class StateFeedback:
     system
         The plant as given.
     state_gain : (m, n + p)
-        u = state_gain [x, xi]; xi (p,) are the integrals (sampled: sums) of y, where they are asked for.
+        u = state_gain [x, xi], in the plant's units; xi (p,) are the integrals (sampled: sums) of y, where they are
+        asked for.
     X : (n + p, n + p)
-        The least cost from the state x is x' X x.
-    poles : complex
-        Of the closed loop: rad/s, or in z.
+        The least cost from the state x is x' X x, in units of the cost.
+    poles : complex (n + p,)
+        Of the closed loop: rad/s, or in z (dimensionless).
     integrals
         Number p of integrals.
     residual
         Relative residual of the Riccati equation, in scaled units.
+
+    References
+    ----------
+    As `lqr`.
     """
 
     system: StateSpace
@@ -83,14 +88,20 @@ class Estimator:
     system
         The plant as given.
     observer_gain : (n, p)
+        Of the innovation, in units of the states per y (continuous: over s).
     Y : (n, n)
-        Covariance of x − x̂ in the steady state; sampled: before y[k] is used.
+        Covariance of x − x̂ in the steady state, in units of the states; sampled: before y[k] is used.
     poles : complex (n,)
-        Of the estimation error: rad/s, or in z.
+        Of the estimation error: rad/s, or in z (dimensionless).
     present_gain : (n, p)
-        Sampled plants: x̂[k] + present_gain (y[k] − C x̂[k] − D u[k]) is the estimate that uses y[k]. Empty for others.
+        Sampled plants, in units of the states per y: x̂[k] + present_gain (y[k] − C x̂[k] − D u[k]) is the estimate
+        that uses y[k]. Empty for others.
     residual
         Relative residual of the Riccati equation, in scaled units.
+
+    References
+    ----------
+    As `lqe`.
     """
 
     system: StateSpace
@@ -127,6 +138,10 @@ class LqgDesign:
     synthesis
         The same loop as an H2 problem: its plant has the outputs y and, where integrals are asked for, their integrals
         as measurements, and `synthesis.gamma`² is the cost, recomputed from the closed loop.
+
+    References
+    ----------
+    As `lqg`.
     """
 
     controller: StateSpace
@@ -136,12 +151,12 @@ class LqgDesign:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of plant and controller: rad/s, or in z."""
+        """Poles (n,) of plant and controller: rad/s, or in z (dimensionless)."""
         return self.synthesis.poles
 
     @property
     def cost(self) -> float:
-        """The rate (sampled: mean per sample) of the cost in the steady state, recomputed."""
+        """The rate (sampled: mean per sample) of the cost in the steady state, in units of Q1 and Q2; recomputed."""
         return self.synthesis.gamma**2
 
     @property
@@ -159,10 +174,17 @@ def lqr(
     ----------
     system
         Continuous or sampled plant.
-    Q1, Q2, Q12
-        Weights (n, n) of the states, (m, m) of the inputs, and (n, m) between them (default 0).
-    integral
-        Weight (p, p) of the integrals of y (sampled: of their sums); None for no integral action.
+    Q1, Q2 : (n, n), (m, m)
+        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike.
+    Q12 : (n, m), optional
+        Weight between them, in the same units; default 0.
+    integral : (p, p), optional
+        Weight of the integrals of y (sampled: of their sums), in the same units; None for no integral action.
+
+    Returns
+    -------
+    StateFeedback
+        Gain, cost matrix and poles.
 
     Raises
     ------
@@ -175,6 +197,12 @@ def lqr(
         No input moves a mode that is not stable.
     UnscalableError, NotCertifiedError
         The Riccati equation was not solved, or the loop is not stable.
+
+    References
+    ----------
+    A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
+
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
     """
     arrays = state_arrays(system, "lqr")
     weights = judged_weights(
@@ -190,14 +218,27 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
     ----------
     system
         Continuous or sampled plant.
-    R1, R2, R12
-        Intensities (sampled: covariances) (n, n) of v1, (p, p) of v2 and (n, p) between them (default 0). Noise that
-        enters at G has R1 = G R G'.
+    R1, R2 : (n, n), (p, p)
+        Intensities (sampled: covariances) of v1 and v2, in units of the states and of y. Noise that enters at G has R1
+        = G R G'.
+    R12 : (n, p), optional
+        Intensity between them, in the same units; default 0.
+
+    Returns
+    -------
+    Estimator
+        Gain, covariance and poles.
 
     Raises
     ------
     ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
         As `lqr`, for noise and measurements in place of weights and inputs.
+
+    References
+    ----------
+    A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
+
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
     """
     arrays = state_arrays(system, "lqe")
     noise = judged_weights(
@@ -224,18 +265,29 @@ def lqg(
     ----------
     system
         Continuous or sampled plant.
-    Q1, Q2, Q12, R1, R2, R12
+    Q1, Q2, R1, R2, Q12, R12
         As in `lqr` and `lqe`.
-    integral
-        Weight (p, p) of the integrals of y (sampled: of their sums). The controller integrates what it measures, so it
-        knows them exactly; it is still the optimum.
+    integral : (p, p), optional
+        Weight of the integrals of y (sampled: of their sums), as in `lqr`. The controller integrates what it measures,
+        so it knows them exactly; it is still the optimum.
     direct
         Sampled plants: whether u[k] may use y[k].
+
+    Returns
+    -------
+    LqgDesign
+        The controller, and both halves of it.
 
     Raises
     ------
     ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
         As `lqr` and `lqe`; NotCertifiedError also where the closed loop does not have the cost that was promised.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 14.
+
+    See docs/full-order.md.
     """
     arrays = state_arrays(system, "lqg")
     n, m = arrays.B.shape

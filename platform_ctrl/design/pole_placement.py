@@ -46,15 +46,19 @@ class PolePlacement:
     inputs
         Names of the inputs that the feedback uses, in the order of the gain's rows.
     state_gain : (m, n)
-        K, with the sign of `control.place`.
+        K, with the sign of `control.place`, in units of the inputs per state.
     poles : complex (n,)
-        Eigenvalues of A − B K, in the order in which they were asked for.
+        Eigenvalues of A − B K, in the order in which they were asked for: rad/s, or in z (dimensionless).
     error
-        Largest distance of a pole from where it was asked to be, over its size (at least that of a tenth of the
-        largest).
+        Relative: largest distance of a pole from where it was asked to be, over its size (at least that of a tenth of
+        the largest).
     condition
-        Condition number of the closed loop's eigenvectors in those coordinates: how much a small change moves the
-        poles.
+        Condition number of the closed loop's eigenvectors in those coordinates, dimensionless: how much a small change
+        moves the poles.
+
+    References
+    ----------
+    As `pole_placement`.
     """
 
     system: control.StateSpace
@@ -87,9 +91,14 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     system
         Continuous or discrete, n states.
     poles : complex (n,)
-        In s or in z; complex ones in conjugate pairs, none more often than there are inputs.
+        In s, rad/s, or in z; complex ones in conjugate pairs, none more often than there are inputs.
     inputs
         Names of the inputs that the feedback uses; default all. The platform rates are inputs of `state_space` too.
+
+    Returns
+    -------
+    PolePlacement
+        The gain, and the poles that it reaches.
 
     Raises
     ------
@@ -99,6 +108,12 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
         No input moves a mode.
     NotCertifiedError
         The poles were not reached.
+
+    References
+    ----------
+    A. L. Tits, Y. Yang, IEEE Trans. Automatic Control 41, 1996.
+
+    See docs/classical.md.
     """
     arrays = state_arrays(system, "pole_placement")
     chosen = list(system.input_labels) if inputs is None else list(inputs)

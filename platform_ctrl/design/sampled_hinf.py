@@ -59,17 +59,21 @@ class SampledSynthesis:
     controller
         K, u = K y, its ``dt`` the period.
     gamma, frequency
-        `analysis.intersample_norm` of the actual loop and its frequency, rad/s (or None).
+        `analysis.intersample_norm` of the actual loop, in units of z per w, and its frequency, rad/s (or None).
     gamma_optimal
-        The least level that was found, to 0.1 %.
+        The least level that was found, to 0.1 %, in the same units.
     backoff
         Relative back-off: the controller was made for (1 + backoff) gamma_optimal.
     method
         The route of the discrete synthesis.
-    poles : (n + delayed controls + nK,)
-        Poles of the sampled loop, in z.
+    poles : complex (n + delayed controls + nK,)
+        Poles of the sampled loop, in z (dimensionless).
     equivalent
         The discrete synthesis that the controller comes from: of the lifted plant at the backed-off level.
+
+    References
+    ----------
+    As `sampled_hinf`.
     """
 
     plant: StateSpace
@@ -132,6 +136,11 @@ def sampled_hinf(
     time_limit
         Longest time that one call of a solver may take, s.
 
+    Returns
+    -------
+    SampledSynthesis
+        The controller, and the norm of its actual loop.
+
     Raises
     ------
     ArgumentError
@@ -140,6 +149,16 @@ def sampled_hinf(
         y has a direct path from w.
     DesignError
         As in `design.hinf`; `NotCertifiedError` where the actual loop does not keep what was promised.
+
+    References
+    ----------
+    B. Bamieh, J. B. Pearson, Systems & Control Letters 18, 1992.
+
+    P. T. Kabamba, S. Hara, IEEE Trans. Automatic Control 38, 1993.
+
+    T. Chen, B. A. Francis, Optimal Sampled-Data Control Systems, 1995.
+
+    See docs/sampled-data.md.
     """
     backoff = positive("sampled_hinf: backoff", backoff)
     nz, nw = state_arrays(P, "sampled_hinf (P)").D.shape[0] - nmeas, P.ninputs - ncon

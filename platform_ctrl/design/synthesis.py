@@ -63,9 +63,13 @@ class Claim:
     norm
         ``"hinf"`` or ``"h2"``.
     limit
-        What the recomputed norm must not exceed; ``inf`` where it is only reported.
+        What the recomputed norm must not exceed, in the units of z per w; ``inf`` where it is only reported.
     inputs, outputs
         Indices of the w and z that the norm is taken between; None for all.
+
+    References
+    ----------
+    Own definition.
     """
 
     name: str
@@ -90,21 +94,26 @@ class Synthesis:
     closed_loop
         The lower linear fractional transformation of P and K, from w to z.
     gamma, frequency
-        Norm of `closed_loop`, recomputed from it, and for the H-infinity norm the frequency of the peak, rad/s.
+        Norm of `closed_loop` in units of z per w, recomputed from it, and for the H-infinity norm the frequency of the
+        peak, rad/s.
     gamma_optimal
-        The bound that was backed off from: the least gamma that the route found.
+        The bound that was backed off from, in the same units: the least gamma that the route found.
     backoff
         Relative back-off: the controller was made for (1 + backoff) gamma_optimal.
     method
         The route.
-    poles : (n + nK,)
-        Poles of the closed loop: rad/s, or in z where the plant is sampled.
+    poles : complex (n + nK,)
+        Poles of the closed loop: rad/s, or in z (dimensionless) where the plant is sampled.
     residual
         Figures of merit of the route by name, in scaled units.
     norm
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
     norms
-        Other norms of the closed loop that the route promised, recomputed, by name.
+        Other norms of the closed loop that the route promised, recomputed, by name, in units of z per w.
+
+    References
+    ----------
+    As `hinf`.
     """
 
     plant: StateSpace
@@ -182,6 +191,7 @@ def hinf(
     Returns
     -------
     Synthesis
+        With ``norm = "hinf"``.
 
     Raises
     ------
@@ -193,6 +203,16 @@ def hinf(
         The route failed.
     NotCertifiedError
         The controller does not reach what was promised.
+
+    References
+    ----------
+    P. Gahinet, P. Apkarian, Int. J. Robust and Nonlinear Control 4, 1994.
+
+    K. Glover, J. C. Doyle, Systems & Control Letters 11, 1988.
+
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, theorem 17.1.
+
+    See docs/full-order.md.
     """
     one_of("hinf: method", method, ("lmi", "riccati"))
     backoff = positive("hinf: backoff", backoff)

@@ -74,7 +74,7 @@ class MatrixPolynomial:
 
         Parameters
         ----------
-        rows
+        *rows
             Indices along each axis.
 
         Returns

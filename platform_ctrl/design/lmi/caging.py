@@ -50,7 +50,7 @@ class ScheduledCaging:
     scheduled
         The design of the weighted problem, with its certificate.
     frozen
-        Least gamma of the design for Omega = 0 alone.
+        Least gamma of the design for Omega = 0 alone, dimensionless.
     angles, torques
         Names of the controller's inputs and outputs.
     Omega_max : (3,)
@@ -58,9 +58,13 @@ class ScheduledCaging:
     weight_rate : (k,)
         ω_e of the channels, rad/s; their gain is 1/M.
     peak
-        M.
+        M, dimensionless.
     basis, torque : (k, k)
-        Channels from angles, and torquers from the channels' torques, N m.
+        Channels from angles, dimensionless, and torquers from the channels' torques, N m.
+
+    References
+    ----------
+    As `scheduled_caging`.
     """
 
     scheduled: Scheduled
@@ -79,7 +83,17 @@ class ScheduledCaging:
         return self.scheduled.gamma_optimal / self.frozen - 1.0
 
     def controller(self, Omega: ArrayLike) -> StateSpace:
-        """Return the controller at a rate (3,), rad/s: torques from angles, u = K y, integral action included.
+        """Return the controller at a rate of the platform: torques from angles, u = K y, integral action included.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+
+        Returns
+        -------
+        control.StateSpace
+            Inputs `angles`, rad, outputs `torques`, N m.
 
         Raises
         ------
@@ -128,15 +142,23 @@ def scheduled_caging(
     Omega_max : (3,)
         Largest rates about the axes, rad/s. A zero leaves the axis out.
     bandwidth_hz, inertial_bandwidth_hz
-        Of W_e, for gyroscopic pairs and for directions without gyroscopic action (default: the same).
+        Of W_e, Hz, for gyroscopic pairs and for directions without gyroscopic action (default: the same).
     sensitivity_peak, complementary, disturbance, torque
-        M, W_t, the size of d and W_u; torques count in units of h ω_nutation (pairs) and J ω_nutation² (others).
+        M, W_t, the size of d and W_u, dimensionless: torques count in units of h ω_nutation (pairs) and J ω_nutation²
+        (others).
     lag
         Lag of the torquers, s; the delay of a sampled loop is to be added here.
     terms
         ``"exact"`` or ``"paper"``, see `parameter_varying`; the latter has fewer parameters.
-    backoff, time_limit
-        See `scheduled`.
+    backoff
+        Relative distance from the least gamma, see `scheduled`.
+    time_limit
+        See `scheduled`, s.
+
+    Returns
+    -------
+    ScheduledCaging
+        A controller for every rate, and its certificate.
 
     Raises
     ------
@@ -144,6 +166,12 @@ def scheduled_caging(
         The arguments do not make sense, or a gimbal without a torquer of its own.
     DesignError
         As `scheduled`.
+
+    References
+    ----------
+    P. Apkarian, P. Gahinet, G. Becker, Automatica 31, 1995.
+
+    See docs/lmi.md.
     """
     limits = real_array(f"{WHERE}: Omega_max", Omega_max, (3,))
     lag, width = positive(f"{WHERE}: lag", lag), positive(f"{WHERE}: bandwidth_hz", bandwidth_hz)

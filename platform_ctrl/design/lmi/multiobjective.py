@@ -58,16 +58,20 @@ class Multiobjective:
     outcomes
         Every requirement with its value, recomputed from the closed loop, and its ratio, at most 1 when met.
     ratio_optimal
-        Least common bound of the soft norms (all, where none is soft) over their limits that the inequalities allow;
-        nan where no norm is asked.
+        Least common bound of the soft norms (all, where none is soft) as a ratio to their limits that the inequalities
+        allow; nan where no norm is asked.
     backoff
         Relative distance from it.
-    poles
-        Poles of the closed loop: rad/s, or in z where the plant is sampled.
+    poles : complex (n,)
+        Poles of the closed loop: rad/s, or in z (dimensionless) where the plant is sampled.
     method
         The route.
     residual
         Figures of merit by name, in scaled units.
+
+    References
+    ----------
+    As `multiobjective`.
     """
 
     plant: StateSpace
@@ -130,6 +134,11 @@ def multiobjective(
     time_limit
         Longest time that one call of the solver may take, s.
 
+    Returns
+    -------
+    Multiobjective
+        The controller, with every requirement measured.
+
     Raises
     ------
     ArgumentError
@@ -143,6 +152,14 @@ def multiobjective(
         No controller was found for the hard requirements with a common Lyapunov matrix.
     TimeLimitError, UnscalableError, NotCertifiedError
         The solver was ended or gave up; or the closed loop does not do what was promised.
+
+    References
+    ----------
+    C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997.
+
+    M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996.
+
+    See docs/lmi.md.
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     plant = partition(P, nmeas, ncon, sampled=True)

@@ -71,6 +71,10 @@ class Robust:
         every convex combination of the closed loops and every motion among them.
     method
         The route.
+
+    References
+    ----------
+    As `robust`.
     """
 
     plants: tuple[StateSpace, ...]
@@ -118,6 +122,11 @@ def robust(
     time_limit
         Longest time that one call of the solver may take, s.
 
+    Returns
+    -------
+    Robust
+        The controller, each plant's figures and the common certificate.
+
     Raises
     ------
     ArgumentError
@@ -128,6 +137,14 @@ def robust(
         No controller with a common Lyapunov matrix was found.
     UnscalableError, TimeLimitError, NotCertifiedError
         The solver gave up or was ended; or the closed loops do not do what was promised.
+
+    References
+    ----------
+    P. Gahinet, P. Apkarian, Int. J. Robust and Nonlinear Control 4, 1994.
+
+    C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997.
+
+    See docs/lmi.md.
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     if not isinstance(plants, (list, tuple)) or not plants:

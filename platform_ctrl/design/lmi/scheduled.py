@@ -46,17 +46,22 @@ class Scheduled:
     nmeas, ncon
         Number of measurements and of controls.
     gamma
-        For any rho(t) in the box, and x = 0 at the start, the energy of z is below gamma² times that of w.
+        For any rho(t) in the box, and x = 0 at the start, the energy of z is below gamma² times that of w; in units of
+        z per w.
     gamma_optimal
-        The least gamma with a common Lyapunov matrix.
+        The least gamma with a common Lyapunov matrix, in the same units.
     norms : (vertices,)
-        H-infinity norms of the closed loops frozen at the vertices.
+        H-infinity norms of the closed loops frozen at the vertices, in the same units.
     backoff
         Relative distance from the least gamma.
     certificate
         One Lyapunov matrix for all vertices, proved for these matrices.
     residual
         Figures of merit of the route by name, in scaled units.
+
+    References
+    ----------
+    As `scheduled`.
     """
 
     box: Box
@@ -73,11 +78,24 @@ class Scheduled:
 
     @property
     def lyapunov(self) -> FloatArray:
-        """X of the certificate: x'Xx falls along every motion, x the states of plant and controller."""
+        """X of the certificate, (n, n): x'Xx falls along every motion.
+
+        x are the states of plant and controller, in their units.
+        """
         return self.certificate.X
 
     def at(self, parameters: ArrayLike) -> StateSpace:
-        """Return the controller at parameter values (p,); its states keep their meaning while these change.
+        """Return the controller at values of the parameters; its states keep their meaning while these change.
+
+        Parameters
+        ----------
+        parameters : (p,)
+            Inside the box, in its units.
+
+        Returns
+        -------
+        control.StateSpace
+            u = K y, frozen there.
 
         Raises
         ------
@@ -87,7 +105,17 @@ class Scheduled:
         return _combined(self.controllers, self.box.shares(parameters))
 
     def controller(self, Omega: ArrayLike) -> StateSpace:
-        """Return the controller at a platform rate (3,), rad/s, where the parameters are monomials of Omega.
+        """Return the controller at a platform rate, where the parameters are monomials of Omega.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+
+        Returns
+        -------
+        control.StateSpace
+            u = K y, frozen there.
 
         Raises
         ------
@@ -97,7 +125,23 @@ class Scheduled:
         return self.at(monomial_values(self.box.names, Omega))
 
     def plant(self, parameters: ArrayLike) -> StateSpace:
-        """Return the plant at parameter values (p,)."""
+        """Return the plant at values of the parameters.
+
+        Parameters
+        ----------
+        parameters : (p,)
+            Inside the box, in its units.
+
+        Returns
+        -------
+        control.StateSpace
+            Inputs [w, u] and outputs [z, y], frozen there.
+
+        Raises
+        ------
+        ArgumentError
+            The point lies outside the box.
+        """
         return _combined(self.plants, self.box.shares(parameters))
 
 
@@ -117,16 +161,24 @@ def scheduled(
     Parameters
     ----------
     plant
-        ``plant(rho)`` is the continuous plant with inputs [w, u] and outputs [z, y] at parameter values (p,). It is
-        affine in them, and what u drives and y sees directly (B2, C2, D12, D21, D22) does not depend on them.
-    names, low, high
-        Parameters and their bounds (p,).
+        ``plant(rho)`` is the continuous plant with inputs [w, u] and outputs [z, y] at parameter values (p,), in their
+        units. It is affine in them, and what u drives and y sees directly (B2, C2, D12, D21, D22) does not depend on
+        them.
+    names
+        Names of the p parameters.
+    low, high : (p,)
+        Their bounds, in the parameters' units.
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     backoff
         Relative distance from the least gamma, positive.
     time_limit
         Longest time that one call of the solver may take, s.
+
+    Returns
+    -------
+    Scheduled
+        Controllers at the vertices, and the certificate for all between.
 
     Raises
     ------
@@ -140,6 +192,14 @@ def scheduled(
         No common Lyapunov matrix was found.
     NotCertifiedError
         The proof for the controllers as returned failed.
+
+    References
+    ----------
+    P. Apkarian, P. Gahinet, G. Becker, Automatica 31, 1995.
+
+    P. Gahinet, Automatica 32, 1996.
+
+    See docs/lmi.md.
     """
     backoff, time_limit = positive(f"{WHERE}: backoff", backoff), positive(f"{WHERE}: time_limit", time_limit)
     corners = box(names, low, high, WHERE)

@@ -41,19 +41,23 @@ class ClosedLoopResponse:
     Attributes
     ----------
     frequency : (N,)
-        rad/s.
-    S, T
-        Sensitivity and complementary sensitivity at the angles.
-    S_input, T_input
-        At the torques.
-    torque_per_noise
+        The measured frequencies, rad/s.
+    S, T : complex (N, n, n)
+        Sensitivity and complementary sensitivity at the angles, dimensionless.
+    S_input, T_input : complex (N, n, n)
+        At the torques, dimensionless.
+    torque_per_noise : complex (N, n, n)
         K S, N m/rad.
-    angle_per_torque
+    angle_per_torque : complex (N, n, n)
         P S_input, rad/(N m).
     limits
-        What was asked of each, by name, (N,); of a disk margin 1/α for ‖(S − T)/2‖.
+        What was asked of each, by name, (N,), in its unit; of a disk margin 1/α for ‖(S − T)/2‖.
     ratios
-        What is reached over what was asked, by name, (N,): at most 1.
+        Ratio of what is reached to what was asked, by name, (N,): at most 1.
+
+    References
+    ----------
+    As `measured_pid`.
     """
 
     frequency: FloatArray
@@ -76,22 +80,26 @@ class MeasuredDesign:
     controller
         u = K y, continuous or sampled; inputs are the measured angles, outputs the torques.
     gains : (3, n, n)
-        Kp, Ki and Kd.
+        Kp, N m/rad, Ki, N m/(rad s), and Kd, N m s/rad.
     filter_time
         Of the rate action, s.
     objective
-        Least singular value of Ki.
+        Least singular value of Ki, N m/(rad s).
     responses
         Of the closed loop with each measured plant.
     unstable_poles
         Of the closed loop with each plant, by the generalised Nyquist criterion: all 0.
     start : (3, n, n)
-        Gains that the iterations began with.
+        Gains that the iterations began with, in the same units.
     history : (steps, 2)
-        Least singular value of Ki, and the worst ratio of all limits, after each step.
+        Least singular value of Ki, N m/(rad s), and the worst ratio of all limits, after each step.
     ended
         Why the iterations ended: ``"no more progress"``, ``"the solver gave up"`` or ``"the steps are used up"``. The
         limits are kept in any case.
+
+    References
+    ----------
+    As `measured_pid`.
     """
 
     controller: control.StateSpace
@@ -141,8 +149,8 @@ def measured_pid(
     filter_time
         Of the rate action, s; default for a sampled controller 0.4 periods, that is 0.4 of the sample rate.
     pattern
-        Which gains are free: ``"full"``, ``"diagonal"``, ``"cross-axis"`` (two angles: integral action across,
-        rate action along), or zeros and ones (n, n) or (3, n, n).
+        Which gains are free: ``"full"``, ``"diagonal"``, ``"cross-axis"`` (two angles: integral action across, rate
+        action along), or zeros and ones (n, n) or (3, n, n), dimensionless.
     sensitivity_peak, complementary_peak
         Largest ‖S‖ and ‖T‖, at angles and at torques.
     disk_margin
@@ -152,11 +160,12 @@ def measured_pid(
     angle_per_torque
         Largest ‖P S‖, rad/(N m).
     resonance_damping
-        What a resonance that the data do not resolve has to be damped like: there ‖P S‖ ≤ ‖R‖/(ζ ν), R the residue at
-        its pole jν. Without it nothing keeps the controller from cancelling nutation by a zero in place of damping
-        it.
+        What a resonance that the data do not resolve has to be damped like, a damping ratio: there ‖P S‖ ≤ ‖R‖/(ζ ν), R
+        the residue at its pole jν. Without it nothing keeps the controller from cancelling nutation by a zero in place
+        of damping it.
     start
-        Gains (3, n, n) that stabilise every plant, or an earlier result; default found from the data.
+        Gains (3, n, n) that stabilise every plant, in the units of `MeasuredDesign.gains`, or an earlier result;
+        default found from the data.
     unstable
         Number of unstable poles of each plant.
     integrators
@@ -166,7 +175,10 @@ def measured_pid(
     time_limit
         Longest time in all, s.
 
-    Every limit is a number, or a function of frequencies in rad/s.
+    Returns
+    -------
+    MeasuredDesign
+        The controller, and its closed loop with each measured plant.
 
     Raises
     ------
@@ -180,6 +192,16 @@ def measured_pid(
         The data do not decide whether the loop is stable.
     TimeLimitError
         The time was over before the limits were met.
+
+    Notes
+    -----
+    Every limit is a number, or a function of frequencies in rad/s.
+
+    References
+    ----------
+    S. Boyd, M. Hast, K. J. Åström, Int. J. Robust and Nonlinear Control 26, 2016.
+
+    See docs/measured.md.
     """
     plants = measured_plants(measurement, dead_time, period, hold)
     n = len(plants.torques)

@@ -62,6 +62,10 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     ------
     InputError
         The file cannot be read, or a line of it makes no sense; the message names the line.
+
+    References
+    ----------
+    See docs/measured.md.
     """
     if hasattr(source, "read"):
         label, text = one_line(str(getattr(source, "name", "measurement"))), str(source.read())

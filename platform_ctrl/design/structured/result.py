@@ -50,26 +50,31 @@ class StructuredDesign:
     controller
         K, u = K y; sampled where the plants are.
     parameters
-        Every number of the structure by name; for sampled plants those of the w-plane controller.
+        Every number of the structure by name, in its unit; for sampled plants those of the w-plane controller.
     closed_loops
         From w to z, one a plant.
     gammas : (plants,)
-        H-infinity norm of each closed loop, recomputed from it; with requirements the largest ratio of each plant.
+        H-infinity norm of each closed loop, in units of z per w, recomputed from it; with requirements the largest
+        ratio of each plant.
     gamma
-        The largest.
+        The largest of them, in the same units.
     gamma_optimal
-        What no controller of any order can undercut: the largest full-order bound over the plants; nan where none
-        could be computed.
+        What no controller of any order can undercut, in the same units: the largest full-order bound over the plants;
+        nan where none could be computed.
     bound
         Where that bound comes from, or why there is none.
     poles
-        Closed-loop poles, one array a plant.
+        Closed-loop poles, one array (n,) a plant: rad/s, or in z (dimensionless).
     searches
         One record for every start that had its turn, in their order.
     finished
         Whether every start had its turn and ended by itself.
     outcomes
         The requirements held against every closed loop, where any were given; those of the first plant first.
+
+    References
+    ----------
+    As `structured`.
     """
 
     plants: tuple[StateSpace, ...]
@@ -91,7 +96,7 @@ class StructuredDesign:
 
     @property
     def price(self) -> float:
-        """What the structure costs: gamma over the full-order bound; nan without a bound."""
+        """What the structure costs: ratio of gamma to the full-order bound; nan without a bound."""
         return self.gamma / self.gamma_optimal
 
     @property

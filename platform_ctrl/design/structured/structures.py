@@ -70,13 +70,19 @@ class Structure:
     Attributes
     ----------
     start
-        Starting values by name of the parameter.
+        Starting values by name of the parameter, in its unit (frequencies in rad/s).
     bounds
-        (lower, upper) by name.
+        (lower, upper) by name, in the same unit.
     fixed
-        Values by name that are not tuned.
+        Values by name that are not tuned, in the same unit.
     tied
         Groups of names that keep one value; a name with a leading minus keeps the opposite of it.
+
+    References
+    ----------
+    P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006.
+
+    See docs/structured.md.
     """
 
     start: Mapping[str, float] = field(default_factory=dict)
@@ -85,15 +91,66 @@ class Structure:
     tied: Sequence[Sequence[str]] = ()
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return the parameters of a controller with `nmeas` inputs and `ncon` outputs."""
+        """Return the parameters of a controller with `nmeas` inputs and `ncon` outputs.
+
+        Parameters
+        ----------
+        nmeas, ncon
+            Number of measurements y and of controls u.
+        units
+            Sizes of y and u, and the range of frequencies: what starting values are made from.
+
+        Returns
+        -------
+        tuple of Parameter
+            In the order of p in `block`.
+
+        Raises
+        ------
+        ArgumentError
+            The structure does not fit so many signals.
+        """
         raise NotImplementedError
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the controller for parameter values p, with its derivatives."""
+        """Return the controller for given values of the parameters, with its derivatives.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in their units.
+        nmeas, ncon
+            Number of measurements y and of controls u.
+
+        Returns
+        -------
+        SlopedBlock
+            In continuous time, or in the w-plane of a sampled plant.
+
+        Raises
+        ------
+        ArgumentError
+            The structure does not fit so many signals.
+        """
         raise NotImplementedError
 
     def order(self, nmeas: int, ncon: int) -> int:
-        """Return the number of states."""
+        """Return the number of states.
+
+        Parameters
+        ----------
+        nmeas, ncon
+            Number of measurements y and of controls u.
+
+        Returns
+        -------
+        int
+            From 0 on.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         p = np.array([one.start for one in self.parameters(nmeas, ncon, units)])
         return self.block(p, nmeas, ncon).order
@@ -155,6 +212,12 @@ class Static(Structure):
     ----------
     pattern
         Which gains there are: "full", "diagonal", "cross" or booleans (nu, ny).
+    start, bounds, fixed, tied
+        As in `Structure`.
+
+    References
+    ----------
+    As `structured`.
     """
 
     pattern: ArrayLike | str = "full"
@@ -165,11 +228,45 @@ class Static(Structure):
         return self._plain and isinstance(self.pattern, str) and self.pattern == "full"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return the gains."""
+        """Return the gains.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            Row by row.
+
+        Raises
+        ------
+        ArgumentError
+            A pattern that does not fit so many signals.
+        """
         return tuple(_gains("k", _mask("Static: pattern", self.pattern, (ncon, nmeas)), units.gain))
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the static block."""
+        """Return the static block.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in units of u per y.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            Without states.
+
+        Raises
+        ------
+        ArgumentError
+            A pattern that does not fit so many signals.
+        """
         n = len(p)
         D = _filled(_mask("Static: pattern", self.pattern, (ncon, nmeas)), p, 0, n)
         return SlopedBlock(
@@ -189,6 +286,14 @@ class StateSpaceOrder(Structure):
         Its order.
     strictly_proper
         Whether D_K is zero.
+    start, bounds, fixed, tied
+        As in `Structure`.
+
+    References
+    ----------
+    P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006.
+
+    J. V. Burke, D. Henrion, A. S. Lewis, M. L. Overton, IFAC ROCOND 2006.
     """
 
     states: int
@@ -200,7 +305,22 @@ class StateSpaceOrder(Structure):
         return self._plain and not self.strictly_proper
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return the entries, states in units in which they are as large as y and u."""
+        """Return the entries, states in units in which they are as large as y and u.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            Row by row.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         k, rate = self.states, units.rate
         typical = float(np.sqrt(np.mean(units.gain**2)))
         into, out = np.sqrt(units.gain.mean(axis=0) / np.sqrt(typical)), np.sqrt(units.gain.mean(axis=1))
@@ -222,7 +342,24 @@ class StateSpaceOrder(Structure):
         return tuple(Parameter(name=one.name, start=starts.get(one.name, 0.0), size=one.size) for one in everything)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the matrices."""
+        """Return the matrices.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in their units.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            With derivatives for every entry.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         n, k = len(p), self.states
         at = 0
         parts = []
@@ -235,7 +372,22 @@ class StateSpaceOrder(Structure):
         return SlopedBlock(*parts)
 
     def order(self, nmeas: int, ncon: int) -> int:
-        """Return the number of states."""
+        """Return the number of states.
+
+        Parameters
+        ----------
+        nmeas, ncon
+            As in `Structure.order`.
+
+        Returns
+        -------
+        int
+            `states`.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return self.states
 
 
@@ -260,9 +412,15 @@ class PID(Structure):
         parameters zero1, ... (z, rad/s). In a sampled controller z = 2/period, held by `fixed`, is a filter that does
         not wait a sample; left free it is a lead.
     seen_through : (gains, rates), optional
-        The measurement is already gain + rate/s times the signal that the PID is meant for, channel by channel, as in
-        a mixed-sensitivity plant whose weight on the error stands before the controller: its pole is the PID's
-        integrator, its zero becomes a fixed pole of the controller.
+        The measurement is already gain + rate/s (rate in 1/s) times the signal that the PID is meant for, channel by
+        channel, each (ny,), as in a mixed-sensitivity plant whose weight on the error stands before the controller: its
+        pole is the PID's integrator, its zero becomes a fixed pole of the controller.
+    start, bounds, fixed, tied
+        As in `Structure`.
+
+    References
+    ----------
+    As `structured`.
     """
 
     P: ArrayLike | str = "full"
@@ -285,7 +443,23 @@ class PID(Structure):
         return masks
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return gains and filters."""
+        """Return gains and filters.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            kp, ki, kd, filter, damping and zero, as far as there are any.
+
+        Raises
+        ------
+        ArgumentError
+            A pattern that does not fit so many signals.
+        """
         P, integral, D = self._masks(nmeas, ncon)
         gain, rate = units.gain, units.rate
         if self.seen_through is not None:
@@ -318,7 +492,25 @@ class PID(Structure):
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return one chain of states for every measurement, and the gains that read them."""
+        """Return one chain of states for every measurement, and the gains that read them.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in their units.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            With derivatives for every parameter.
+
+        Raises
+        ------
+        ArgumentError
+            A pattern that does not fit so many signals.
+        """
         P, integral, D = self._masks(nmeas, ncon)
         n = len(p)
         counts = np.cumsum([P.sum(), integral.sum(), D.sum()])
@@ -452,12 +644,33 @@ class Lead(Structure):
     ----------
     name
         Put before the names of the parameters, where there are several such blocks.
+    start, bounds, fixed, tied
+        As in `Structure`.
+
+    References
+    ----------
+    As `structured`.
     """
 
     name: str = "lead"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return corner frequencies, rad/s."""
+        """Return corner frequencies, rad/s.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            Two for every measurement.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         rate = units.rate
         return tuple(
             Parameter(
@@ -473,7 +686,24 @@ class Lead(Structure):
         )
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the diagonal block."""
+        """Return the diagonal block.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, rad/s.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            One state a signal, with derivatives.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         n = len(p)
         zero, pole = p[:nmeas], p[nmeas:]
         A, B, C, D = (constant(np.zeros((nmeas, nmeas)), n) for _ in range(4))
@@ -499,12 +729,33 @@ class Notch(Structure):
     ----------
     name
         Put before the names of the parameters in place of "notch".
+    start, bounds, fixed, tied
+        As in `Structure`.
+
+    References
+    ----------
+    As `structured`.
     """
 
     name: str = "notch"
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return frequency, depth and width of every notch."""
+        """Return frequency, depth and width of every notch.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            Three for every measurement.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         rate = units.rate
         ranges = (("frequency", rate, 1e-3 * rate, 1e4 * rate), ("depth", 0.7, 1e-2, 10.0), ("width", 0.3, 1e-2, 10.0))
         return tuple(
@@ -514,7 +765,24 @@ class Notch(Structure):
         )
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the diagonal block, two states a signal."""
+        """Return the diagonal block, two states a signal.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in their units: rad/s, and dimensionless depth and width.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            With derivatives for every parameter.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         n, m = len(p), nmeas
         A, B = constant(np.zeros((2 * m, 2 * m)), n), constant(np.zeros((2 * m, m)), n)
         C, D = constant(np.zeros((m, 2 * m)), n), constant(np.eye(m), n)
@@ -540,6 +808,12 @@ class Series(Structure):
     ----------
     blocks
         From y to u, for example (Notch(), PID()).
+    start, bounds, fixed, tied
+        As in `Structure`; what stands here counts before what a block has.
+
+    References
+    ----------
+    As `structured`.
     """
 
     blocks: Sequence[Structure]
@@ -555,7 +829,23 @@ class Series(Structure):
         return Given(start, bounds, fixed, tied)
 
     def parameters(self, nmeas: int, ncon: int, units: Units) -> tuple[Parameter, ...]:
-        """Return those of all blocks."""
+        """Return those of all blocks.
+
+        Parameters
+        ----------
+        nmeas, ncon, units
+            As in `Structure.parameters`.
+
+        Returns
+        -------
+        tuple of Parameter
+            From y to u.
+
+        Raises
+        ------
+        ArgumentError
+            There is no block, or two have parameters of the same name.
+        """
         if not self.blocks:
             raise ArgumentError("Series: given no blocks; expected at least one")
         out: list[Parameter] = []
@@ -568,7 +858,25 @@ class Series(Structure):
         return tuple(out)
 
     def block(self, p: FloatArray, nmeas: int, ncon: int) -> SlopedBlock:
-        """Return the blocks in series."""
+        """Return the blocks in series.
+
+        Parameters
+        ----------
+        p : (parameters,)
+            Values in the order of `parameters`, in their units.
+        nmeas, ncon
+            As in `Structure.block`.
+
+        Returns
+        -------
+        SlopedBlock
+            With derivatives for every parameter.
+
+        Raises
+        ------
+        ArgumentError
+            A block does not fit so many signals.
+        """
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         made: SlopedBlock | None = None
         at = 0

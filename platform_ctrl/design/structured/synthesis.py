@@ -95,6 +95,7 @@ def structured(
     Returns
     -------
     StructuredDesign
+        The best controller found, with its evidence.
 
     Raises
     ------
@@ -108,6 +109,14 @@ def structured(
         The time was over before any did.
     NotCertifiedError
         The closed loops do not confirm what the search found.
+
+    References
+    ----------
+    P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006.
+
+    J. V. Burke, D. Henrion, A. S. Lewis, M. L. Overton, IFAC ROCOND 2006.
+
+    See docs/structured.md.
     """
     given = _plants(plants)
     if not isinstance(structure, Structure):
