@@ -9,7 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.design.complex_shaping import TwoSidedNyquist
+from platform_ctrl.arguments import short
+from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.style import (
     BAND,
@@ -20,8 +22,10 @@ from platform_ctrl.report.style import (
     REFERENCE,
     SERIES,
     legend_above,
+    legend_rows,
     linear_axis,
     panels,
+    standalone,
 )
 
 _HZ = 1.0 / (2.0 * np.pi)
@@ -31,12 +35,31 @@ _CLOSE, _WIDE = 1.8, 6.0
 _ROUND = np.array([1, 2, 3, 5, 7])
 
 
-def two_sided_nyquist(curve: TwoSidedNyquist) -> Figure:
+@standalone
+def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     """L over positive and negative frequencies: as a whole, and close to −1 with the disk that its margin keeps free.
 
     The disk holds the points that perturbed loops of the margin's size would need to reach −1: L touches it once.
+
+    Parameters
+    ----------
+    curve
+        From `design.complex_shaping.complex_loop`: the loop itself, or its ``nyquist``.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else.
     """
-    figure, [[wide, close]] = panels(1, 2, 4.9, legend=True)
+    curve = curve.nyquist if isinstance(curve, ComplexLoop) else curve
+    if not isinstance(curve, TwoSidedNyquist):
+        raise ArgumentError(
+            f"two_sided_nyquist: given {short(curve)}; expected a TwoSidedNyquist or ComplexLoop, from complex_loop"
+        )
+    names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
+    if 0.0 < curve.disk_margin < 2.0:
+        names.append(f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * _HZ)} Hz")
+    figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
     handles: list[Any] = []
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
         drawn = [_branch(axes, curve, sign) for sign in (1, -1)]
@@ -56,9 +79,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist) -> Figure:
             _label(axes, curve, sign, centre, half, taken)
         handles = [*drawn, critical, *([disk] if disk is not None else [])]
     wide.set_ylabel("imaginary part of L")
-    names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
-    margin = f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * _HZ)} Hz"
-    legend_above(figure, handles, [*names, margin][: len(handles)])
+    legend_above(figure, handles, names)
     wide.set_title(f"L = −K P, frequencies in Hz; turns round −1: {curve.encirclements}")
     close.set_title("close to −1" if curve.disk_margin else f"close to −1; {curve.closed_unstable} unstable poles")
     return figure

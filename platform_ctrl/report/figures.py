@@ -5,6 +5,7 @@ They use no global plotting state; make and save them within `style.settings` to
 
 from __future__ import annotations
 
+from platform_ctrl.report.complex_figures import two_sided_nyquist
 from platform_ctrl.report.coupled_figures import (
     coupled_pole_figure,
     margin_bars_figure,
@@ -20,7 +21,9 @@ from platform_ctrl.report.loop_figures import (
     sensitivity_figure,
 )
 from platform_ctrl.report.plant_figures import nutation_figure
+from platform_ctrl.report.plots.nyquist import nyquist
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
+from platform_ctrl.report.plots.showing import show
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
@@ -29,6 +32,7 @@ __all__ = [
     "loop_transfer_figure",
     "margin_bars_figure",
     "nutation_figure",
+    "nyquist",
     "platform_disturbance_figure",
     "pole_figure",
     "root_locus",
@@ -37,5 +41,7 @@ __all__ = [
     "run_figure",
     "sensitivity_figure",
     "servo_figure",
+    "show",
     "simultaneous_margin_figure",
+    "two_sided_nyquist",
 ]

@@ -1,0 +1,16 @@
+"""Two-sided Nyquist plot of a symmetric gyro.
+
+Gyro 9-10 in complex coordinates, α + iβ, is one loop with positive and negative frequencies. Nutation turns one way:
+only the branch of positive frequencies passes through infinity at 75 Hz.
+"""
+
+import platform_ctrl as pc
+from platform_ctrl.design.complex_coordinates import complex_plant
+from platform_ctrl.design.complex_shaping import complex_loop
+from platform_ctrl.report import figures
+
+model = pc.linearise(pc.read_platform("three_gyro_platform"))
+plant = complex_plant(model, ("9", "10"), period=0.0005, delay=0.0005, balance=True)
+loop = complex_loop(plant, crossover_hz=40.0, integral_hz=2.0, damping_hz=50.0, lead_hz=7.0, rolloff_hz=900.0)
+
+figure = figures.two_sided_nyquist(loop.nyquist)

@@ -1,0 +1,383 @@
+"""Nyquist plots, channel by channel, closed over poles without damping by arcs of finite size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.margins import disk_to_gain_phase
+from platform_ctrl.analysis.norms import hinf_norm_arrays
+from platform_ctrl.analysis.poles import pole_arrays
+from platform_ctrl.arguments import positive
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, replaced, value
+from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, features
+from platform_ctrl.report.quantities import count
+from platform_ctrl.report.quantities import plain as number
+from platform_ctrl.report.style import (
+    BAND,
+    INK,
+    LIMIT,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    legend_above,
+    legend_rows,
+    line_style,
+    linear_axis,
+    panels,
+    standalone,
+)
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.report.plots.systems import LinearSystem
+
+_HZ = 1.0 / (2.0 * np.pi)
+# How far from the origin the view goes; larger |L| lies on the rim.
+_REACH = 3.0
+# Radius of the way round a pole on the axis, of its frequency.
+_INDENT = 1e-3
+# Steps of the curve, of the rim's radius, at most; how often they are halved, and points at most.
+_STEP, _HALVINGS, _MOST = 0.03, 7, 8000
+_ROUND = np.array([1.0, 2.0, 3.0, 5.0, 7.0])
+_COLUMNS = 3
+
+
+@value
+class ChannelCurve:
+    """One channel's loop transfer along the Nyquist contour of positive frequencies.
+
+    Attributes
+    ----------
+    frequency : (N,)
+        rad/s; constant along an arc round a pole.
+    loop_transfer : complex (N,)
+        All other channels closed.
+    margin, margin_frequency
+        Disk margin, and where it is reached, rad/s; 0 where the closed loop is unstable, NaN for data.
+    unstable
+        Poles of the closed loop beyond the stability boundary; −1 for data.
+    """
+
+    frequency: FloatArray
+    loop_transfer: ComplexArray
+    margin: float
+    margin_frequency: float
+    unstable: int
+
+
+@standalone
+def nyquist(
+    loops: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],
+    *,
+    frequency: ArrayLike | None = None,
+    labels: Sequence[str] | None = None,
+    margin: float | None = None,
+    reach: float = _REACH,
+) -> control.ControlPlot:
+    """Nyquist plot of loop transfers, a panel for each channel with all others closed, and −1 with a disk about it.
+
+    The curve is closed: poles on the stability boundary (integrators, undamped nutation) are passed on the right, on
+    half circles of a thousandth of their frequency, so that the arcs are finite and turn the way that counts. What is
+    larger than `reach` is drawn on the rim, with its phase.
+
+    Parameters
+    ----------
+    loops
+        L with negative feedback as from `analysis.loop_transfer`, square; several in a list or under their labels in
+        a mapping. Data (`control.FrequencyResponseData`) are drawn as they are.
+    frequency
+        Two ends of a range or the frequencies themselves, rad/s; default what shows all poles and zeros.
+    labels
+        What the legend calls the loops.
+    margin
+        Disk margin whose disk the curve should stay out of; default: the smallest that the loops of a panel have.
+    reach
+        Radius of the rim, > 1.
+
+    Returns
+    -------
+    control.ControlPlot
+
+    Raises
+    ------
+    ArgumentError
+        Loops that are not square, differ in their number of channels or are no linear systems; options without sense.
+    """
+    import control
+
+    systems = drawn_systems("nyquist", loops, labels, square=True)
+    sizes = {system.shape[0] for system in systems}
+    if len(sizes) > 1:
+        raise ArgumentError(f"nyquist: loops of {sorted(sizes)} channels; expected the same number in all of them")
+    radius = positive("nyquist: reach", reach)
+    if radius <= 1.0:
+        raise ArgumentError(f"nyquist: reach: given {reach!r}; expected more than 1, so that -1 is in view")
+    asked = None if margin is None else positive("nyquist: margin", margin)
+    if asked is not None and asked >= 2.0:
+        raise ArgumentError(
+            f"nyquist: margin: given {margin!r}; expected less than 2, where the disk becomes a half plane"
+        )
+    [channels] = sizes
+    curves = [_channels(system, frequency, radius) for system in systems]
+
+    columns = min(channels, _COLUMNS)
+    rows = -(-channels // columns)
+    names = [system.label or "L, ω > 0" for system in systems]
+    own = [[one[k].margin for one in curves if np.isfinite(one[k].margin)] for k in range(channels)]
+    disks = [asked or min(margins, default=0.0) for margins in own]
+    with_disk = any(0.0 < alpha < 2.0 for alpha in disks)
+    names += ["ω < 0", "−1", *(["disk of the margin"] if with_disk else []), f"|L| > {radius:g}: on the rim"]
+    width = {1: 6.4, 2: 9.6}.get(columns, 9.6)
+    rowed = legend_rows(names, width)
+    cell = (width - 0.76 - (columns - 1) * 0.68) / columns
+    height = rows * cell + (rows - 1) * 0.72 + 0.46 + 0.08 + 0.22 * rowed + 0.24
+    figure, panel_grid = panels(rows, columns, height, width=width, legend=rowed)
+    every = [axes for row in panel_grid for axes in row]
+    drawn: list[list[Line2D]] = []
+    for k, axes in enumerate(every[:channels]):
+        drawn.append(_panel(axes, [one[k] for one in curves], radius, disks[k]))
+        _title(axes, [one[k] for one in curves], drawable(systems[0].inputs[k]) if channels > 1 else "")
+    for axes in every[channels:]:
+        axes.set_axis_off()
+    for row in panel_grid:
+        row[0].set_ylabel("imaginary part of L")
+    handles: list[Any] = [Line2D([], [], **line_style(k)) for k in range(len(systems))]
+    handles += [
+        Line2D([], [], color=MUTED, linewidth=0.7),
+        Line2D([], [], marker="+", color=LIMIT, linestyle="none", markersize=9, markeredgewidth=1.6),
+        *([Patch(facecolor=BAND, edgecolor=MUTED)] if with_disk else []),
+        Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8))),
+    ]
+    legend_above(figure, handles, names)
+    lines = np.empty(channels, dtype=object)
+    lines[:] = drawn
+    return control.ControlPlot(lines, np.array([every[:channels]]), figure)
+
+
+def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) -> list[ChannelCurve]:
+    """Return L of every channel with the others closed."""
+    if system.arrays is None:
+        own, L = system.along(grid([system], frequency, name="nyquist", loops=True))
+        return [
+            ChannelCurve(frequency=own, loop_transfer=one, margin=math.nan, margin_frequency=math.nan, unstable=-1)
+            for one in _one_by_one(np.moveaxis(L, -1, 0))
+        ]
+    A, B, C, D, dt = system.arrays
+    A, B, C = scaled(A, B, C)
+    whole = StateArrays(A, B, C, D, dt)
+    S = _sensitivity(whole)
+    closed = pole_arrays(S.A)
+    growth = np.abs(closed) - 1.0 if dt else closed.real / np.abs(closed).max(initial=1e-300)
+    unstable = int(np.count_nonzero(growth > 1e-9))
+    out = []
+    for k in range(len(D)):
+        loop = _others_closed(whole, k)
+        poles, zeros, undamped = features(loop)
+        changes = {"arrays": loop, "poles": poles, "zeros": zeros, "undamped": undamped}
+        own = grid([replaced(system, changes)], frequency, name="nyquist", loops=True)
+        points, curve = _traced(loop, _contour(loop.A, dt, own), reach)
+        margin, at = 0.0, math.nan
+        if not unstable:
+            norm, at = hinf_norm_arrays(S.A, S.B[:, [k]], S.C[[k]], S.D[[k]][:, [k]] - 0.5, dt)
+            margin = 1.0 / norm if np.isfinite(norm) else 0.0
+        w = np.maximum(points.imag, 0.0)
+        out.append(
+            ChannelCurve(frequency=w, loop_transfer=curve, margin=margin, margin_frequency=at, unstable=unstable)
+        )
+    return out
+
+
+def _one_by_one(L: ComplexArray) -> list[ComplexArray]:
+    """Return the loop transfer of each channel with all others closed from data L (N, m, m): 1/S_ii − 1."""
+    m = L.shape[-1]
+    if m == 1:
+        return [L[:, 0, 0]]
+    with np.errstate(all="ignore"):
+        good = np.isfinite(L).all(axis=(1, 2))
+        S = np.full(L.shape, complex(np.nan, np.nan))
+        S[good] = np.linalg.inv(np.eye(m) + L[good])
+        return [np.asarray(1.0 / S[:, k, k] - 1.0, dtype=np.complex128) for k in range(m)]
+
+
+def _others_closed(L: StateArrays, k: int) -> StateArrays:
+    """Return the loop of channel `k` with all others closed, in all of the states: its poles are its own."""
+    A, B, C, D, dt = L
+    others = [j for j in range(len(D)) if j != k]
+    W = _inverse(np.eye(len(others)) + D[np.ix_(others, others)])
+    back, across = B[:, others] @ W, D[[k]][:, others] @ W
+    return StateArrays(
+        A - back @ C[others],
+        B[:, [k]] - back @ D[others][:, [k]],
+        C[[k]] - across @ C[others],
+        D[[k]][:, [k]] - across @ D[others][:, [k]],
+        dt,
+    )
+
+
+def _inverse(direct: FloatArray) -> FloatArray:
+    if len(direct) and np.linalg.cond(direct) > 1e12:
+        raise ArgumentError("nyquist: I + D of a loop is singular: an algebraic loop; add a lag or a delay to it")
+    return np.asarray(np.linalg.inv(direct), dtype=np.float64)
+
+
+def _sensitivity(L: StateArrays) -> StateArrays:
+    """Return S = (I + L)^-1 in the loop's own states."""
+    inverse = _inverse(np.eye(len(L.D)) + L.D)
+    return StateArrays(L.A - L.B @ inverse @ L.C, L.B @ inverse, -inverse @ L.C, inverse, L.dt)
+
+
+def _contour(A: FloatArray, dt: float, frequency: FloatArray) -> ComplexArray:
+    """Return points s of the contour of positive frequencies, upwards: right round the poles on the axis."""
+    poles, on = boundary_poles(A, dt) if len(A) else (np.zeros(0, dtype=np.complex128), np.zeros(0, dtype=np.bool_))
+    held = np.unique(np.abs(poles.imag[on & np.isfinite(poles)]))
+    low, high = float(frequency[0]), float(frequency[-1])
+    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 121)
+    along, pieces = frequency, []
+    done = -np.inf
+    for centre in held:
+        if centre <= 1e-6 * low:
+            # From the real axis on: the other half is that of negative frequencies.
+            pieces.append(low * np.exp(1j * turn[60:]))
+        elif low < centre < high and centre - done > 4.0 * _INDENT * centre:
+            along = along[np.abs(along - centre) > _INDENT * centre]
+            pieces.append(1j * centre + _INDENT * centre * np.exp(1j * turn))
+        done = centre
+    s = np.concatenate([1j * along, *pieces])
+    return np.asarray(s[np.argsort(s.imag, kind="stable")], dtype=np.complex128)
+
+
+def _traced(loop: StateArrays, s: ComplexArray, radius: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the points of the contour with more between them where the curve runs, and L there."""
+    L = _response(loop, s)
+    for _ in range(_HALVINGS):
+        shown = np.where(np.abs(L) > radius, radius * L / np.abs(L), L)
+        long = np.flatnonzero(np.abs(np.diff(shown)) > _STEP * radius)
+        if not long.size or len(s) > _MOST:
+            break
+        between = 0.5 * (s[long] + s[long + 1])
+        s, L = np.insert(s, long + 1, between), np.insert(L, long + 1, _response(loop, between))
+    return s, L
+
+
+def _response(system: StateArrays, points: ComplexArray) -> ComplexArray:
+    """Return the response of one channel at any points s, (N,)."""
+    A, B, C, D, dt = system
+    if not len(A):
+        return np.full(len(points), D[0, 0], dtype=np.complex128)
+    points = np.exp(points * dt) if dt else points
+    resolvent = points[:, None, None] * np.eye(len(A)) - A
+    states = np.linalg.solve(resolvent, np.broadcast_to(B.astype(np.complex128), (len(points), *B.shape)))
+    return np.asarray((C @ states)[:, 0, 0] + D[0, 0], dtype=np.complex128)
+
+
+def _on_rim(L: ComplexArray, radius: float) -> ComplexArray:
+    """Return L with what lies beyond the rim drawn onto it; broken where it leaps across."""
+    with np.errstate(all="ignore"):
+        size = np.abs(L)
+        far = size > radius
+        out = np.where(far, radius * L / size, L)
+        leaps = np.flatnonzero(far[1:] & far[:-1] & (np.abs(np.diff(out)) > 0.5 * radius))
+    return np.insert(out, leaps + 1, complex(np.nan, np.nan))
+
+
+def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) -> list[Line2D]:
+    half = 1.06 * radius
+    axes.set_aspect("equal")
+    axes.set_xlim(-half, half)
+    axes.set_ylim(-half, half)
+    axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+    axes.axvline(0.0, color=REFERENCE, linewidth=0.6, zorder=0)
+    linear_axis(axes.xaxis, 6)
+    linear_axis(axes.yaxis, 6)
+    axes.set_xlabel("real part of L")
+    rim = radius * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    axes.plot(rim.real, rim.imag, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8)), zorder=1)
+    if 0.0 < alpha < 2.0:
+        low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
+        disk = 0.5 * (low + high) + 0.5 * (high - low) * rim / radius
+        axes.fill(disk.real, disk.imag, facecolor=BAND, edgecolor=MUTED, linewidth=0.9, zorder=0.5)
+    axes.plot([-1.0], [0.0], "+", color=LIMIT, markersize=10, markeredgewidth=1.6, linestyle="none", zorder=5)
+    lines = []
+    for k, curve in enumerate(curves):
+        shown = _on_rim(curve.loop_transfer, radius)
+        [line] = axes.plot(shown.real, shown.imag, **line_style(k) | {"linewidth": 1.5, "zorder": 3})
+        axes.plot(shown.real, -shown.imag, **line_style(k) | {"linewidth": 0.7, "zorder": 2})
+        lines.append(line)
+        _arrow(axes, shown, radius, SERIES[k % len(SERIES)])
+    places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
+    places.reserve(-1.0, 0.0, 5.0)
+    for k, curve in enumerate(curves):
+        _frequencies(axes, places, curve, radius, SERIES[k % len(SERIES)])
+    return lines
+
+
+def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
+    """Point towards rising frequency in the middle of the longest stretch inside the rim."""
+    inside = np.isfinite(shown) & (np.abs(shown) < 0.97 * radius)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]]))).reshape(-1, 2)
+    stretches = [(np.abs(np.diff(shown[a:b])).sum(), a, b) for a, b in edges if b - a > 2]
+    if not stretches:
+        return
+    length, a, b = max(stretches)
+    if length < 0.2 * radius:
+        return
+    along = np.cumsum(np.abs(np.diff(shown[a:b])))
+    k = min(a + int(np.searchsorted(along, 0.5 * length)), b - 2)
+    way = shown[k + 1] - shown[k]
+    if way == 0.0:
+        return
+    tail = shown[k] - 0.01 * radius * way / abs(way)
+    arrow = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 12, "linewidth": 0.0}
+    axes.annotate("", (shown[k].real, shown[k].imag), (tail.real, tail.imag), arrowprops=arrow, zorder=4)
+
+
+def _frequencies(axes: Axes, places: Places, curve: ChannelCurve, radius: float, colour: str) -> None:
+    """Write the margin's frequency and round ones in Hz along the curve, wherever there is room."""
+    hz, L = curve.frequency * _HZ, curve.loop_transfer
+    if np.isfinite(curve.margin_frequency) and curve.margin > 0.0:
+        k = int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))
+        if abs(L[k]) < radius:
+            axes.plot([L[k].real], [L[k].imag], "D", color=LIMIT, markersize=4, zorder=5)
+            places.reserve(L[k].real, L[k].imag, 3.0)
+            places.put(f"{hz[k]:.3g} Hz", L[k].real, L[k].imag, colour=LIMIT, bold=True, anyway=True)
+    first, last = np.log10(max(hz.min(), 1e-9)), np.log10(hz.max())
+    taken: list[complex] = []
+    for decade in 10.0 ** np.arange(np.floor(first), np.ceil(last) + 1.0):
+        for x in _ROUND * decade:
+            k = int(np.searchsorted(hz, x))
+            if not 0 < k < len(hz) or not np.isfinite(L[k]) or abs(L[k]) > 0.96 * radius:
+                continue
+            if any(abs(L[k] - other) < 0.1 * radius for other in taken):
+                continue
+            taken.append(complex(L[k]))
+            axes.plot([L[k].real], [L[k].imag], "o", color=colour, markersize=3.0, zorder=4)
+            places.put(f"{x:g}", L[k].real, L[k].imag, colour=INK)
+
+
+def _title(axes: Axes, curves: list[ChannelCurve], name: str) -> None:
+    """Say in the panel's title what the plot proves."""
+    head = f"{name}: " if name else ""
+    if len(curves) > 1 or curves[0].unstable < 0:
+        axes.set_title(head.removesuffix(": ") or "frequencies in Hz")
+        return
+    [curve] = curves
+    if curve.unstable:
+        axes.set_title(f"{head}{count(curve.unstable, 'unstable pole')} of the closed loop")
+        return
+    low, high, phase = disk_to_gain_phase(curve.margin)
+    factor = f"gain × {number(low, 2)} to {number(high, 3) if np.isfinite(high) else '∞'}"
+    axes.set_title(f"{head}disk margin {number(curve.margin, 3)}, {factor}, phase ± {np.degrees(phase):.0f}°")
