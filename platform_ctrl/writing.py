@@ -8,8 +8,8 @@ from pathlib import Path
 from platform_ctrl.errors import InputError
 
 
-def write_whole(path: str | os.PathLike[str], text: str) -> Path:
-    """Write `text` to `path` and return it: what stood there stays until the new file is complete.
+def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
+    """Write `content`, text as UTF-8, to `path` and return it: what stood there stays until the new file is complete.
 
     Raises
     ------
@@ -21,7 +21,7 @@ def write_whole(path: str | os.PathLike[str], text: str) -> Path:
     unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         try:
-            unfinished.write_text(text, encoding="utf-8", newline="\n")
+            unfinished.write_bytes(content.encode() if isinstance(content, str) else content)
             os.replace(unfinished, target)
         finally:
             unfinished.unlink(missing_ok=True)

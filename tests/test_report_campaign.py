@@ -21,7 +21,8 @@ from platform_ctrl.check.records import laid_out
 from platform_ctrl.cli.campaign_tables import show_campaign
 from platform_ctrl.report import campaign_figures, style
 from platform_ctrl.report import campaign_tables as tables
-from platform_ctrl.report.campaign_page import Scale, campaign_page, write_campaign_page
+from platform_ctrl.report.campaign_content import Scale
+from platform_ctrl.report.campaign_page import campaign_page, write_campaign_page
 
 TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
 JOB = {
@@ -151,7 +152,7 @@ def test_the_page_needs_nothing_else_and_is_whole(page):
     assert links.open == []
     assert links.loaded == []
     assert all(links.ids.count(target) == 1 for target in links.targets)
-    assert len(links.targets) == 7
+    assert len(links.targets) == 6
     assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org)", page)
     assert "tolerances &amp; &lt;faults&gt;" in page
 
@@ -327,8 +328,8 @@ def test_bounds_read_as_people_say_them(low, high, words):
 
 
 def test_the_small_scale_is_logarithmic():
-    scale = Scale(decades=4, width=100.0)
-    assert [scale.at(10.0**-k) for k in range(5)] == [100.0, 75.0, 50.0, 25.0, 0.0]
+    scale = Scale(decades=4)
+    assert [scale.at(10.0**-k) for k in range(5)] == [1.0, 0.75, 0.5, 0.25, 0.0]
     assert scale.at(0.0) == 0.0
 
 

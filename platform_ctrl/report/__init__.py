@@ -1,4 +1,4 @@
-"""What a job came to, for people: the page with its figures, and the tables that the terminal shows too.
+"""What a job came to, for people: the page with its figures, the same as PDF, and the terminal's tables.
 
 Matplotlib is loaded with the first figure, not with this package.
 """
@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 from platform_ctrl.report import tables
 from platform_ctrl.report.document import page, write_page
+from platform_ctrl.report.pdf import pdf, write_pdf
 
 if TYPE_CHECKING:
     from platform_ctrl.report import figures
 
-__all__ = ["figures", "page", "tables", "write_page"]
+__all__ = ["figures", "page", "pdf", "tables", "write_page", "write_pdf"]
 
 
 if not TYPE_CHECKING:

@@ -1,34 +1,48 @@
-"""The page: everything that a job came to, in one file that needs nothing else."""
+"""The report of a job: what it says, in which order, and the page that says it."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.frozen import value
 from platform_ctrl.report import captions, comparison, tables
-from platform_ctrl.report.record import job_data, toml, versions
-from platform_ctrl.report.rendering import rendered
+from platform_ctrl.report import content_tables as made
+from platform_ctrl.report.content import (
+    Block,
+    Document,
+    Facts,
+    Listing,
+    Paragraph,
+    Part,
+    Plate,
+    Section,
+    Verdict,
+    sentence,
+)
+from platform_ctrl.report.quantities import count
+from platform_ctrl.report.record import versions
+from platform_ctrl.report.rendering import html
 from platform_ctrl.report.survival import survival
+from platform_ctrl.report.verdict_words import opening
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-@value
-class Plate:
-    """A figure on the page: its SVG, its title, and a sentence on what to see."""
-
-    svg: str
-    title: str
-    caption: str
+    from platform_ctrl.campaign.summary import Summary
 
 
-def write_page(result: JobResult, path: str | os.PathLike[str], *, command: str | None = None) -> Path:
+def write_page(
+    result: JobResult,
+    path: str | os.PathLike[str],
+    *,
+    command: str | None = None,
+    campaign: Summary | None = None,
+    again: str | None = None,
+) -> Path:
     """Write the page to `path`, whole or not at all.
 
     Parameters
@@ -39,61 +53,102 @@ def write_page(result: JobResult, path: str | os.PathLike[str], *, command: str 
         The file; one that exists is replaced.
     command
         The command line that does it again; default one that reads the job printed at the end of the page.
+    campaign
+        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarised`: a section of the page.
+    again
+        The command line that flies one run of the campaign again, without the run's number at its end.
 
     Raises
     ------
     InputError
         The file cannot be written.
     """
-    return write_whole(path, page(result, command=command))
+    return write_whole(path, page(result, command=command, campaign=campaign, again=again))
 
 
-def page(result: JobResult, *, command: str | None = None) -> str:
+def page(
+    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+) -> str:
     """Return the page as HTML: self-contained, for light and dark screens and for paper.
 
     Parameters
     ----------
-    result
-        From `platform_ctrl.check.checked`.
-    command
+    result, command, campaign, again
+        As in `write_page`.
+    """
+    return html(document(result, command=command, campaign=campaign, again=again))
+
+
+def document(
+    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+) -> Document:
+    """Return what the report says, as page or as PDF.
+
+    Parameters
+    ----------
+    result, command, campaign, again
         As in `write_page`.
     """
     from platform_ctrl.report import style
 
-    given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
-    again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
-    rows = tables.requirement_rows(result)
+    job = result.job
     with style.settings():
-        content = {
-            "result": result,
-            "job": result.job,
-            "platform": result.job.platform,
-            "verdict": tables.verdict(result),
-            "rows": rows,
-            "groups": tables.by_subject(result),
-            "goals": tables.goal_rows(result),
-            "gimbals": tables.gimbal_rows(result),
-            "rotors": tables.rotor_rows(result),
-            "elements": tables.element_rows(result),
-            "modes": tables.mode_rows(result),
-            "axes": _axes_plate(result),
-            "plant_plates": _plant_plates(result),
-            "loops": [_loop_section(result, outcome) for outcome in result.loops],
-            "coupled": captions.coupled_summary(result),
-            "coupled_plates": _coupled_plates(result),
-            "runs": [_run_section(result, k) for k in range(len(result.runs))],
-            "record": toml(job_data(result.job)),
-            "versions": versions().items(),
-            "command": command or again,
-            "own_record": command is None,
-        }
-    return rendered("report.html", content)
+        sections = [
+            Section(name="summary", title="", blocks=_summary(result, campaign)),
+            Section(name="requirements", title="Requirements", blocks=(made.requirement_table(result),)),
+            _plant(result),
+            *(_loop(result, outcome, k) for k, outcome in enumerate(result.loops, 1)),
+            Section(name="coupled", title="Coupled system", blocks=_coupled(result)),
+            *_runs(result),
+            *_campaign(result, campaign, again),
+            _again(result, command, campaign),
+        ]
+    return Document(
+        kicker="platform_ctrl: design and check of control loops",
+        title=job.name,
+        source=". ".join(filter(None, [job.platform.name, job.platform.source])),
+        passed=result.passed,
+        verdict=tables.verdict(result),
+        sections=tuple(sections),
+    )
 
 
-def _plate(figure: Figure, title: str, caption: str) -> Plate:
+def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
+    goals, missed = tables.goal_rows(result), [row for row in tables.requirement_rows(result) if not row.passed]
+    reached = sum(goal.passed for goal in goals)
+    banner = Verdict(
+        passed=result.passed,
+        words=sentence(tables.verdict(result)),
+        lines=tuple(f"{row.subject}: {row.requirement} {row.value}, asked {row.limit}" for row in missed),
+        aside=f"{reached} of {count(len(goals), 'goal')} reached: no part of the verdict." if goals else "",
+    )
+    return (banner, Paragraph(text=" ".join(opening(result, campaign)), tone="lead"))
+
+
+def _plant(result: JobResult) -> Section:
+    groups = ["-".join(group) for group in result.subsystems]
+    words = (
+        f"The gimbals turn independently of one another in {count(len(groups), 'group')} as long as the platform's "
+        f"rate is given: {', '.join(groups)}."
+    )
+    blocks: list[Block] = [
+        Paragraph(text=words),
+        _axes_plate(result),
+        Part(title="Gimbals", blocks=(made.gimbal_table(result),)),
+    ]
+    if result.job.platform.rotors:
+        blocks.append(Part(title="Rotors", blocks=(made.rotor_table(result),)))
+    elements = made.element_table(result)
+    if elements is not None:
+        blocks.append(Part(title="What acts besides the torquers", blocks=(elements,)))
+    blocks.append(Part(title="Modes of the uncontrolled gimbals", blocks=(made.mode_table(result),)))
+    return Section(name="plant", title="Plant and modes", blocks=(*blocks, *_plant_plates(result)))
+
+
+def _plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> Plate:
     from platform_ctrl.report import style
 
-    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption)
+    return Plate(svg=style.svg(figure, f"{title}. {caption}"), title=title, caption=caption, small=small)
 
 
 def _axes_plate(result: JobResult) -> Plate:
@@ -109,21 +164,20 @@ def _plant_plates(result: JobResult) -> list[Plate]:
     nutation = figures.nutation_figure(result)
     if nutation is None:
         return []
-    return [_plate(nutation, "Nutation over rotor speed", captions.nutation(result))]
+    return [_plate(nutation, "Nutation over rotor speed", captions.nutation(result), small=True)]
 
 
-def _loop_section(result: JobResult, outcome: LoopOutcome) -> dict[str, Any]:
-    section: dict[str, Any] = {
-        "outcome": outcome,
-        "summary": captions.loop_summary(outcome),
-        "comparison": comparison.sections(result, outcome),
-        "unproved": _unproved(result, outcome),
-        "groups": comparison.group_rows(outcome.closed),
-        "plates": _caging_plates(result, outcome),
-    }
+def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
+    blocks: list[Block] = [Paragraph(text=captions.loop_summary(outcome)), made.design_table(result, outcome)]
+    blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
+    groups = comparison.group_rows(outcome.closed)
+    if groups:
+        title = f"Plants that \u201c{outcome.use}\u201d has to stand"
+        blocks.append(Part(title=title, blocks=(made.group_table(groups),)))
+    blocks += _caging_plates(result, outcome)
     if outcome.spec.kind == "stabilisation":
-        section["plates"] += _servo_plates(result)
-    return section
+        blocks += _servo_plates(result)
+    return Section(name=f"loop-{number}", title=sentence(outcome.spec.name), blocks=tuple(blocks))
 
 
 def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
@@ -173,35 +227,80 @@ def _servo_plates(result: JobResult) -> list[Plate]:
     return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo())]
 
 
-def _coupled_plates(result: JobResult) -> list[Plate]:
+def _coupled(result: JobResult) -> tuple[Block, ...]:
     from platform_ctrl.report import figures
 
     check = result.coupled
-    plates = [
-        _plate(figures.coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result))
+    blocks: list[Block] = [
+        Paragraph(text=captions.coupled_summary(result)),
+        _plate(figures.coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result)),
     ]
     if check.channels:
-        plates.append(
+        blocks.append(
             _plate(figures.margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
         )
     if check.stable and check.simultaneous.frequencies.size:
         figure = figures.simultaneous_margin_figure(check, result.job.coupled.disk_margin)
-        plates.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
+        blocks.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
     # Who carries the platform takes every torque on it.
     if check.stable and check.free:
         figure = figures.platform_disturbance_figure(result)
-        plates.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
-    return plates
+        blocks.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
+    return tuple(blocks)
 
 
-def _run_section(result: JobResult, k: int) -> dict[str, Any]:
+def _runs(result: JobResult) -> list[Section]:
     from platform_ctrl.report import figures
 
-    run = result.runs[k]
-    caption = " ".join(filter(None, [captions.run(run), survival(run, result.loops)]))
-    return {
-        "run": run,
-        "plate": _plate(figures.run_figure(run, result.job.platform), run.manoeuvre.name, caption)
-        if run.trajectory.t.size
-        else None,
-    }
+    if not result.runs:
+        return []
+    words = (
+        "The exact non-linear plant with sampled controllers, delays, torquer lag and limits, stops, and pick-off "
+        f"noise of seed {result.job.seed}. Dashed red lines and shaded areas are limits."
+    )
+    blocks: list[Block] = [Paragraph(text=words)]
+    for run in result.runs:
+        name = run.manoeuvre.name
+        if run.trajectory.t.size:
+            caption = " ".join(filter(None, [captions.run(run), survival(run, result.loops)]))
+            blocks.append(_plate(figures.run_figure(run, result.job.platform), name, caption))
+        else:
+            nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
+            blocks.append(Part(title=name, blocks=(nothing,)))
+    return [Section(name="runs", title="Simulated runs", blocks=tuple(blocks))]
+
+
+def _campaign(result: JobResult, campaign: Summary | None, again: str | None) -> list[Section]:
+    if campaign is None:
+        if result.job.campaign is None:
+            return []
+        words = (
+            "None is part of this report, though the job describes one: fly it with platform-ctrl campaign job.toml, "
+            "and name its folder with --campaign when the report is made."
+        )
+        return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=words),))]
+    from platform_ctrl.report.campaign_content import as_section
+
+    return [as_section(campaign, result, again)]
+
+
+def _again(result: JobResult, command: str | None, campaign: Summary | None) -> Section:
+    given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
+    again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
+    words = "Save the text below as job.toml and run" if command is None else "This page was made by"
+    seed = result.job.seed
+    blocks: list[Block] = [
+        Paragraph(text=words),
+        Listing(text=command or again),
+        Paragraph(
+            text="The numbers do not depend on the machine beyond rounding; simulated runs repeat to the bit with the "
+            f"same versions and seed {seed}."
+        ),
+        Part(title="Versions", blocks=(Facts(rows=tuple(versions().items())),)),
+    ]
+    if campaign is not None:
+        from platform_ctrl.report.campaign_content import digests
+
+        blocks.append(Part(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
+    blocks.append(made.record_part(result.job))
+    return Section(name="again", title="Inputs and versions", blocks=tuple(blocks))

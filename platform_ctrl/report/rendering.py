@@ -1,21 +1,12 @@
-"""Pages out of templates: every expression is escaped, and one that does not exist is an error."""
+"""Documents as HTML: every expression is escaped, and one that does not exist is an error."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from platform_ctrl.report.content import Document
 
 
-def rendered(template: str, content: Mapping[str, Any]) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    template
-        Name of a file in ``templates``.
-    content
-        What its expressions find.
-    """
+def html(document: Document) -> str:
+    """Return a document as a page that needs nothing else."""
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     environment = Environment(
@@ -25,4 +16,4 @@ def rendered(template: str, content: Mapping[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(content)
+    return environment.get_template("page.html").render(document=document)

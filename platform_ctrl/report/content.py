@@ -1,0 +1,252 @@
+"""What a page says, before it is HTML or PDF: sections of blocks in their order, prepared once for both.
+
+Everything in a block is text, to be shown as it stands; only a plate's picture is markup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from platform_ctrl.frozen import value
+
+
+@value
+class Mark:
+    """One stroke of a `Strip`; places are shares of its length, from 0 to 1.
+
+    Attributes
+    ----------
+    form
+        ``ground`` and ``bar`` (from `start` to `end`), ``range`` (a line between them), ``tick`` (across, at `start`),
+        ``point`` (at `start`), ``word`` (`text`, centred at `start`).
+    start, end
+        Places.
+    colour
+        One of the page's colours by its name.
+    text
+        Of a word.
+    """
+
+    form: str
+    start: float
+    end: float = 0.0
+    colour: str = "grid"
+    text: str = ""
+
+
+@value
+class Strip:
+    """A small picture beside a number: so many pixels long, with what it says in words if the number does not."""
+
+    length: float
+    marks: tuple[Mark, ...]
+    words: str = ""
+
+
+@value
+class Cell:
+    """A cell of a table.
+
+    Attributes
+    ----------
+    text
+        What stands there.
+    note
+        What stands below it, small.
+    tone
+        ``good``, ``bad``, ``quiet`` or nothing.
+    strip
+        A picture after the text.
+    """
+
+    text: str
+    note: str = ""
+    tone: str = ""
+    strip: Strip | None = None
+
+
+@value
+class Column:
+    """A column: its title, a line below that, whether it holds numbers, and whether it is the one that counts."""
+
+    title: str
+    tag: str = ""
+    number: bool = False
+    strong: bool = False
+    strip: Strip | None = None
+
+
+@value
+class Row:
+    """Cells, the first of which names the row.
+
+    Attributes
+    ----------
+    cells
+        One for each column.
+    missed
+        Whether it is a requirement that is not met.
+    """
+
+    cells: tuple[Cell, ...]
+    missed: bool = False
+
+
+@value
+class Group:
+    """Rows under a title; nothing where there is only one group. `quiet`: it counts less than the others."""
+
+    rows: tuple[Row, ...]
+    title: str = ""
+    quiet: bool = False
+
+
+@value
+class Table:
+    """A table; without titles it has no head.
+
+    Attributes
+    ----------
+    columns, groups
+        Its content.
+    form
+        ``requirements``, ``designs``, ``narrow`` or nothing.
+    """
+
+    kind: ClassVar[str] = "table"
+    columns: tuple[Column, ...]
+    groups: tuple[Group, ...]
+    form: str = ""
+
+    @property
+    def headed(self) -> bool:
+        """Whether there is a head."""
+        return any(column.title or column.strip for column in self.columns)
+
+
+@value
+class Paragraph:
+    """Running text; `tone` is ``quiet``, ``bad`` or nothing."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    tone: str = ""
+
+
+@value
+class Verdict:
+    """The banner: whether all is well, in a few words, what is not, and what goes with it."""
+
+    kind: ClassVar[str] = "verdict"
+    passed: bool
+    words: str
+    lines: tuple[str, ...] = ()
+    aside: str = ""
+
+
+@value
+class Plate:
+    """A figure: its SVG, its title, and a sentence on what to see."""
+
+    kind: ClassVar[str] = "plate"
+    svg: str
+    title: str
+    caption: str
+    small: bool = False
+
+
+@value
+class Facts:
+    """Names and what goes with them."""
+
+    kind: ClassVar[str] = "facts"
+    rows: tuple[tuple[str, str], ...]
+
+
+@value
+class Listing:
+    """Text to be copied: a command or a file."""
+
+    kind: ClassVar[str] = "listing"
+    text: str
+
+
+@value
+class Part:
+    """Blocks under a heading of their own."""
+
+    kind: ClassVar[str] = "part"
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@value
+class Cards:
+    """Parts that may stand side by side."""
+
+    kind: ClassVar[str] = "cards"
+    parts: tuple[Part, ...]
+
+
+Block = Paragraph | Verdict | Table | Plate | Facts | Listing | Part | Cards
+
+
+@value
+class Section:
+    """A section: where links lead, its title, and its blocks. The first of a page may have no title."""
+
+    name: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@value
+class Document:
+    """A whole page.
+
+    Attributes
+    ----------
+    kicker
+        What kind of page it is.
+    title
+        Name of the job.
+    source
+        The platform and where its numbers come from.
+    passed, verdict
+        In a few words, for the title of a window and the head of printed pages.
+    sections
+        The page.
+    """
+
+    kicker: str
+    title: str
+    source: str
+    passed: bool
+    verdict: str
+    sections: tuple[Section, ...]
+
+
+def sentence(text: str) -> str:
+    """Return text with a capital first letter, all else as it stands."""
+    return text[:1].upper() + text[1:]
+
+
+def table(titles: str, rows: Sequence[Sequence[str]], *, numbers: str = "", form: str = "") -> Table:
+    """Return a plain table.
+
+    Parameters
+    ----------
+    titles
+        Of the columns, with ``|`` between them.
+    rows
+        Text, a cell for each column.
+    numbers
+        Those of the titles that stand over numbers, with ``|`` between them.
+    form
+        As in `Table`.
+    """
+    found = numbers.split("|")
+    columns = tuple(Column(title=title, number=title in found) for title in titles.split("|"))
+    body = tuple(Row(cells=tuple(Cell(text=text) for text in row)) for row in rows)
+    return Table(columns=columns, groups=(Group(rows=body),), form=form)

@@ -1,0 +1,158 @@
+"""The report as PDF: the same document as the page, set by typst.
+
+The document goes in as data: the template shows every text as it stands, whatever signs are in it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.report.content import Document, Plate
+from platform_ctrl.report.document import document
+from platform_ctrl.writing import write_whole
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.summary import Summary
+
+# What XML 1.0 cannot hold, and other control characters: nothing that can be set.
+_UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+_VARIABLE = re.compile(r"var\(--([a-z0-9-]+)(?:, *#[0-9a-f]+)?\)")
+_DEFINED = re.compile(r"--([a-z0-9-]+): (#[0-9a-f]{6})")
+# Fonts of figures: those they are laid out for.
+_FIGURE_FONT = "DejaVu Sans"
+
+
+class TypesettingError(PlatformCtrlError):
+    """The report could not be set as PDF."""
+
+
+def write_pdf(
+    result: JobResult,
+    path: str | os.PathLike[str],
+    *,
+    command: str | None = None,
+    campaign: Summary | None = None,
+    again: str | None = None,
+) -> Path:
+    """Write the report as PDF to `path`, whole or not at all.
+
+    Parameters
+    ----------
+    result
+        From `platform_ctrl.check.checked`.
+    path
+        The file; one that exists is replaced.
+    command
+        The command line that does it again; default one that reads the job printed at the end.
+    campaign
+        What a campaign of the job came to, from `platform_ctrl.campaign.summary.summarised`: a section of the report.
+    again
+        The command line that flies one run of the campaign again, without the run's number at its end.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, or typst is not installed.
+    TypesettingError
+        Typst could not set the document.
+    """
+    return write_whole(path, pdf(result, command=command, campaign=campaign, again=again))
+
+
+def pdf(
+    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+) -> bytes:
+    """Return the report as PDF: what the page says, in the same order; the same bytes for the same result.
+
+    Parameters
+    ----------
+    result, command, campaign, again
+        As in `write_pdf`.
+
+    Raises
+    ------
+    InputError
+        Typst is not installed.
+    TypesettingError
+        Typst could not set the document.
+    """
+    typst = typesetter()
+    return typeset(typst, document(result, command=command, campaign=campaign, again=again))
+
+
+def typesetter() -> Any:
+    """Return the module typst.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        import typst
+    except ImportError:
+        raise InputError("a PDF is set by typst, which is not installed: pip install 'platform_ctrl[pdf]'") from None
+    return typst
+
+
+def typeset(typst: Any, content: Document) -> bytes:
+    """Return a document as PDF.
+
+    Raises
+    ------
+    TypesettingError
+        Typst refused it.
+    """
+    import matplotlib as mpl
+
+    templates = resources.files("platform_ctrl.report") / "templates"
+    colours = light_colours(templates.joinpath("report.css").read_text(encoding="utf-8"))
+    data = plain_data(content, colours) | {"colours": colours}
+    try:
+        made = typst.compile(
+            templates.joinpath("report.typ").read_bytes(),
+            font_paths=[str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
+            sys_inputs={"document": json.dumps(data, ensure_ascii=False)},
+            timestamp=0,
+        )
+    except RuntimeError as error:
+        raise TypesettingError(f"the report cannot be set as PDF: {' '.join(str(error).split())}") from None
+    return bytes(made)
+
+
+def light_colours(sheet: str) -> dict[str, str]:
+    """Return the colours of the light page by their names: the first definition of each in its style sheet."""
+    return dict(reversed(_DEFINED.findall(sheet)))
+
+
+def plain_data(item: Any, colours: dict[str, str]) -> Any:
+    """Return a document as dicts, lists, text and numbers, its pictures in the colours of the light page."""
+    if isinstance(item, str):
+        return _UNSETTABLE.sub("\ufffd", item)
+    if isinstance(item, tuple):
+        return [plain_data(one, colours) for one in item]
+    if not dataclasses.is_dataclass(item):
+        return item
+    data = {field.name: plain_data(getattr(item, field.name), colours) for field in dataclasses.fields(item)}
+    if hasattr(item, "kind"):
+        data["kind"] = item.kind
+    if isinstance(item, Plate):
+        data["svg"] = standalone_svg(item.svg, colours)
+    return data
+
+
+def standalone_svg(svg: str, colours: dict[str, str]) -> str:
+    """Return a picture of the page as a file of its own: colours in place of variables, and the font of figures."""
+    svg = _VARIABLE.sub(lambda found: colours[found[1]], svg)
+    head, _, rest = svg.partition("<svg")
+    space = "" if "xmlns=" in rest.partition(">")[0] else ' xmlns="http://www.w3.org/2000/svg"'
+    rest = rest.replace("system-ui,-apple-system", f"'{_FIGURE_FONT}',system-ui")
+    return _UNSETTABLE.sub("\ufffd", f'{head}<svg{space} font-family="{_FIGURE_FONT}"{rest}')

@@ -1,0 +1,165 @@
+"""The first paragraph of the report: what was designed, the verdict, and what stands nearest to a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.check.proofs import PROVED
+from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.report.price import bandwidth_hz
+from platform_ctrl.report.quantities import BOUND, compared, count, listed, percent, plain, quantity
+from platform_ctrl.report.tables import verdict
+from platform_ctrl.requirements import CheckResult
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.summary import Summary
+
+# Margins up to this share belong to what limits a loop, beside the smallest.
+_NEAR = 0.05
+# More loops than these are not gone through one by one: the nearest to their limits stand for all.
+_MOST_LOOPS = 4
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+
+
+def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
+    """Return three to six sentences.
+
+    Parameters
+    ----------
+    result
+        From `platform_ctrl.check.checked`.
+    campaign
+        From `platform_ctrl.campaign.summary.summarised`, where there is one.
+    """
+    sentences = [_designed(result), _verdict(result), *_limits(result), _together(result), _runs(result)]
+    sentences.append("" if campaign is None else _campaign(campaign))
+    return [one for one in sentences if one]
+
+
+def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
+    """Return the requirement that is missed by most, or met by least; None where nothing has a margin.
+
+    How slow the slowest pole is, as long as it decays, is no measure of how tight a design is; nor is a proof.
+    """
+    telling = [one for one in results if not (one.passed and one.name.startswith(("slowest decay", PROVED.name)))]
+    return min(telling, key=lambda one: (one.passed, one.margin), default=None)
+
+
+def _designed(result: JobResult) -> str:
+    platform, job = result.job.platform, result.job
+    given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
+    bodies = f"{count(len(platform.gimbals), 'gimbal')} and {count(len(platform.rotors), 'rotor')}"
+    where = f"\u201c{platform.name}\u201d ({bodies})"
+    if not result.loops:
+        return f"No loop is closed on {where}."
+    number = len(result.loops)
+    made = f"{_number(number).capitalize()} {'loop' if number == 1 else 'loops'} {'was' if number == 1 else 'were'} "
+    made += f"{'checked with given controllers' if given else 'designed'} for {where}"
+    closed = [f"{outcome.spec.name} ({outcome.closed.name})" for outcome in result.loops]
+    rate = float(np.linalg.norm(job.Omega, np.inf)) if job.Omega.size else 0.0
+    reach = f", for platform rates up to {plain(rate, 3)} rad/s about an axis" if rate > 0.0 else ""
+    sampled = f"{plain(1e-3 / job.sampling.period, 4)} kHz"
+    return f"{made}{reach}, sampled at {sampled}: {listed(closed)}."
+
+
+def _number(number: int) -> str:
+    return _NUMBERS[number] if number < len(_NUMBERS) else str(number)
+
+
+def _verdict(result: JobResult) -> str:
+    worst = tightest(result.requirements)
+    passed = all(one.passed for one in result.requirements)
+    words = verdict(result)
+    words = words[:1].upper() + words[1:].replace(" not met", " are not met" if not passed else "")
+    words = words.replace("requirements met", "requirements are met").replace("requirement met", "requirement is met")
+    if worst is None:
+        return f"{words}."
+    nearest = "the tightest" if passed else "the one missed by most"
+    return f"{words}; {nearest} is {worst.name} of {_whose(worst)}, {_against(worst)}."
+
+
+def _whose(one: CheckResult) -> str:
+    return f"\u201c{one.subject}\u201d"
+
+
+def _against(one: CheckResult) -> str:
+    """Return value, limit and margin."""
+    number, limit = compared(one.value, one.limit, one.unit)
+    margin = f", a margin of {percent(one.margin)}" if abs(one.margin) < 10.0 else ""
+    return f"{number} where {BOUND[one.sense]} {limit} is asked{margin}"
+
+
+def _limits(result: JobResult) -> list[str]:
+    """Return what limits each loop."""
+    found = [(outcome, nearest) for outcome in result.loops if (nearest := tightest(outcome.closed.results))]
+    if len(found) > _MOST_LOOPS:
+        found = sorted(found, key=lambda pair: (pair[1].passed, pair[1].margin))[:_MOST_LOOPS]
+    told = [_limited(outcome, nearest) for outcome, nearest in found]
+    return [f"{'; '.join(told)}."] if told else []
+
+
+def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
+    results = outcome.closed.results
+    own = bandwidth_hz(outcome.closed)
+    name = f"\u201c{outcome.spec.name}\u201d"
+    reaches = f"{name} reaches a bandwidth of {quantity(own, 'Hz', 3)} and" if own > 0.0 else name
+    missed = [one for one in results if not one.passed]
+    if missed:
+        return f"{reaches} misses {listed([one.name for one in missed])}"
+    near = sorted((one for one in results if one.margin <= _NEAR and tightest([one])), key=lambda one: one.margin)
+    if near:
+        named = [f"{one.name} ({percent(one.margin)})" for one in near[:3]]
+        return f"{reaches} is held back by {listed(named)}"
+    return f"{reaches} comes nearest to a limit in {nearest.name} ({percent(nearest.margin)})"
+
+
+def _together(result: JobResult) -> str:
+    check = result.coupled
+    if not check.stable:
+        return "Closed together on the coupled platform the loops are unstable."
+    if not check.channels:
+        return ""
+    low, high, phase = check.simultaneous.gain_phase
+    gains = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
+    return (
+        f"Closed together on the coupled platform they stay stable with gains of {gains} times nominal or phases "
+        f"within \u00b1{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
+    )
+
+
+def _runs(result: JobResult) -> str:
+    if not result.runs:
+        return ""
+    lost = [run.manoeuvre.name for run in result.runs if not run.trajectory.completed]
+    flown = f"Of {count(len(result.runs), 'simulated run')}" if len(result.runs) > 1 else "The simulated run"
+    if lost:
+        names = listed([f"\u201c{name}\u201d" for name in lost])
+        return f"{flown} {names} did not come to {'its' if len(lost) == 1 else 'their'} end."
+    worst = tightest([one for run in result.runs for one in run.results])
+    if worst is None:
+        return ""
+    verb = "exceeds a limit by most" if not worst.passed else "comes nearest to a limit"
+    return f"{flown} \u201c{worst.subject}\u201d {verb}: {worst.name} {_against(worst)}."
+
+
+def _campaign(summary: Summary) -> str:
+    from platform_ctrl.report.campaign_tables import all_drivers, chance, chances, count_words
+
+    found = summary.statistics
+    flown = found.violation
+    if not flown.runs:
+        return "No run of the campaign was flown."
+    sure = f"with {plain(100.0 * found.confidence, 3)} % confidence"
+    bounds = chances(flown.low, flown.high)
+    if not flown.events:
+        return f"None of the campaign's {count_words(flown.runs)} violates a requirement: probability {bounds} {sure}."
+    drivers = all_drivers(summary)[:2]
+    driven = f"; what drives the figures most is {listed(drivers)}" if drivers else ""
+    return (
+        f"In a campaign of {count_words(flown.runs)} the probability of violating a requirement is "
+        f"{chance(flown.estimate)} ({bounds} {sure}){driven}."
+    )
