@@ -1,0 +1,102 @@
+"""What MkDocs does besides: pictures out of code, pages out of scripts, links to files of the repository."""
+
+from __future__ import annotations
+
+import ast
+import posixpath
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import gallery
+import names
+import pictures as drawn
+from blocks import pictures
+from mkdocs.structure.files import File, Files
+
+ROOT = drawn.ROOT
+# Files beside docs/ that pages lead to, and the folder of the site where they have pages.
+SHOWN = {"examples": ("*.py", "*.toml"), "models": ("*.toml",)}
+_LINK = re.compile(r"\]\(((?:\.\./)+(?:examples|models)(?:/[^)\s]*)?)\)")
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add what is made: pages of scripts and plants, and all pictures."""
+    for folder in SHOWN:
+        for path in _shown(folder):
+            files.append(File.generated(config, _page(path), content=_listing(path)))
+    digest = drawn.package_digest()
+    themes = drawn.themes()
+
+    def add(name: str, svg: str) -> None:
+        for theme, colours in themes.items():
+            files.append(File.generated(config, f"{name}-{theme}.svg", content=drawn.as_file(svg, colours)))
+
+    for script in gallery.scripts():
+        add(f"pictures/gallery/{script.name}", drawn.of_script(gallery.FOLDER / f"{script.name}.py", digest))
+    written = [file for file in files.documentation_pages() if file.abs_src_path is not None]
+    for file in written:
+        for k, svg in enumerate(drawn.of_page(file.content_string, file.src_uri, digest)):
+            add(f"pictures/{_picture(file.src_uri, k)}", svg)
+    names.MODULES[:] = [module for file in written for module in names.MARK.findall(file.content_string)]
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Put in what is made, and lead links to files of the repository to their pages."""
+    up = "../" * page.file.src_uri.count("/")
+    for k, picture in enumerate(pictures(markdown)):
+        shown = gallery.figure(f"{up}pictures/{_picture(page.file.src_uri, k)}", picture.description, caption=True)
+        markdown = markdown.replace(picture.comment, shown, 1)
+    markdown = markdown.replace("<!-- gallery -->", gallery.page())
+    markdown = names.MARK.sub(lambda found: names.entries(found[1]), markdown)
+    for folder in SHOWN:
+        markdown = markdown.replace(f"<!-- list of {folder} -->", _list(folder))
+    return _LINK.sub(lambda found: f"]({_page_of(found[1], page.file.src_uri, up)})", markdown)
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
+    """Lead names of the package to the reference."""
+    return names.linked(html)
+
+
+def _shown(folder: str) -> list[Path]:
+    found = [path for pattern in SHOWN[folder] for path in (ROOT / folder).glob(pattern)]
+    return sorted(path for path in found if path.name[0] != "_")
+
+
+def _page(path: Path) -> str:
+    return f"{path.parent.name}/{path.stem}-{path.suffix[1:]}.md"
+
+
+def _list(folder: str) -> str:
+    rows = "\n".join(f"| [{path.name}]({_page(path)}) | {_told(path)} |" for path in _shown(folder))
+    return f"| file | holds |\n| --- | --- |\n{rows}\n"
+
+
+def _told(path: Path) -> str:
+    """Return what a file says about itself: the first line of a script, the name in a TOML file."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".toml":
+        return str(tomllib.loads(text)["name"])
+    return (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+
+
+def _picture(uri: str, k: int) -> str:
+    return f"{uri.removesuffix('.md').replace('/', '-')}-{k + 1}"
+
+
+def _listing(path: Path) -> str:
+    where = path.relative_to(ROOT).as_posix()
+    language = {".py": "python", ".toml": "toml"}[path.suffix]
+    return f"# {where}\n\n````{language}\n{path.read_text(encoding='utf-8').rstrip()}\n````\n"
+
+
+def _page_of(link: str, uri: str, up: str) -> str:
+    """Return the page in the site of a file of the repository that a page of docs/ links to."""
+    target = posixpath.normpath(posixpath.join("docs", posixpath.dirname(uri), link))
+    if target in SHOWN:
+        return f"{up}examples.md#{target}"
+    stem, _, suffix = target.rpartition(".")
+    return f"{up}{stem}-{suffix}.md"

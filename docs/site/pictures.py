@@ -1,0 +1,98 @@
+"""Pictures of the site, drawn by the code that stands beside them; kept in build/ until the code or the package changes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+from blocks import Block, Picture, pieces, pictures
+
+ROOT = Path(__file__).parents[2]
+KEPT = ROOT / "build" / "site-pictures"
+_FONT = "font-family:system-ui,-apple-system,Segoe UI,Roboto,DejaVu Sans,sans-serif"
+
+
+def package_digest() -> str:
+    """Return what changes whenever a picture may change."""
+    found = hashlib.sha256()
+    for folder, pattern in (("platform_ctrl", "**/*.py"), ("models", "*.toml"), ("docs/site", "*.py")):
+        for path in sorted((ROOT / folder).glob(pattern)):
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def themes() -> dict[str, str]:
+    """Return the report's colours in light and dark, as declarations of CSS variables."""
+    sheet = (ROOT / "platform_ctrl" / "report" / "templates" / "report.css").read_text(encoding="utf-8")
+    rules = re.findall(r"--(?:ink|muted|grid|frame|limit|beyond|band|reference|series-\d): *#[0-9a-f]+", sheet)
+    light, dark = rules[: len(rules) // 2], rules[len(rules) // 2 :]
+    if [rule.partition(":")[0] for rule in light] != [rule.partition(":")[0] for rule in dark]:
+        raise ValueError("report.css: expected the variables of figures once for light, once for dark")
+    return {"light": ";".join(light), "dark": ";".join(dark)}
+
+
+def as_file(svg: str, theme: str) -> str:
+    """Return an SVG element of `platform_ctrl.report.style.svg` as a file of its own, in one theme's colours."""
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" style="{theme};{_FONT}" '
+    return head + svg.removeprefix("<svg ")
+
+
+def of_script(path: Path, digest: str) -> str:
+    """Return the picture of a gallery script: what it binds to `figure`."""
+    text = path.read_text(encoding="utf-8")
+    description = text.partition('"""')[2].partition("\n")[0].rstrip(".")
+    return _kept([path.name, text, digest], lambda: [_svg(_run(text, path.name)["figure"], description)])[0]
+
+
+def of_page(page: str, name: str, digest: str) -> list[str]:
+    """Return the pictures of a page, in their order."""
+    return _kept([name, page, digest], lambda: _draw(page, name)) if pictures(page) else []
+
+
+def _draw(page: str, name: str) -> list[str]:
+    out: list[str] = []
+    namespace: dict[str, Any] = {"__name__": "__page__"}
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        for piece in pieces(page):
+            if isinstance(piece, Picture):
+                out.append(_svg(namespace[piece.name], piece.description))
+            elif piece.title:
+                Path(piece.title).write_text(piece.text, encoding="utf-8")
+            elif piece.language == "python":
+                exec(compile(piece.text, name, "exec"), namespace)
+    return out
+
+
+def _run(text: str, name: str) -> dict[str, Any]:
+    namespace: dict[str, Any] = {"__name__": "__page__"}
+    exec(compile(text, name, "exec"), namespace)
+    return namespace
+
+
+def _svg(figure: Any, description: str) -> str:
+    from platform_ctrl.report import style
+
+    with style.settings():
+        return style.svg(getattr(figure, "figure", None) or figure, description)
+
+
+def _kept(key: list[str], make: Any) -> list[str]:
+    """Return what `make` makes, or what it made for the same `key` before."""
+    path = KEPT / f"{hashlib.sha256(json.dumps(key).encode()).hexdigest()}.json"
+    if path.exists():
+        return list(json.loads(path.read_text(encoding="utf-8")))
+    made = make()
+    KEPT.mkdir(parents=True, exist_ok=True)
+    whole = path.with_suffix(f".{os.getpid()}")
+    whole.write_text(json.dumps(made), encoding="utf-8")
+    whole.replace(path)
+    return list(made)
+
+
+__all__ = ["Block", "as_file", "of_page", "of_script", "package_digest", "themes"]
