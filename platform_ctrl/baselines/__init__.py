@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from platform_ctrl.baselines.comparison import Change, Comparison, State, compare
 from platform_ctrl.baselines.figures import Figure, figures_of
-from platform_ctrl.baselines.file import Update, read_baseline, update_baseline, write_baseline
+from platform_ctrl.baselines.file import Update, plot_beside, read_baseline, update_baseline, write_baseline
 from platform_ctrl.baselines.record import AcceptedFigure, Baseline, LoopMatrices, Tolerance, accepted
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "accepted",
     "compare",
     "figures_of",
+    "plot_beside",
     "read_baseline",
     "update_baseline",
     "write_baseline",

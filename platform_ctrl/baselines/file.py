@@ -147,6 +147,12 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     )
 
 
+def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Path:
+    """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``, or in `folder`."""
+    file = Path(path)
+    return (file.parent if folder is None else Path(folder)) / f"{file.stem}.moved.png"
+
+
 def _tolerance(table: Table, default: Tolerance) -> Tolerance | None:
     """Return the tolerance that a table names; one bound alone is the whole of it."""
     found = {key: table.positive(key, "a number >= 0") for key in _TOLERANCE if key in table.data}

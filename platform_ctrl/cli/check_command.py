@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from platform_ctrl.cli.held_baseline import Held, writable
 from platform_ctrl.cli.inputs import RESULT, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
 from platform_ctrl.cli.job_outcome import REPORT, delivered
 
@@ -27,6 +28,23 @@ def check(
             show_default=False,
         ),
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(
+            "--baseline",
+            metavar="FILE",
+            help="Figures that were accepted once: the exit code is 1 too where one is worse by more than its "
+            "tolerance. What moved is printed, and drawn beside FILE.",
+            show_default=False,
+        ),
+    ] = None,
+    update_baseline: Annotated[
+        bool, typer.Option("--update-baseline", help="Accept the figures as they are: write them to the baseline.")
+    ] = False,
+    junit: Annotated[
+        Path | None,
+        typer.Option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.", show_default=False),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -39,6 +57,8 @@ def check(
     \b
     platform-ctrl check job.toml                              those of out/result.json
     platform-ctrl check job.toml --controllers mine.json -o mine
+    platform-ctrl check job.toml --baseline gyros.json --update-baseline
+    platform-ctrl check job.toml --baseline gyros.json --junit check.xml
     platform-ctrl check job.toml --quiet && deploy
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
@@ -47,6 +67,7 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file = controller_file(controllers, out)
+        held = Held.given(baseline, update_baseline)
         from platform_ctrl.check import checked
         from platform_ctrl.check.given import outcomes_from, read_controllers
         from platform_ctrl.check.recorded import unconfirmed
@@ -54,10 +75,20 @@ def check(
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         prepared(folder, (RESULT, REPORT))
+        if junit is not None:
+            writable("--junit", junit)
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        show = delivered(result, folder, as_json, say, command)
+        outcome = held.outcome(result)
+        show = delivered(result, folder, as_json, say, command, outcome.record)
+        if junit is not None:
+            from platform_ctrl.report.junit import write_junit
+
+            write_junit(result, junit, comparison=outcome.comparison, baseline=str(baseline))
     for note in notes:
         typer.echo(f"{file}: not confirmed: {note}", err=True)
-    return show()
+    code = show()
+    if outcome.words:
+        typer.echo(outcome.words, err=as_json)
+    return code or (0 if outcome.passed else 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +19,19 @@ REPORT = "report.html"
 Shown = Callable[[], int]
 
 
-def delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str], None], command: list[str]) -> Shown:
-    """Write both files; return what shows the result and gives the exit code, for when the spinner has gone."""
-    from platform_ctrl.check.records import laid_out, result_record, write_record
+def delivered(
+    result: JobResult,
+    folder: Path,
+    as_json: bool,
+    say: Callable[[str], None],
+    command: list[str],
+    more: Mapping[str, object] | None = None,
+) -> Shown:
+    """Write both files; return what shows the result and gives the exit code, for when the spinner has gone.
+
+    `more` is printed beside what the result's file holds, as JSON alone.
+    """
+    from platform_ctrl.check.records import laid_out, plain, result_record, write_record
     from platform_ctrl.cli.terminal import show_result
     from platform_ctrl.report import write_page
 
@@ -32,7 +42,7 @@ def delivered(result: JobResult, folder: Path, as_json: bool, say: Callable[[str
 
     def show() -> int:
         if as_json:
-            typer.echo(laid_out(record))
+            typer.echo(laid_out(record | plain(more or {})))
         else:
             show_result(result)
             typer.echo(f"report: {folder / REPORT}, figures: {folder / RESULT}")

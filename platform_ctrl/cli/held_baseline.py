@@ -1,0 +1,116 @@
+"""A job held against a baseline by a command: judged before the work, compared, drawn or updated after it."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    from platform_ctrl.baselines import Baseline, Change, Comparison
+    from platform_ctrl.check import JobResult
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a comparison came to: words for the terminal, plain data for JSON."""
+
+    comparison: Comparison | None = None
+    words: str = ""
+    record: dict[str, Any] | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is worse than it was accepted."""
+        return self.comparison is None or self.comparison.passed
+
+
+@dataclass(frozen=True)
+class Held:
+    """A baseline's file, and whether it is to be updated."""
+
+    file: Path | None
+    update: bool
+    baseline: Baseline | None = None
+
+    @classmethod
+    def given(cls, file: Path | None, update: bool) -> Held:
+        """Judge what the command was given, before the work.
+
+        Raises
+        ------
+        InputError
+            There is no such file, it is no baseline, or it cannot be written where it is to be.
+        """
+        if file is None:
+            if update:
+                raise InputError("--update-baseline: without --baseline FILE; expected the file to write")
+            return cls(None, False)
+        from platform_ctrl.baselines import read_baseline
+
+        if update:
+            writable("--baseline", file)
+        elif not file.exists():
+            raise InputError(f"{file}: there is no such file; --update-baseline writes it")
+        return cls(file, update, read_baseline(file) if file.exists() else None)
+
+    def outcome(self, result: JobResult) -> Outcome:
+        """Compare, and draw what moved beside the file; or update the file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        if self.file is None:
+            return Outcome()
+        from platform_ctrl.baselines import compare, plot_beside, update_baseline
+
+        plot = plot_beside(self.file)
+        if self.update or self.baseline is None:
+            made = update_baseline(result, self.file)
+            plot.unlink(missing_ok=True)
+            before = made.comparison.changes if made.comparison is not None else ()
+            record = _record(self.file, before, passed=True, updated=made.written)
+            return Outcome(None, f"baseline: {made.summary}", record)
+        comparison = compare(result, self.baseline)
+        from platform_ctrl.report.failure_text import moved_text
+
+        words = moved_text(comparison, str(self.file))
+        record = _record(self.file, comparison.changes, passed=comparison.passed, updated=False)
+        if comparison.passed:
+            plot.unlink(missing_ok=True)
+            return Outcome(comparison, f"baseline {words}", record)
+        from platform_ctrl.report.moved_figure import write_moved_figure
+
+        title = moved_text(comparison, f"{result.job.name}, {self.file.name}").partition("\n")[0]
+        words += f"\n  plot: {write_moved_figure(comparison, title, plot)}"
+        words += "\n  to accept this: the same command with --update-baseline"
+        return Outcome(comparison, f"baseline {words}", record | {"plot": str(plot)})
+
+
+def writable(option: str, file: Path) -> None:
+    """Make the folder of a file and try to write there: before the work, not after it.
+
+    Raises
+    ------
+    InputError
+        It is a folder, or cannot be written.
+    """
+    if file.is_dir():
+        raise InputError(f"{option} {file}: is a folder; expected a file")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=file.parent):
+            pass
+    except OSError as error:
+        raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
+
+
+def _record(file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool) -> dict[str, Any]:
+    names = ("subject", "name", "unit", "sense", "before", "now", "allowed", "limit", "state")
+    entries = [{name: getattr(change, name) for name in names} for change in changes]
+    return {"baseline": {"file": str(file), "passed": passed, "updated": updated, "figures": entries}}
