@@ -1,1 +1,48 @@
-"""Campaigns: many runs of a job with everything that may vary, and what they say together."""
+"""Campaigns: many runs of a job with everything that may vary, and what they say together.
+
+`plan`, `rerun` and `statistics` are functions as well as the modules that hold them: here they are the functions.
+"""
+
+from __future__ import annotations
+
+from platform_ctrl.campaign.distribution import Distribution
+from platform_ctrl.campaign.engine import Campaigned, run_campaign
+from platform_ctrl.campaign.influence import Influence, influences
+from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.campaign.probability import Probability, clopper_pearson
+from platform_ctrl.campaign.rare_events import rare_event
+from platform_ctrl.campaign.rare_flights import rare_probability
+from platform_ctrl.campaign.rare_result import RarePoint, RareResult, Repetition
+from platform_ctrl.campaign.rerun import Rerun, rerun
+from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
+from platform_ctrl.campaign.summary import Summary, summarised, summary_record
+from platform_ctrl.campaign.worst import RunFigure
+
+__all__ = [
+    "CampaignStatistics",
+    "Campaigned",
+    "Distribution",
+    "Influence",
+    "Plan",
+    "Probability",
+    "RarePoint",
+    "RareResult",
+    "Repetition",
+    "RequirementStatistics",
+    "Rerun",
+    "RunFigure",
+    "Sensitivity",
+    "Summary",
+    "clopper_pearson",
+    "influences",
+    "plan",
+    "rare_event",
+    "rare_probability",
+    "rerun",
+    "run_campaign",
+    "sensitivities",
+    "statistics",
+    "summarised",
+    "summary_record",
+]

@@ -21,10 +21,14 @@ class Distribution:
 
     Attributes
     ----------
-    counts
+    counts : (bins,)
         Runs in each bin: the first for everything below 1e-12, the last for everything above 1e9, infinity included.
     smallest, largest
-        The extremes, exactly; infinite where the largest is (a run that diverged).
+        The extremes, exactly, in the figure's unit; infinite where the largest is (a run that diverged).
+
+    References
+    ----------
+    Own definition.
     """
 
     __slots__ = ("counts", "largest", "smallest")
@@ -39,7 +43,17 @@ class Distribution:
         return int(self.counts.sum())
 
     def add(self, figures: ArrayLike) -> None:
-        """Count `figures`."""
+        """Count more figures.
+
+        Parameters
+        ----------
+        figures : any shape
+            Not negative, in one unit; what is not finite lies beyond all.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         values = np.asarray(figures, dtype=np.float64)
         if not values.size:
             return
@@ -49,7 +63,22 @@ class Distribution:
         self.largest = max(self.largest, float(values.max()))
 
     def quantile(self, share: float) -> float:
-        """Return the least figure that at least `share` of the runs do not exceed; NaN without runs."""
+        """Return the least figure that a share of the runs does not exceed.
+
+        Parameters
+        ----------
+        share
+            Share of the runs, 0 to 1.
+
+        Returns
+        -------
+        float
+            In the figures' unit, right to half a thousandth of itself; NaN without runs.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         runs = self.runs
         if not runs:
             return float("nan")
@@ -60,15 +89,35 @@ class Distribution:
         return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
 
     def exceedance(self) -> tuple[FloatArray, FloatArray]:
-        """Return levels, increasing, and the share of the runs above each."""
+        """Return how often the figures lie above levels.
+
+        Returns
+        -------
+        levels, shares : (k,), (k,)
+            Levels, increasing, in the figures' unit, and the share of the runs above each.
+        """
         filled = np.flatnonzero(self.counts)
         above = self.runs - np.cumsum(self.counts[filled])
         return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
 
     def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
-        """Return how many figures lie between each two of `edges`; what lies beyond the last is left out.
+        """Return how many figures lie between each two edges; what lies beyond the last is left out.
 
         The bins here are as fine as `RESOLUTION`: a figure next to an edge may be counted on its other side.
+
+        Parameters
+        ----------
+        edges : (k + 1,)
+            Increasing, in the figures' unit.
+
+        Returns
+        -------
+        (k,)
+            Counts.
+
+        Notes
+        -----
+        The arguments are not judged.
         """
         filled = np.flatnonzero(self.counts)
         middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)

@@ -35,6 +35,10 @@ class Campaigned:
         Path of the Parquet file: one row a run, in their order.
     record
         What ``campaign.json`` holds.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
 
     table: Path
@@ -105,6 +109,10 @@ def run_campaign(
         Workers die again and again; what was flown is kept.
     ArgumentError
         `workers` or `device` make no sense.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers: given {workers}; expected at least one")

@@ -32,11 +32,13 @@ class Influence:
         First-order Sobol index: the share of the figure's variance that the input explains on its own, and its 95 %
         interval (jackknife).
     rank_correlation
-        Spearman's, −1 to 1: the direction of a monotone influence. NaN for words (which manoeuvre).
+        Spearman's, −1 to 1, dimensionless: the direction of a monotone influence. NaN for words (which manoeuvre).
     p_value
-        How probable it is that an input without influence looks like this, all inputs of the figure together (Holm).
-    driver
-        Whether that is below 1 %.
+        Probability that an input without influence looks like this, all inputs of the figure together (Holm).
+
+    References
+    ----------
+    As `influences`.
     """
 
     parameter: str
@@ -58,9 +60,15 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
     Parameters
     ----------
     inputs
-        Columns of N numbers, of yes and no, or of words; independent of each other, drawn as the campaign draws them.
+        Columns (N,) of numbers in any unit, of yes and no, or of words; independent of each other, drawn as the
+        campaign draws them.
     output : (N,)
-        The figure, finite.
+        The figure, finite, in any unit.
+
+    Returns
+    -------
+    tuple of Influence
+        The strongest first.
 
     Raises
     ------
@@ -74,6 +82,16 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
     interval by leaving out one of 20 groups of runs at a time. Significance: Kruskal and Wallis's test over the same
     classes and Spearman's, the smaller of the two doubled, then Holm's rule over the inputs; both tests go by ranks and
     need no normal output. Of an output that has two values, one of them seldom, both are made by permutation.
+
+    References
+    ----------
+    I. M. Sobol, Mathematics and Computers in Simulation 55, 2001.
+
+    T. L. Kelley, Proceedings of the National Academy of Sciences 21, 1935.
+
+    W. H. Kruskal, W. A. Wallis, Journal of the American Statistical Association 47, 1952.
+
+    S. Holm, Scandinavian Journal of Statistics 6, 1979.
     """
     y = np.asarray(output, dtype=np.float64)
     columns = {name: np.asarray(column) for name, column in inputs.items()}

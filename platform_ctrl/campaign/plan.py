@@ -31,15 +31,19 @@ class Plan:
     job, controllers
         What is flown: the job with its `Job.campaign`, and the controllers that are closed together.
     runs, seed, sampling, step
-        As in `platform_ctrl.job.Campaign`.
+        As in `platform_ctrl.job.Campaign`; the step in s.
     nominal, weights
-        The manoeuvres that are flown, on the plant as it stands, and how often each.
+        The manoeuvres that are flown, on the plant as it stands, and how often each, relative to one another.
     varied
         What differs, in the order of the campaign's entries.
     failing
         What may fail beside the faults of the manoeuvres themselves, in the order of the campaign's entries.
     noise_seed
         The key of noise and random phases, together with a run's number; derived from `seed`.
+
+    References
+    ----------
+    As `plan`.
     """
 
     job: Job
@@ -74,7 +78,17 @@ class Plan:
         return len(self.input_names)
 
     def points(self, first: int, last: int) -> FloatArray:
-        """Return the numbers in (0, 1) that runs `first` to `last` − 1 are made of, (last − first, dimensions).
+        """Return the numbers in (0, 1) that some runs are made of.
+
+        Parameters
+        ----------
+        first, last
+            Runs `first` to `last` − 1.
+
+        Returns
+        -------
+        (last − first, dimensions)
+            Probabilities: the inputs before their distributions, dimensionless.
 
         Raises
         ------
@@ -86,9 +100,23 @@ class Plan:
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
     def inputs_at(self, points: FloatArray) -> Columns:
-        """Return the inputs at points of the unit cube, (N, dimensions): columns by their names.
+        """Return the inputs at points of the unit cube.
 
         The number of a relative parameter is the factor; the column of a fault says whether it happens.
+
+        Parameters
+        ----------
+        points : (N, dimensions)
+            Probabilities, as of `points`.
+
+        Returns
+        -------
+        dict
+            Columns (N,) by the names of `input_names`, in the parameters' units.
+
+        Notes
+        -----
+        The arguments are not judged.
         """
         names = np.array([one.name for one, _ in self.job.flown], dtype=np.str_)
         columns: Columns = {"manoeuvre": names[chosen(self.weights, points[:, 0])]}
@@ -99,7 +127,17 @@ class Plan:
         return columns
 
     def inputs(self, first: int, last: int) -> Columns:
-        """Return the inputs of runs `first` to `last` − 1 as columns by their names.
+        """Return the inputs of some runs as columns by their names.
+
+        Parameters
+        ----------
+        first, last
+            Runs `first` to `last` − 1.
+
+        Returns
+        -------
+        dict
+            Columns (last − first,) by the names of `input_names`.
 
         Raises
         ------
@@ -109,7 +147,24 @@ class Plan:
         return self.inputs_at(self.points(first, last))
 
     def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
-        """Return runs of given inputs; their numbers in the campaign, `runs`, are what their noise depends on."""
+        """Return runs of given inputs.
+
+        Parameters
+        ----------
+        inputs
+            Columns as of `inputs`.
+        runs
+            Their numbers in the campaign: what their noise depends on.
+
+        Returns
+        -------
+        list of Scenario
+            One for each row.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.flown)}
         # Python's numbers: a dataclass keeps what it is given.
         columns = [inputs[name].tolist() for name in self.input_names]
@@ -125,7 +180,17 @@ class Plan:
         return out
 
     def scenarios(self, first: int, last: int) -> list[Scenario]:
-        """Return runs `first` to `last` − 1.
+        """Return some runs of the campaign as they are flown.
+
+        Parameters
+        ----------
+        first, last
+            Runs `first` to `last` − 1.
+
+        Returns
+        -------
+        list of Scenario
+            In their order.
 
         Raises
         ------
@@ -135,7 +200,17 @@ class Plan:
         return self.scenarios_with(self.inputs(first, last), range(first, last))
 
     def scenario(self, run: int) -> Scenario:
-        """Return one run.
+        """Return one run of the campaign as it is flown.
+
+        Parameters
+        ----------
+        run
+            Its number, from 0.
+
+        Returns
+        -------
+        Scenario
+            The same whichever others are asked for.
 
         Raises
         ------
@@ -165,11 +240,28 @@ def plan(
     runs, seed, sampling
         In place of those of the job's campaign.
 
+    Returns
+    -------
+    Plan
+        Every run, by its number alone.
+
     Raises
     ------
     ArgumentError
         There is no manoeuvre; a number is out of range, or more than a Latin hypercube can have; a parameter that is
         varied does not exist, or could be drawn as something that a plant or job file refuses.
+
+    References
+    ----------
+    I. M. Sobol, USSR Computational Mathematics and Mathematical Physics 7, 1967.
+
+    A. B. Owen, Journal of Complexity 14, 1998.
+
+    M. D. McKay, R. J. Beckman, W. J. Conover, Technometrics 21, 1979.
+
+    J. K. Salmon et al., SC 2011.
+
+    See docs/campaign.md.
     """
     campaign = job.campaign or Campaign(seed=job.seed)
     if not job.manoeuvres:

@@ -18,10 +18,14 @@ class Probability:
     events, runs
         How many runs of how many.
     low, high
-        Clopper and Pearson's bounds: of all runs that could be drawn the share lies between them, both together at
-        least with probability `confidence`.
+        Clopper and Pearson's bounds of the share of all runs that could be drawn: it lies between them, both together,
+        at least with probability `confidence`.
     confidence
-        Two-sided.
+        Two-sided probability.
+
+    References
+    ----------
+    C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
     """
 
     events: int
@@ -47,7 +51,12 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     events, runs
         Whole numbers, 0 ≤ events ≤ runs.
     confidence
-        Two-sided, between 0 and 1.
+        Two-sided probability, between 0 and 1.
+
+    Returns
+    -------
+    Probability
+        With both bounds.
 
     Raises
     ------
@@ -59,6 +68,10 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     Exact for independent runs (Clopper and Pearson, Biometrika 26, 1934). Points of a Sobol sequence or a Latin
     hypercube fill the space more evenly than that: the estimate scatters less, the bounds err on the safe side as a
     rule, but nobody guarantees it.
+
+    References
+    ----------
+    C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
     """
     if whole("events", events, 0) > whole("runs", runs, 0):
         raise ArgumentError(f"events: given {events} of {runs} runs; expected 0 <= events <= runs")

@@ -70,7 +70,7 @@ def rare_event(
         mixture nearest to the violating points. With ten inputs or fewer the scatter is several times smaller for a
         fifth more runs; what splitting did not find it does not see either.
     confidence
-        Of the interval.
+        Probability of the interval.
     seed
         The same seed, the same result.
     first_run
@@ -78,12 +78,27 @@ def rare_event(
     say
         Is told how it goes.
 
+    Returns
+    -------
+    RareResult
+        The mean of the repetitions with its interval, and the points that violate.
+
     Raises
     ------
     ArgumentError
         Too few samples or repetitions.
     SimulationError
         A figure is not a number: a run could not be carried out.
+
+    References
+    ----------
+    S. K. Au, J. L. Beck, Probabilistic Engineering Mechanics 16, 2001.
+
+    I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub, Probabilistic Engineering Mechanics 41, 2015.
+
+    R. Y. Rubinstein, D. P. Kroese, The Cross-Entropy Method, 2004.
+
+    U. Olsson, Journal of Statistics Education 13, 2005.
     """
     one_of("method", method, ("splitting", "cross-entropy"))
     if samples < FEWEST_SAMPLES or repetitions < 2 or dimension < 0:

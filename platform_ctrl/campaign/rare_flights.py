@@ -42,15 +42,32 @@ def rare_probability(
     requirement
         ``"angle"``, ``"attitude"`` or ``"torque_share"``; None: any of them. A manoeuvre that does not ask for it
         never violates it.
-    samples, repetitions, method, confidence, say
-        As in `platform_ctrl.campaign.rare_events.rare_event`.
+    samples, repetitions, method
+        As in `platform_ctrl.campaign.rare_event`.
+    confidence
+        As in `platform_ctrl.campaign.rare_event`, a probability.
     threads, device
         As in `platform_ctrl.simulation.fly`.
+    say
+        As in `platform_ctrl.campaign.rare_event`.
+
+    Returns
+    -------
+    RareResult
+        Over all that the campaign draws.
 
     Raises
     ------
     ArgumentError
         No manoeuvre of the campaign asks for the requirement, or a run cannot be flown.
+    SimulationError
+        A run could not be carried out, or the device is not there.
+
+    References
+    ----------
+    S. K. Au, J. L. Beck, Probabilistic Engineering Mechanics 16, 2001.
+
+    See docs/campaign.md.
     """
     asked = tuple(name for name in FIGURES if any(name in manoeuvre.limits for manoeuvre, _ in plan.job.flown))
     if not asked:

@@ -21,13 +21,17 @@ class RarePoint:
     Attributes
     ----------
     u : (d,)
-        The point of the unit cube: the inputs through their distributions.
+        The point of the unit cube, probabilities: the inputs through their distributions.
     run
         Number of the noise.
     ratio
-        Figure over limit, above 1; infinite if it diverged.
+        Ratio of the figure to its limit, above 1; infinite if it diverged.
     distance
-        From the most probable inputs, in standard deviations.
+        From the most probable inputs, in units of standard deviations.
+
+    References
+    ----------
+    As `rare_event`.
     """
 
     u: FloatArray
@@ -43,17 +47,22 @@ class Repetition:
     Attributes
     ----------
     probability
-        The estimate; 0 where the limit was not reached.
+        The estimate of the probability; 0 where the limit was not reached.
     below
-        The estimate; where the limit was not reached, an upper bound of what lies beyond the last level.
+        The estimate; where the limit was not reached, an upper bound of the probability of what lies beyond the last
+        level.
     levels : (k,)
-        Figures over the limit that the levels stood at.
+        Ratios of figure to limit that the levels stood at.
     variation
-        Coefficient of variation as this repetition itself sees it.
+        Coefficient of variation (relative standard deviation) as this repetition itself sees it.
     evaluations
         Runs that it took.
     noises
         How many realisations of the noise there are among its violating runs.
+
+    References
+    ----------
+    As `rare_event`.
     """
 
     probability: float
@@ -78,7 +87,7 @@ class RareResult:
         The mean of all repetitions, and where the true value lies by their scatter. With probability 0, `high` is what
         the last level reached allows.
     variation
-        Coefficient of variation of the mean.
+        Coefficient of variation (relative standard deviation) of the mean.
     repetitions
         The single estimates.
     evaluations
@@ -86,7 +95,12 @@ class RareResult:
     violations
         The most probable inputs that violate it, the nearest first: where to look.
     shift : (d,)
-        Mean of the violating inputs in standard deviations of each: which inputs, moved where, make it happen.
+        Mean of the violating inputs in units of the standard deviation of each: which inputs, moved where, make it
+        happen.
+
+    References
+    ----------
+    As `rare_event`.
     """
 
     requirement: str | None = None

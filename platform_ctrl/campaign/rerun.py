@@ -41,6 +41,10 @@ class Rerun:
         What the run came to, likewise.
     run
         With its trajectory and limits.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
 
     number: int
@@ -53,10 +57,26 @@ class Rerun:
 def rerun(plan: Plan, number: int) -> Rerun:
     """Fly one run of a plan again.
 
+    Parameters
+    ----------
+    plan
+        Of the campaign.
+    number
+        Of the run, from 0.
+
+    Returns
+    -------
+    Rerun
+        With its trajectory, and the row that it has in the table.
+
     Raises
     ------
     ArgumentError
         The plan has no such run, or it cannot be flown.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
     inputs = plan.inputs(number, number + 1)
     scenario = plan.scenario(number)

@@ -54,6 +54,10 @@ class Sensitivity:
     violations
         Likewise on whether this limit is violated; empty where fewer than five runs do, or do not. What sends a few
         runs beyond the limit may be nothing to the others.
+
+    References
+    ----------
+    As `influences`.
     """
 
     figure: str
@@ -77,12 +81,23 @@ def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None 
     inputs
         Columns that are inputs; default: all that are no outcome.
 
+    Returns
+    -------
+    tuple of Sensitivity
+        Every requirement over all manoeuvres, then within each.
+
     Raises
     ------
     ArgumentError
         A column is missing.
     InputError
         The files cannot be read.
+
+    References
+    ----------
+    I. M. Sobol, Mathematics and Computers in Simulation 55, 2001.
+
+    See docs/campaign.md.
     """
     names = tuple(input_names(table) if inputs is None else inputs)
     data = _first_runs(table, names)

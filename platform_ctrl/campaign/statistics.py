@@ -45,19 +45,24 @@ class RequirementStatistics:
     manoeuvre
         The manoeuvre, or None over all.
     limit
-        What is asked at most; None for ``"passed"``. Over all manoeuvres a figure counts relative to its manoeuvre's
-        limit, and this is 1.
+        What is asked at most, in the figure's unit (rad, rad, share of the torque limit); None for ``"passed"``. Over
+        all manoeuvres a figure counts relative to its manoeuvre's limit, and this is 1.
     violation
         How often it is violated, of the runs that were flown and of which it is asked. A run that diverged violates
         whatever is asked of it.
     quantiles
-        Figure by share of the runs; empty for ``"passed"``. Infinite where that share of the runs did not do.
+        Figure, in the unit of `limit`, by share of the runs; empty for ``"passed"``. Infinite where that share of the
+        runs did not do.
     largest
-        Largest figure.
+        Largest figure, in the unit of `limit`.
     distribution
         Of the figure over these runs; None for ``"passed"``.
     worst
         The runs with the largest figures over their limits, the worst first.
+
+    References
+    ----------
+    As `statistics`.
     """
 
     figure: str
@@ -87,7 +92,11 @@ class CampaignStatistics:
     worst
         The runs with the largest figures over any of their limits.
     confidence
-        Of all bounds.
+        Of all bounds, a probability.
+
+    References
+    ----------
+    As `statistics`.
     """
 
     runs: int
@@ -111,6 +120,18 @@ class CampaignStatistics:
 
     def of(self, figure: str, manoeuvre: str | None = None) -> RequirementStatistics:
         """Return the statistics of one requirement, over all manoeuvres by default.
+
+        Parameters
+        ----------
+        figure
+            ``"angle"``, ``"attitude"``, ``"torque_share"`` or ``"passed"``.
+        manoeuvre
+            Its name; None: over all.
+
+        Returns
+        -------
+        RequirementStatistics
+            Of this figure there.
 
         Raises
         ------
@@ -136,11 +157,16 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
         Parquet files, or a dict of columns: `run`, `manoeuvre`, the figures `angle`, `attitude`, `torque_share`, for
         each that is asked its `..._passed` (null where the manoeuvre asks nothing), `passed` and `ended`.
     limits
-        What each manoeuvre asks of each figure at most: `Manoeuvre.limits` by name.
+        What each manoeuvre asks of each figure at most: `Manoeuvre.limits` by name, SI units.
     confidence
-        Of the two-sided Clopper-Pearson bounds.
+        Probability of the two-sided Clopper-Pearson bounds.
     worst
         How many of the worst runs to name for each requirement.
+
+    Returns
+    -------
+    CampaignStatistics
+        Of all runs in the table.
 
     Raises
     ------
@@ -148,6 +174,12 @@ def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, 
         A column is missing.
     InputError
         The files cannot be read.
+
+    References
+    ----------
+    C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
+
+    See docs/campaign.md.
     """
     present = column_names(table)
     figures = [name for name in FIGURES if name in present]

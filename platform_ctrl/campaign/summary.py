@@ -32,6 +32,10 @@ class Summary:
         What drives them.
     rare
         Probabilities too small to be counted, where they were asked for.
+
+    References
+    ----------
+    As `summarised`.
     """
 
     plan: Plan
@@ -45,7 +49,23 @@ class Summary:
         return self.statistics.passed
 
     def inputs_of(self, run: int) -> dict[str, float | bool | str]:
-        """Return the inputs of one run by their names, in plain types."""
+        """Return the inputs of one run by their names, in plain types.
+
+        Parameters
+        ----------
+        run
+            Its number, from 0.
+
+        Returns
+        -------
+        dict
+            Numbers in SI units, names and truth values.
+
+        Raises
+        ------
+        ArgumentError
+            The campaign has no such run.
+        """
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
@@ -61,9 +81,14 @@ def summarised(
     table
         The runs: Parquet files or columns.
     confidence
-        Of the bounds.
+        Probability of the bounds.
     rare
         Rare events to go with it.
+
+    Returns
+    -------
+    Summary
+        What the page, the terminal and campaign.json show.
 
     Raises
     ------
@@ -71,6 +96,10 @@ def summarised(
         A column is missing.
     InputError
         The files cannot be read.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.flown}
     return Summary(
@@ -82,7 +111,26 @@ def summarised(
 
 
 def summary_record(summary: Summary) -> Record:
-    """Return `statistics`, `sensitivity` and `rare` for campaign.json; None where a number is not finite."""
+    """Return what campaign.json holds of a summary; None where a number is not finite.
+
+    Parameters
+    ----------
+    summary
+        From `summarised`.
+
+    Returns
+    -------
+    dict
+        `statistics`, `sensitivity` and `rare`, in plain types.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/campaign.md.
+    """
     found = summary.statistics
     record = {
         "statistics": {

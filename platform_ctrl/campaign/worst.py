@@ -22,7 +22,12 @@ class RunFigure:
     figure
         Name of the limit.
     value, limit, ratio
-        The figure, what is asked at most, and the one over the other (above 1: violated); infinite where it diverged.
+        The figure, what is asked at most, both in its unit (rad, rad, share), and the ratio of the one to the other
+        (above 1: violated); infinite where it diverged.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
 
     run: int
