@@ -21,12 +21,14 @@ from platform_ctrl.report.loop_figures import (
     sensitivity_figure,
 )
 from platform_ctrl.report.plant_figures import nutation_figure
+from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.nyquist import nyquist
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.plots.showing import show
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
+    "bode",
     "coupled_pole_figure",
     "disturbance_figure",
     "loop_transfer_figure",

@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from platform_ctrl.greek import LETTERS
 if TYPE_CHECKING:
     import control
 
-    LinearSystem = control.StateSpace | control.TransferFunction | control.FrequencyResponseData
+LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData"
 
 # States up to which poles next to the stability boundary are worked out in more digits, and entries whose zeros are
 # sought: beyond that the grid does without.
@@ -361,7 +361,7 @@ def drawable(text: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _has_glyph(letter: str) -> bool:
-    return _font().get_char_index(ord(letter)) != 0
+    return bool(_font().get_char_index(ord(letter)))
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,351 @@
+"""Panels over frequency: blocks of gain above phase, their axes, lines that greyscale tells apart, limits shaded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.arguments import real_numbers, short
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.limit_lines import DASHED
+from platform_ctrl.report.plots.systems import DrawnSystem
+from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.style import (
+    BEYOND,
+    DASHES,
+    FULL_WIDTH,
+    LIMIT,
+    MARKERS,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    frequency_axes,
+    gain_limits,
+    legend_rows,
+    linear_axis,
+    log_axis,
+)
+
+HZ = 1.0 / (2.0 * np.pi)
+# Series that differ by their dashes alone; more have markers.
+_DIFFERENT = 6
+_LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.16, 0.46, 0.72
+_TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
+# Where the words beside an axis stand, inches left of it.
+_WORDS = 0.5
+# A gain that a dip goes down to, over the largest one, is not shown below this.
+_DEEPEST = 1e-9
+
+
+def blocks(
+    rows: int,
+    columns: int,
+    heights: Sequence[float],
+    labels: Sequence[str],
+    *,
+    titles: bool = True,
+    width: float = FULL_WIDTH,
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure with blocks of panels that share their frequency axis, and its axes (rows × parts, columns).
+
+    Parameters
+    ----------
+    rows, columns
+        Blocks.
+    heights
+        Of the parts of a block, from the top, inches.
+    labels
+        What the legend above is going to say.
+    titles
+        Whether blocks have titles.
+    width
+        Inches.
+    """
+    parts = len(heights)
+    over = _TITLE if titles else _NO_TITLE
+    block = over + sum(heights) + (parts - 1) * _BETWEEN + _BOTTOM
+    top = 0.1 + (_LEGEND_ROW * legend_rows(labels, width) if labels else 0.0)
+    height = top + rows * block
+    figure = Figure(figsize=(width, height))
+    FigureCanvasSVG(figure)
+    across = (width - _LEFT - _RIGHT - (columns - 1) * _GAP_X) / columns
+    axes = np.empty((rows * parts, columns), dtype=object)
+    for row in range(rows):
+        for column in range(columns):
+            y = height - top - row * block - over
+            for part, tall in enumerate(heights):
+                y -= tall
+                box = ((_LEFT + column * (across + _GAP_X)) / width, y / height, across / width, tall / height)
+                above = axes[row * parts, column] if part else None
+                one = axes[row * parts + part, column] = figure.add_axes(box, sharex=above)
+                one.yaxis.set_label_coords(-_WORDS / across, 0.5)
+                y -= _BETWEEN
+    return figure, axes
+
+
+def curve_style(k: int) -> dict[str, Any]:
+    """Return the look of the k-th curve: no two of the first 24 alike, and told apart in grey."""
+    style: dict[str, Any] = {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[k % _DIFFERENT]}
+    if k >= _DIFFERENT:
+        style |= {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.8}
+    return style
+
+
+def draw(axes: Axes, frequency: FloatArray, y: FloatArray, k: int, **more: Any) -> Any:
+    """Draw a curve over frequency, rad/s, in Hz and in the style of the k-th, and return its line."""
+    style = curve_style(k) | more
+    if "marker" in style and len(frequency):
+        # A handful of markers, equally far from each other on the paper and beside those of the next curve.
+        places = np.geomspace(frequency[0], frequency[-1], 25)[2 + k % 3 :: 3]
+        style["markevery"] = [int(i) for i in np.unique(np.searchsorted(frequency, places[:-1]))]
+    [line] = axes.plot(frequency * HZ, y, **style)
+    return line
+
+
+def frequency_panels(axes: Sequence[Axes], low: float, high: float, systems: Sequence[DrawnSystem]) -> None:
+    """Give the panels of a block, from the top, their frequency axis from `low` to `high` rad/s; mark Nyquist."""
+    nyquist = sorted({one.nyquist for one in systems if math.isfinite(one.nyquist)})
+    # Lines at the very edge would hide in the frame.
+    right = max([high, *(1.06 * w for w in nyquist if w <= 1.06 * high)])
+    left, right = (low, right) if right > low else (low / 3.0, low * 3.0)
+    for k, one in enumerate(axes):
+        frequency_axes(one, left * HZ, right * HZ, log_gain=False, label=k == len(axes) - 1)
+        if k < len(axes) - 1:
+            one.tick_params(labelbottom=False)
+        for w in nyquist:
+            if left < w <= right:
+                one.axvline(w * HZ, color=MUTED, linewidth=0.9, linestyle=DASHES[2], zorder=1)
+    if right < 30.0 * left:
+        _few_decades(axes, left * HZ, right * HZ)
+    for w in nyquist[:3]:
+        if left < w <= right:
+            axes[0].annotate(
+                f"Nyquist {plain(w * HZ, 3)} Hz",
+                (w * HZ, 0.97),
+                (-2, 0),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                rotation=90,
+                ha="right",
+                va="top",
+                fontsize=6.5,
+                color=MUTED,
+            )
+
+
+def _few_decades(axes: Sequence[Axes], low: float, high: float) -> None:
+    """Put more than decades on a short axis."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter
+
+    decades = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1.0, 2.0, 5.0) if high / low > 4.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
+    ticks = np.array([step * decade for decade in decades for step in steps])
+    ticks = ticks[(ticks >= low) & (ticks <= high)]
+    if ticks.size < 2:
+        ticks = np.array([low, high])
+    for one in axes:
+        one.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
+        one.xaxis.set_major_formatter(FuncFormatter(lambda f, _: plain(f, 3)))
+
+
+def gains(response: ComplexArray, dB: bool) -> FloatArray:
+    """Return |response|, in decibels if asked; NaN where it is 0 or NaN."""
+    size = np.abs(response)
+    size = np.where(size > 0.0, size, math.nan)
+    return np.asarray(20.0 * np.log10(size) if dB else size, dtype=np.float64)
+
+
+def gain_panel(
+    axes: Axes, curves: Sequence[tuple[DrawnSystem, FloatArray, FloatArray]], *, dB: bool, more: Sequence[float] = ()
+) -> None:
+    """Give a panel its gain axis.
+
+    Parameters
+    ----------
+    axes
+        The panel.
+    curves
+        System, frequency (N,) in rad/s, and gain (N,), each. Poles without damping run through the upper edge, zeros of
+        little damping through the lower one.
+    dB
+        Whether the axis is in decibels.
+    more
+        Gains that have to be seen as well.
+    """
+    high: list[float] = list(more)
+    low: list[float] = list(more)
+    for system, frequency, gain in curves:
+        fine = np.isfinite(gain) & (gain > 0.0)
+        off = fine & ~_near(system.undamped, frequency, 0.01)
+        light = system.zeros[np.abs(system.zeros.real) < 0.01 * np.abs(system.zeros.imag)]
+        deep = off & ~_near(np.unique(np.abs(light.imag)), frequency, 0.03)
+        off = off if off.any() else fine
+        deep = deep if deep.any() else off
+        if fine.any():
+            high.append(float(gain[off].max()))
+            low.append(float(gain[deep].min()))
+    top = max(high, default=1.0)
+    values = np.array([*high, *(max(g, _DEEPEST * top) for g in low)])
+    if dB:
+        levels = 20.0 * np.log10(values) if values.size else np.zeros(1)
+        bottom, upper = float(levels.min()), float(levels.max())
+        step = next(
+            step for step in (5.0, 10.0, 20.0, 40.0, 60.0, 100.0) if upper - bottom <= 7.0 * step or step == 100.0
+        )
+        bottom, upper = step * math.floor(bottom / step), step * math.ceil(upper / step)
+        axes.set_ylim(bottom, max(upper, bottom + step))
+        axes.yaxis.set_major_locator(MultipleLocator(step))
+    else:
+        axes.set_yscale("log")
+        log_axis(axes.yaxis)
+        gain_limits(axes, [values])
+        bottom, upper = axes.get_ylim()
+        if upper / bottom < 1.5:
+            axes.set_ylim(bottom / 10.0, upper)
+
+
+def _near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
+    """Return where `frequency` is closer than `within`, relatively, to one of the ascending `places`."""
+    if not places.size:
+        return np.zeros(len(frequency), dtype=np.bool_)
+    at = np.searchsorted(places, frequency)
+    left, right = places[np.maximum(at - 1, 0)], places[np.minimum(at, len(places) - 1)]
+    distance = np.minimum(np.abs(frequency - left), np.abs(frequency - right))
+    return np.asarray(distance < within * frequency)
+
+
+def phase_panel(axes: Axes, phases: Sequence[FloatArray], *, critical: bool) -> None:
+    """Give a panel its phase axis in right angles; `critical`: lines at the odd multiples of 180°."""
+    known = np.concatenate([np.zeros(0), *(phase[np.isfinite(phase)] for phase in phases)])
+    known = known if known.size else np.zeros(1)
+    low, high = float(known.min()), float(known.max())
+    if critical and low < 0.0:
+        low, high = min(low, -180.0), max(high, -180.0)
+    step = next((step for step in (45.0, 90.0, 180.0, 360.0) if high - low <= 5.0 * step), None)
+    step = step or 360.0 * math.ceil((high - low) / 2160.0)
+    low, high = step * math.floor((low - 4.0) / step), step * math.ceil((high + 4.0) / step)
+    axes.set_ylim(low, high)
+    axes.set_yticks(np.arange(low, high + 1.0, step))
+    if critical:
+        odd = 360.0 * np.arange(math.ceil((low + 180.0) / 360.0), math.floor((high + 180.0) / 360.0) + 1) - 180.0
+        for level in odd[:: max(1, len(odd) // 4)]:
+            axes.axhline(level, color=REFERENCE, linewidth=0.9, zorder=1)
+
+
+def legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> Any:
+    """Put the legend into the strip that `blocks` has left above; names that begin with _ are shown like others."""
+    if not labels:
+        return None
+    width, height = figure.get_size_inches()
+    rows = legend_rows(labels, float(width))
+    return figure.legend(
+        handles,
+        labels,
+        loc="upper left",
+        ncols=-(-len(labels) // rows),
+        bbox_to_anchor=(_LEFT / width, 1.0 - 0.07 / height),
+        borderaxespad=0.0,
+        borderpad=0.1,
+        handlelength=2.6,
+        columnspacing=1.8,
+    )
+
+
+def line_array(axes: NDArray[Any]) -> NDArray[Any]:
+    """Return an empty list for each of the axes: what a ControlPlot collects its lines in."""
+    out = np.empty(axes.shape, dtype=object)
+    for at in np.ndindex(out.shape):
+        out[at] = []
+    return out
+
+
+def bound(name: str, given: ArrayLike | tuple[ArrayLike, ArrayLike] | None) -> tuple[FloatArray, FloatArray] | None:
+    """Return a level over frequency, (frequency, level): a number holds everywhere, two vectors are a polyline.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither a number > 0 nor two vectors of such numbers, frequencies in rad/s ascending.
+    """
+    if given is None:
+        return None
+    expected = "a number > 0, or a pair (frequencies in rad/s, levels) of ascending and positive numbers"
+    try:
+        alone = np.ndim(given) == 0  # type: ignore[arg-type]  # ragged pairs are judged below
+    except ValueError:
+        alone = False
+    if alone:
+        level = real_numbers(name, given)
+        if not np.isfinite(level) or level <= 0.0:
+            raise ArgumentError(f"{name}: given {given!r}; expected {expected}")
+        return np.array([0.0, math.inf]), np.full(2, float(level))
+    if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 2:
+        raise ArgumentError(f"{name}: given {short(given)}; expected {expected}")
+    w, level = (np.atleast_1d(real_numbers(name, item)) for item in given)
+    if level.size == 1:
+        level = np.full(w.shape, level.item())
+    fine = w.ndim == 1 and w.shape == level.shape and w.size > 1
+    if not fine or not np.all(np.isfinite(w)) or not np.all(np.isfinite(level)):
+        raise ArgumentError(f"{name}: expected {expected}")
+    if w[0] < 0.0 or np.any(np.diff(w) < 0.0) or level.min() <= 0.0:
+        raise ArgumentError(f"{name}: expected {expected}")
+    return w, level
+
+
+def shade(axes: Axes, level: tuple[FloatArray, FloatArray] | None, *, dB: bool = False, below: bool = False) -> None:
+    """Draw a level from `bound`, and shade what lies above it (or below) and is not allowed; axes have their limits."""
+    if level is None:
+        return
+    left, right = axes.get_xlim()
+    w, y = np.clip(level[0] * HZ, left, right), 20.0 * np.log10(level[1]) if dB else level[1]
+    if not w[-1] > w[0]:
+        return
+    edge = axes.get_ylim()[0 if below else 1]
+    axes.fill_between(w, y, edge, color=BEYOND, linewidth=0, zorder=0.5)
+    axes.plot(w, y, color=LIMIT, linewidth=1.0, linestyle=DASHED, zorder=1.5)
+    # The number, in the axis's own units, at the end where the line begins.
+    axes.annotate(
+        f"limit {plain(float(y[0]), 3)}{' dB' if dB else ''}",
+        (float(w[0]), float(y[0])),
+        (3, -2 if below else 2),
+        textcoords="offset points",
+        va="top" if below else "bottom",
+        fontsize=7,
+        color=LIMIT,
+        annotation_clip=True,
+    )
+
+
+def gain_label(words: str, unit: str, dB: bool) -> str:
+    """Return what a gain axis says."""
+    if dB:
+        return f"{words}, dB" + (f" of {unit}" if unit not in ("", "1") else "")
+    return words if unit in ("", "1") else f"{words}, {unit}"
+
+
+__all__ = [
+    "HZ",
+    "blocks",
+    "bound",
+    "curve_style",
+    "draw",
+    "frequency_panels",
+    "gain_label",
+    "gain_panel",
+    "gains",
+    "legend",
+    "line_array",
+    "linear_axis",
+    "phase_panel",
+    "shade",
+]
