@@ -88,6 +88,8 @@ def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Ce
     ------
     NotCertifiedError
         One of them was not found.
+    ArgumentError
+        Plant and controller do not fit together.
 
     References
     ----------

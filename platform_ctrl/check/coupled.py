@@ -105,6 +105,8 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     ------
     ArgumentError
         The controllers do not fit the plant.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

@@ -245,6 +245,8 @@ def outcomes_from(
     ------
     InputError
         A controller fits no loop, two fit the same, or a loop has none.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

@@ -79,6 +79,8 @@ def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = 
     ------
     ArgumentError
         The controllers do not fit the plant.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

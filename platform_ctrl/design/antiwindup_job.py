@@ -87,6 +87,8 @@ def caging_loop_limits(
     ------
     ArgumentError
         Unknown signals or axis; a torquer without limit; or the loop is not stable.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------
@@ -149,6 +151,8 @@ def caging_survival(
         As in `caging_loop_limits`.
     NotCertifiedError
         A proof failed.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

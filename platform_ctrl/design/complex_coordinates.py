@@ -134,6 +134,8 @@ def complex_plant(
     ------
     ArgumentError
         Not two gimbals, or not symmetric to 1e-9; the message names what breaks the symmetry.
+    MechanicsError
+        The mass matrix is singular at the trim (gimbal lock).
 
     References
     ----------

@@ -122,6 +122,8 @@ def from_crossover_and_margin(
         The gimbals are no pair, or a number makes no sense.
     InfeasibleError
         No strength of the lead reaches the margin; the message says what is the most.
+    MechanicsError
+        The mass matrix is singular at the trim (gimbal lock).
 
     References
     ----------

@@ -64,6 +64,8 @@ def intersample_gains(job: Job, controller: control.StateSpace) -> IntersampleGa
     ------
     ArgumentError
         Unknown signals, or the loop is not stable.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

@@ -81,6 +81,8 @@ def loops(
         The job makes no sense, or a loop's gimbals cut through a subsystem.
     DesignError
         A method found no controller that its certificate accepts.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
 
     References
     ----------

@@ -107,6 +107,8 @@ class Precession:
         ------
         MechanicsError
             Not admissible, and `momentum_states` is False: the reason and a cure.
+        ArgumentError
+            Two signals would have the same name.
         """
         for part in self.parts:
             if not (momentum_states or part.admissible):

@@ -62,6 +62,8 @@ def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float |
     ------
     InputError
         The file cannot be read, or a line of it makes no sense; the message names the line.
+    ArgumentError
+        `period` is not a number above zero.
 
     References
     ----------
