@@ -23,8 +23,10 @@ from platform_ctrl.report.loop_figures import (
 from platform_ctrl.report.plant_figures import nutation_figure
 from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.nyquist import nyquist
+from platform_ctrl.report.plots.pole_map import pole_map
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.plots.showing import show
+from platform_ctrl.report.plots.step_response import step_response
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "nyquist",
     "platform_disturbance_figure",
     "pole_figure",
+    "pole_map",
     "root_locus",
     "root_locus_figure",
     "root_locus_over_spin",
@@ -45,5 +48,6 @@ __all__ = [
     "servo_figure",
     "show",
     "simultaneous_margin_figure",
+    "step_response",
     "two_sided_nyquist",
 ]
