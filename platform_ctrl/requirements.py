@@ -461,7 +461,7 @@ def requirement(
         for any sinusoidal platform rate, up to `frequency`, in the ellipsoid with half-axes Omega), ``"H-infinity
         norm"``, ``"H2 norm"`` (of `channel`), ``"controller poles"`` (rad/s), ``"controller gain"`` (N m/rad).
     limit
-        > 0, in the unit of the kind.
+        Above 0, in the unit of the kind.
     over
         Of which groups of plants: `NOMINAL`, `SPREAD` (with Omega), `FAULTS`, or any choice of groups.
     hard

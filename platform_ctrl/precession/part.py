@@ -151,7 +151,7 @@ class PrecessionPart:
         Parameters
         ----------
         frequency : (N,)
-            > 0, rad/s.
+            Above 0, rad/s.
         momentum_states, each_direction
             As in `Precession.error`.
 

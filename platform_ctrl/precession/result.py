@@ -127,7 +127,7 @@ class Precession:
         Parameters
         ----------
         frequency : (N,)
-            > 0, rad/s.
+            Above 0, rad/s.
         momentum_states
             Of the model that `state_space` returns with this argument.
         each_direction
