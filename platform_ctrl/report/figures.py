@@ -22,6 +22,7 @@ from platform_ctrl.report.loop_figures import (
 )
 from platform_ctrl.report.plant_figures import nutation_figure
 from platform_ctrl.report.plots.bode import bode
+from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.nyquist import nyquist
 from platform_ctrl.report.plots.pole_map import pole_map
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
@@ -31,6 +32,7 @@ from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
     "bode",
+    "campbell",
     "coupled_pole_figure",
     "disturbance_figure",
     "loop_transfer_figure",

@@ -1,0 +1,265 @@
+"""The Campbell chart: what the gimbals swing with over the speed of the rotors, and what the rotors excite."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.arguments import known_name, real_numbers
+from platform_ctrl.description import Platform
+from platform_ctrl.design.channels import channels
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
+from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.systems import drawable
+from platform_ctrl.report.quantities import plain as number
+from platform_ctrl.report.style import (
+    LIMIT,
+    MARKERS,
+    MUTED,
+    REFERENCE,
+    SERIES,
+    legend_above,
+    legend_rows,
+    line_style,
+    linear_axis,
+    panels,
+    standalone,
+)
+from platform_ctrl.state_space import state_space, subsystems, whole_subsystems
+
+_HZ = 1.0 / (2.0 * np.pi)
+_RPM = 60.0 / (2.0 * np.pi)
+# Speeds at which the modes are worked out, at least.
+_SPEEDS = 401
+# A frequency this small against the fastest is none: poles at zero come out that large.
+_ZERO = 1e-5
+# A mode whose frequency moves less than this with the speed, both relative, is no gyroscopic one.
+_GYRO = 0.01
+# Meetings in the corner, where everything begins, say nothing: share of the largest speed.
+_CORNER = 0.005
+_WIDTH, _HEIGHT = 9.6, 4.8
+
+
+@value
+class SpinMode:
+    """One natural frequency of the gimbals over the rotors' speed.
+
+    Attributes
+    ----------
+    gimbals
+        The subsystem.
+    kind
+        ``nutation``, ``precession``, or ``oscillation``: one that the rotors' speed hardly moves.
+    frequency : (N,)
+        |Im s|, rad/s.
+    nominal
+        At the nominal speed.
+    """
+
+    gimbals: tuple[str, ...]
+    kind: str
+    frequency: FloatArray
+    nominal: float
+
+
+@standalone
+def campbell(
+    platform: Platform,
+    *,
+    gimbals: Sequence[str] | None = None,
+    rotors: Sequence[str] | None = None,
+    rotor: str | None = None,
+    spins: ArrayLike | None = None,
+    orders: ArrayLike = (1.0, 2.0),
+    Omega: ArrayLike = (0.0, 0.0, 0.0),
+) -> Figure:
+    """Natural frequencies of the uncontrolled gimbals over the speed of the rotors, with the lines that rotors excite.
+
+    Nutation is what rises with L, a mode for each gyroscopic pair; precession is slower: it rises with a platform rate
+    that stiffens the gimbals, and falls where springs do. Grey lines are multiples of the rotors' speed (1×:
+    unbalance); where one meets a mode, a diamond says at which speed.
+
+    Parameters
+    ----------
+    platform
+        The plant, linearised about zero angles.
+    gimbals
+        Names of the gimbals of one or several subsystems; default all.
+    rotors
+        Names of the rotors whose speed changes, all by one factor; default all that spin.
+    rotor
+        The one whose speed the axis shows, in rpm; default: the speed that all of them share. Rotors of different
+        speeds have an axis in shares of the nominal speed.
+    spins : (k,), optional
+        Increasing factors on the speeds, >= 0, at least two: the range. Default 0 to 1.5.
+    orders : (j,)
+        Multiples of the speed at which rotors excite.
+    Omega : (3,)
+        Constant platform rate, rad/s.
+
+    Raises
+    ------
+    ArgumentError
+        Names that do not exist, no rotor that spins, or numbers that make no sense.
+    """
+    factors = increasing("spins", spins, np.array([0.0, 1.5]))
+    if factors[0] < 0.0:
+        raise ArgumentError(f"spins: given {factors[0]:g}; expected factors >= 0")
+    multiples = np.atleast_1d(real_numbers("orders", orders))
+    if multiples.ndim != 1 or not np.all(np.isfinite(multiples) & (multiples > 0.0)):
+        raise ArgumentError("orders: expected finite numbers > 0, such as (1, 2)")
+    stopped, turning = with_rotors_at_rest(platform, rotors)
+    reference = _reference(platform, turning, rotor)
+    speed = np.union1d(factors, np.linspace(factors[0], factors[-1], _SPEEDS))
+    model, still = linearise(platform, Omega=Omega), linearise(stopped, Omega=Omega)
+    chosen = {model.gimbal_names[k] for k in whole_subsystems(model, gimbals)}
+    modes = [m for group in subsystems(model) if set(group) <= chosen for m in _modes(model, still, group, speed)]
+
+    unit = _RPM * reference[0] if len(reference) == 1 else 1.0
+    labels = [
+        f"{m.kind} of {drawable('-'.join(m.gimbals))}: {number(m.nominal * _HZ, 3)} Hz at nominal speed" for m in modes
+    ]
+    rows = legend_rows(labels) if modes else 0
+    figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, width=_WIDTH, legend=rows, titles=False)
+    handles: list[Any] = []
+    x = unit * speed
+    for k, mode in enumerate(modes):
+        handles += axes.plot(x, mode.frequency * _HZ, **line_style(k))
+        if speed[0] <= 1.0 <= speed[-1]:
+            mark = MARKERS[k % len(MARKERS)]
+            axes.plot([unit], [mode.nominal * _HZ], mark, color=SERIES[k % len(SERIES)], markersize=5)
+    highest = max((float(m.frequency.max()) for m in modes), default=0.0)
+    lowest_line = float(multiples.min()) * min(reference) * float(speed[-1])
+    top = 1.18 * _HZ * (highest or lowest_line)
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(0.0, top)
+    linear_axis(axes.xaxis, 8)
+    linear_axis(axes.yaxis, 6)
+    axes.set_ylabel("frequency, Hz")
+    if len(reference) == 1:
+        axes.set_xlabel("rotor speed, rpm" if rotor is None else f"speed of rotor {drawable(rotor)}, rpm")
+        axes.xaxis.set_major_formatter(lambda rpm, _: f"{rpm:,.0f}" if unit > 50.0 else f"{rpm:g}")
+    else:
+        axes.set_xlabel("rotor speed / nominal")
+    if speed[0] < 1.0 < speed[-1]:
+        axes.axvline(unit, color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.4)))
+    _spin_lines(axes, modes, speed, unit, reference, multiples)
+    if modes:
+        legend_above(figure, handles, labels)
+    else:
+        axes.annotate("no mode of these gimbals swings", (0.5, 0.5), xycoords="axes fraction", color=MUTED, ha="center")
+    return figure
+
+
+def _reference(platform: Platform, turning: list[str], rotor: str | None) -> list[float]:
+    """Return the speeds, rad/s, whose multiples are drawn: one, where the axis can show it."""
+    spin = {r.name: abs(r.spin) for r in platform.rotors}
+    if rotor is not None:
+        known_name("rotor", rotor, turning)
+        return [spin[rotor]]
+    distinct: list[float] = []
+    for name in turning:
+        if all(abs(spin[name] - other) > 1e-9 * other for other in distinct):
+            distinct.append(spin[name])
+    return distinct
+
+
+def _modes(model: LinearModel, still: LinearModel, group: tuple[str, ...], speed: FloatArray) -> list[SpinMode]:
+    """Return the swinging modes of one subsystem, fastest first.
+
+    The linear model is affine in the rotors' momenta, so that two linearisations give every speed.
+    """
+    full, rest = (state_arrays(state_space(m, gimbals=group), "campbell").A for m in (model, still))
+    at = np.append(speed, 1.0)
+    poles = np.linalg.eigvals(rest + at[:, None, None] * (full - rest))
+    # A pair counts once.
+    turning = np.sort(np.abs(poles.imag), axis=1)[:, ::-1][:, ::2]
+    scale = float(np.abs(poles).max(initial=0.0))
+    turning = np.where(turning > _ZERO * scale, turning, 0.0)
+    lines, nominal = _smooth(turning[:-1]), turning[-1]
+    pairs = len(channels(model, [model.gimbal_names.index(name) for name in group]).momenta)
+    beside = np.argmin(np.abs(speed - 1.0))
+    # Which line a frequency at nominal speed belongs to.
+    order = np.argsort(-lines[beside], kind="stable")
+    out, nutations = [], 0
+    for rank, column in enumerate(order):
+        line = lines[:, column]
+        if line.max() <= 0.0 or (nominal[rank] == 0.0 and np.count_nonzero(line) < 0.5 * len(line)):
+            continue
+        moved = float(np.ptp(line)) / float(line.max())
+        kind = "oscillation"
+        if moved > _GYRO:
+            kind = "nutation" if nutations < pairs else "precession"
+            nutations += kind == "nutation"
+        out.append(SpinMode(gimbals=group, kind=kind, frequency=line, nominal=float(nominal[rank])))
+    return out
+
+
+def _smooth(sorted_lines: FloatArray) -> FloatArray:
+    """Reorder frequencies that are sorted at every speed so that each column goes on as it went: lines may cross."""
+    from scipy.optimize import linear_sum_assignment
+
+    out = sorted_lines.copy()
+    for k in range(1, len(out)):
+        ahead = out[k - 1] if k == 1 else 2.0 * out[k - 1] - out[k - 2]
+        out[k] = out[k][linear_sum_assignment((ahead[:, None] - out[k][None, :]) ** 2)[1]]
+    return out
+
+
+def _spin_lines(
+    axes: Axes, modes: list[SpinMode], speed: FloatArray, unit: float, reference: list[float], orders: FloatArray
+) -> None:
+    """Draw multiples of the rotors' speeds, and where they meet the modes."""
+    right, top = axes.get_xlim()[1], axes.get_ylim()[1]
+    named = []
+    for spin in reference:
+        for order in orders:
+            slope = order * spin * _HZ
+            axes.plot(unit * speed, slope * speed, color=MUTED, linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.5)
+            text = f"{order:g}×" if len(reference) == 1 else f"{order:g}× {number(spin * _RPM, 4)} rpm"
+            end = min(0.96 * right / unit, 0.96 * top / slope)
+            named.append((text, unit * end, slope * end))
+    places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
+    for text, x, y in named:
+        places.put(text, x, y, colour=MUTED, size=7.5, ways=(160, 180, -20, 90))
+    if axes.get_xlim()[0] < unit < right:
+        places.put("nominal", unit, 0.975 * top, colour=MUTED, size=7.0, ways=(0, 180))
+    marks = []
+    for spin in reference:
+        for order in orders:
+            for mode in modes:
+                for at, frequency in _meetings(mode.frequency, speed, order * spin):
+                    axes.plot(
+                        [unit * at], [frequency * _HZ], "D", color=LIMIT, markersize=5, zorder=5, linestyle="none"
+                    )
+                    places.reserve(unit * at, frequency * _HZ)
+                    where = f"{number(unit * at, 4)} rpm" if len(reference) == 1 else f"× {number(at, 3)}"
+                    marks.append((f"{order:g}× meets {mode.kind}: {where}", unit * at, frequency * _HZ))
+    for text, x, y in marks:
+        places.put(text, x, y, colour=LIMIT, size=7.5)
+
+
+def _meetings(frequency: FloatArray, speed: FloatArray, slope: float) -> list[tuple[float, float]]:
+    """Return speeds and frequencies, rad/s, at which a mode swings with `slope` times the speed."""
+    apart = frequency - slope * speed
+    out: list[tuple[float, float]] = []
+    for k in range(len(speed) - 1):
+        if (
+            frequency[k] > 0.0
+            and frequency[k + 1] > 0.0
+            and apart[k] * apart[k + 1] <= 0.0
+            and apart[k] != apart[k + 1]
+        ):
+            at = float(speed[k] + (speed[k + 1] - speed[k]) * apart[k] / (apart[k] - apart[k + 1]))
+            if at > _CORNER * speed[-1] and (not out or at - out[-1][0] > 1e-9):
+                out.append((at, slope * at))
+    return out
