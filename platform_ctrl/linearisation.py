@@ -53,8 +53,9 @@ class LinearModel:
         ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
     Q_angle, Q_rate : (n, n)
         ∂Q/∂q, N m/rad, and ∂Q/∂q̇, N m s, of the force elements.
-    Q_force, M_force : (n, 3), (3, 3)
-        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres.
+    Q_force, M_force
+        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres. Shapes (n,
+        3), (3, 3).
     M_angle : (3, n)
         ∂M/∂q, the root's rows, N m/rad.
 

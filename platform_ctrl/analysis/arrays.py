@@ -24,8 +24,9 @@ class StateArrays(NamedTuple):
 
     Attributes
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Each may carry leading batch axes; in the system's units.
+    A, B, C, D
+        Each may carry leading batch axes; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p,
+        m).
     dt
         Sample period, s; 0: continuous.
 

@@ -235,10 +235,10 @@ def series_arrays(
 
     Parameters
     ----------
-    A1, B1, C1, D1 : (..., n1, n1), (..., n1, m), (..., k, n1), (..., k, m)
-        The system that comes first, in its units.
-    A2, B2, C2, D2 : (..., n2, n2), (..., n2, k), (..., p, n2), (..., p, k)
-        The system behind it, in its units.
+    A1, B1, C1, D1
+        The system that comes first, in its units. Shapes (..., n1, n1), (..., n1, m), (..., k, n1), (..., k, m).
+    A2, B2, C2, D2
+        The system behind it, in its units. Shapes (..., n2, n2), (..., n2, k), (..., p, n2), (..., p, k).
     sign
         Factor of the output, 1 or -1.
 
@@ -287,10 +287,11 @@ def closed_loop_arrays(
 
     Parameters
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Plant; batch axes broadcast; in the plant's units.
-    A_K, B_K, C_K, D_K : (..., k, k), (..., k, y), (..., u, k), (..., u, y)
-        Controller from the plant's outputs `angles` to its inputs `torques`, in the units of these.
+    A, B, C, D
+        Plant; batch axes broadcast; in the plant's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
+    A_K, B_K, C_K, D_K
+        Controller from the plant's outputs `angles` to its inputs `torques`, in the units of these. Shapes (..., k, k),
+        (..., k, y), (..., u, k), (..., u, y).
     torques, angles
         Indices of the plant's inputs and outputs that the controller uses, in its order; default all.
 

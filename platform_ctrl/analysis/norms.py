@@ -77,8 +77,8 @@ def hinf_norm_arrays(
 
     Parameters
     ----------
-    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
-        One system, in its units.
+    A, B, C, D
+        One system, in its units. Shapes (n, n), (n, m), (p, n), (p, m).
     dt
         Sample period, s; 0: continuous.
     tolerance
@@ -301,8 +301,8 @@ def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
 
     Parameters
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Discrete systems, in their units.
+    A, B, C, D
+        Discrete systems, in their units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
     rms : (m,)
         Standard deviation of the independent samples at each input, in its units.
 

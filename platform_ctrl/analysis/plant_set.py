@@ -29,8 +29,8 @@ class PlantSet:
 
     Attributes
     ----------
-    A, B, C, D : (N, n, n), (N, n, m), (N, p, n), (N, p, m)
-        State equations, torques in N m → angles in rad.
+    A, B, C, D
+        State equations, torques in N m → angles in rad. Shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m).
     period
         Of the samples, s.
     labels, groups

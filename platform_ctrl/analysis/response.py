@@ -72,8 +72,8 @@ def frequency_response_arrays(
 
     Parameters
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Batch axes broadcast; in the system's units.
+    A, B, C, D
+        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
     dt
         Sample period, s; 0: continuous.
     frequency : (N,)
@@ -134,8 +134,8 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
 
     Parameters
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Batch axes broadcast; in the system's units.
+    A, B, C, D
+        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
     z : complex (N,)
         The same points for the whole stack, in the units of A.
 

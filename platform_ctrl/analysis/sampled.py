@@ -83,8 +83,8 @@ def sampled_arrays(
 
     Parameters
     ----------
-    A, B, C, D : (..., n, n), (..., n, m), (..., p, n), (..., p, m)
-        Batch axes broadcast; in the system's units.
+    A, B, C, D
+        Batch axes broadcast; in the system's units. Shapes (..., n, n), (..., n, m), (..., p, n), (..., p, m).
     period, delay
         As in `sampled`, s; the same for the whole stack.
     lag : (m,) or scalar, optional

@@ -28,12 +28,14 @@ class ClosedLoop:
 
     Attributes
     ----------
-    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
-        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y].
+    A, B, C, D
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n), (n,
+        m), (p, n), (p, m).
     dt
         Sample period, s; 0: continuous.
-    A_K, B_K, C_K, D_K : (k, k), (k, y), (u, k), (u, y)
-        The controller u = K y of the last inputs and outputs, in its units, or None.
+    A_K, B_K, C_K, D_K
+        The controller u = K y of the last inputs and outputs, in its units, or None. Shapes (k, k), (k, y), (u, k), (u,
+        y).
     label
         What it is, for example the corner of a plant set.
 

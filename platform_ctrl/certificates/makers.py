@@ -81,8 +81,8 @@ def stability_certificate(
         Sample period, s; 0: continuous.
     decay
         Rate, 1/s, that is claimed; default 99 % of the slowest pole's, or less where that cannot be proved.
-    B, C, D : (n, m), (p, n), (p, m), optional
-        With a controller u = K y: A, B, C, D are the plant from u to y, in its units.
+    B, C, D
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
     controller
         K.
     label
@@ -146,8 +146,9 @@ def norm_certificate(
 
     Parameters
     ----------
-    A, B, C, D : (n, n), (n, m), (p, n), (p, m)
-        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y].
+    A, B, C, D
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n), (n,
+        m), (p, n), (p, m).
     dt
         Sample period, s; 0: continuous.
     gamma

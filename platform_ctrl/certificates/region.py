@@ -38,8 +38,8 @@ def region_certificate(
         The region, L symmetric, s in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
     dt
         Sample period, s; > 0: the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
-    B, C, D : (n, m), (p, n), (p, m), optional
-        With a controller u = K y: A, B, C, D are the plant from u to y, in its units.
+    B, C, D
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
     controller
         K.
     label

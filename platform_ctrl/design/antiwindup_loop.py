@@ -44,12 +44,13 @@ class LimitedLoop:
 
     Attributes
     ----------
-    A, B, B_w, R, K, C : (n, n), (n, m), (n, 1), (n, n_K), (m, n), (p, n)
-        Matrices of the equations above, SI units for one rad/s of Omega; R selects the controller's states.
-    u_steady, angle_steady : (m,), (p,)
-        Torques and angles in equilibrium, N m and rad for each rad/s.
-    limits, stops : (m,), (p,)
-        Largest torques, N m, and angles, rad (inf: none).
+    A, B, B_w, R, K, C
+        Matrices of the equations above, SI units for one rad/s of Omega; R selects the controller's states. Shapes (n,
+        n), (n, m), (n, 1), (n, n_K), (m, n), (p, n).
+    u_steady, angle_steady
+        Torques and angles in equilibrium, N m and rad for each rad/s. Shapes (m,), (p,).
+    limits, stops
+        Largest torques, N m, and angles, rad (inf: none). Shapes (m,), (p,).
     period, rise, corner
         Sample period, s; length of the half-cosine, s; corner ρ of the filter, rad/s.
     jerk
@@ -136,8 +137,9 @@ def limited_loop(
         u = K y, ``dt`` the sample period.
     disturbance
         Input of the plant that plays Omega, or several with their direction cosines (dimensionless).
-    limits, stops : (m,), (p,) or scalar
-        Largest torques, N m, and largest angles, rad; in the controller's order of signals, or one for all.
+    limits, stops
+        Largest torques, N m, and largest angles, rad; in the controller's order of signals, or one for all. Shapes
+        (m,), (p,) or scalar.
     delay
         From sample to torque, s.
     lag : (m,) or scalar, optional

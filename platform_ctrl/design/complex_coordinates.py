@@ -40,8 +40,9 @@ class ComplexSystem:
 
     Attributes
     ----------
-    A, B, C, D : complex (n, n), (n, 1), (1, n), (1, 1)
-        Half the states of the real system; in the units that `input_scale` and `output_scale` make.
+    A, B, C, D
+        Half the states of the real system; in the units that `input_scale` and `output_scale` make. Complex, shapes (n,
+        n), (n, 1), (1, n), (1, 1).
     dt
         Sample period, s; 0 for a continuous system.
     delay

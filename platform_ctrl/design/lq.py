@@ -174,8 +174,8 @@ def lqr(
     ----------
     system
         Continuous or sampled plant.
-    Q1, Q2 : (n, n), (m, m)
-        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike.
+    Q1, Q2
+        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike. Shapes (n, n), (m, m).
     Q12 : (n, m), optional
         Weight between them, in the same units; default 0.
     integral : (p, p), optional
@@ -218,9 +218,9 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
     ----------
     system
         Continuous or sampled plant.
-    R1, R2 : (n, n), (p, p)
+    R1, R2
         Intensities (sampled: covariances) of v1 and v2, in units of the states and of y. Noise that enters at G has R1
-        = G R G'.
+        = G R G'. Shapes (n, n), (p, p).
     R12 : (n, p), optional
         Intensity between them, in the same units; default 0.
 

@@ -62,10 +62,11 @@ class AffineModel:
     ----------
     parameters
         Names of the monomials rho.
-    A_0, A : (2k, 2k), (parameters, 2k, 2k)
-        Constant part and coefficients, in the units of the states over s and the monomials.
-    B, C : (2k, inputs), (k, 2k)
-        Constant, in SI units.
+    A_0, A
+        Constant part and coefficients, in the units of the states over s and the monomials. Shapes (2k, 2k),
+        (parameters, 2k, 2k).
+    B, C
+        Constant, in SI units. Shapes (2k, inputs), (k, 2k).
     states, inputs, outputs
         Signal names.
 
@@ -167,8 +168,8 @@ class ParameterVaryingModel:
         Names of the k gimbals whose angles are coordinates, in the file's order, and of the angles.
     q0 : (n,)
         Angles of all gimbals that the model is about; the gimbals that are no coordinates are held there, rad.
-    M, M_Omega : (k, k), (k, 3)
-        Coefficients of q̈ and Omega', kg m².
+    M, M_Omega
+        Coefficients of q̈ and Omega', kg m². Shapes (k, k), (k, 3).
     G, K, Q0
         Matrix polynomials, (k, k), (k, k), (k,): before q̇ (G − ∂Q/∂q̇ of `linearise`), N m s, before q − q0 (K − ∂Q/∂q
         and the Omega' terms), N m/rad, and what torquers must supply at q0 while Omega' = 0, N m.
