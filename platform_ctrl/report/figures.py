@@ -23,6 +23,9 @@ from platform_ctrl.report.loop_figures import (
 from platform_ctrl.report.plant_figures import nutation_figure
 from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.campbell import campbell
+from platform_ctrl.report.plots.disk_region import disk_margin_region
+from platform_ctrl.report.plots.gimbal_tree import gimbal_tree
+from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.plots.nyquist import nyquist
 from platform_ctrl.report.plots.pole_map import pole_map
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
@@ -34,9 +37,12 @@ __all__ = [
     "bode",
     "campbell",
     "coupled_pole_figure",
+    "disk_margin_region",
     "disturbance_figure",
+    "gimbal_tree",
     "loop_transfer_figure",
     "margin_bars_figure",
+    "nichols",
     "nutation_figure",
     "nyquist",
     "platform_disturbance_figure",
