@@ -24,6 +24,7 @@ from platform_ctrl.cli.inputs import (
     prepared,
 )
 from platform_ctrl.cli.job_outcome import REPORT, delivered
+from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.simulate_command import simulate
 
 app = typer.Typer(
@@ -87,6 +88,7 @@ def models(as_json: Json = False) -> None:
         typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
 
 
+app.command()(new)
 app.command()(equations)
 
 
