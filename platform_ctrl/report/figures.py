@@ -1,6 +1,9 @@
-"""Every figure of the report by its name: functions from results to `matplotlib.figure.Figure`.
+"""Plots for scripts, and every figure of the report, by name.
 
-They use no global plotting state; make and save them within `style.settings` to have the report's look.
+Plots take plain values (systems, platforms, runs) and return a `control.ControlPlot` or a `matplotlib.figure.Figure`
+with the report's look: `show` opens windows for them, `.figure.savefig` writes a file; pyplot knows nothing of them
+before. What ends in ``_figure`` makes a figure of the report out of a job's result; make and save those within
+`style.settings`.
 """
 
 from __future__ import annotations
@@ -22,23 +25,31 @@ from platform_ctrl.report.loop_figures import (
 )
 from platform_ctrl.report.plant_figures import nutation_figure
 from platform_ctrl.report.plots.bode import bode
+from platform_ctrl.report.plots.campaign_histograms import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.plots.disk_region import disk_margin_region
+from platform_ctrl.report.plots.gang_of_four import gang_of_four
 from platform_ctrl.report.plots.gimbal_tree import gimbal_tree
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.plots.nyquist import nyquist
 from platform_ctrl.report.plots.pole_map import pole_map
+from platform_ctrl.report.plots.rate_sensitivity import Omega_sensitivity
 from platform_ctrl.report.plots.root_locus import root_locus, root_locus_over_spin
 from platform_ctrl.report.plots.showing import show
+from platform_ctrl.report.plots.singular_values import singular_values
 from platform_ctrl.report.plots.step_response import step_response
+from platform_ctrl.report.plots.time_run import time_run
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [
+    "Omega_sensitivity",
     "bode",
+    "campaign_histograms",
     "campbell",
     "coupled_pole_figure",
     "disk_margin_region",
     "disturbance_figure",
+    "gang_of_four",
     "gimbal_tree",
     "loop_transfer_figure",
     "margin_bars_figure",
@@ -56,6 +67,8 @@ __all__ = [
     "servo_figure",
     "show",
     "simultaneous_margin_figure",
+    "singular_values",
     "step_response",
+    "time_run",
     "two_sided_nyquist",
 ]

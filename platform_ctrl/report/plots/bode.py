@@ -25,12 +25,13 @@ from platform_ctrl.report.plots.panels import (
     gains,
     legend,
     line_array,
+    no_response,
     phase_panel,
 )
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, LinearSystem, drawable, drawn_systems, unit_of_gain
 from platform_ctrl.report.quantities import plain
-from platform_ctrl.report.style import MUTED, REFERENCE, SERIES, standalone
+from platform_ctrl.report.style import REFERENCE, SERIES, standalone
 
 if TYPE_CHECKING:
     import control
@@ -270,7 +271,7 @@ def _draw_block(
     sizes = [(one.system, one.frequency, np.abs(one.response)) for one in block.curves]
     gain_panel(above, sizes, dB=dB, more=[0.5, 2.0] if as_loops else [])
     if not any(np.isfinite(one.response).any() for one in block.curves):
-        above.text(0.5, 0.5, "no response", transform=above.transAxes, ha="center", va="center", color=MUTED)
+        no_response(above)
     phase_panel(below, [one.phase for one in block.curves], critical=as_loops)
     if as_loops:
         above.axhline(0.0 if dB else 1.0, color=REFERENCE, linewidth=0.9, zorder=1)

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, sorted_data
+from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, near, sorted_data
 
 # A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
 _JUMP = 135.0
@@ -202,7 +202,8 @@ def entry_curves(system: DrawnSystem, grid: FloatArray, labels: Sequence[Sequenc
     sizes = np.abs(response)
     largest = np.max(np.where(np.isfinite(sizes), sizes, 0.0), axis=(0, 1), initial=0.0)
     with np.errstate(invalid="ignore"):
-        nothing = np.all(~(sizes > _ROUNDING * largest), axis=-1)
+        # Next to a pole without damping rounding grows as well.
+        nothing = np.all(~(sizes > _ROUNDING * largest) | near(system.undamped, frequency, 0.02), axis=-1)
     response[nothing] = complex(math.nan, math.nan)
     return [
         [_curve(_entry(system, i, j), frequency, response[i, j], label) for j, label in enumerate(row)]

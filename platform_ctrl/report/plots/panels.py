@@ -18,7 +18,7 @@ from platform_ctrl.arguments import real_numbers, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.limit_lines import DASHED
-from platform_ctrl.report.plots.systems import DrawnSystem
+from platform_ctrl.report.plots.systems import DrawnSystem, near
 from platform_ctrl.report.quantities import plain
 from platform_ctrl.report.style import (
     BEYOND,
@@ -32,14 +32,13 @@ from platform_ctrl.report.style import (
     frequency_axes,
     gain_limits,
     legend_rows,
-    linear_axis,
     log_axis,
 )
 
 HZ = 1.0 / (2.0 * np.pi)
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
-_LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.16, 0.46, 0.72
+_LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
 # Where the words beside an axis stand, inches left of it.
 _WORDS = 0.5
@@ -131,12 +130,12 @@ def frequency_panels(axes: Sequence[Axes], low: float, high: float, systems: Seq
         if left < w <= right:
             axes[0].annotate(
                 f"Nyquist {plain(w * HZ, 3)} Hz",
-                (w * HZ, 0.97),
-                (-2, 0),
+                (w * HZ, 1.0),
+                (2, 0),
                 xycoords=("data", "axes fraction"),
                 textcoords="offset points",
                 rotation=90,
-                ha="right",
+                ha="left",
                 va="top",
                 fontsize=6.5,
                 color=MUTED,
@@ -158,7 +157,7 @@ def _few_decades(axes: Sequence[Axes], low: float, high: float) -> None:
         one.xaxis.set_major_formatter(FuncFormatter(lambda f, _: plain(f, 3)))
 
 
-def gains(response: ComplexArray, dB: bool) -> FloatArray:
+def gains(response: ComplexArray | FloatArray, dB: bool) -> FloatArray:
     """Return |response|, in decibels if asked; NaN where it is 0 or NaN."""
     size = np.abs(response)
     size = np.where(size > 0.0, size, math.nan)
@@ -186,9 +185,9 @@ def gain_panel(
     low: list[float] = list(more)
     for system, frequency, gain in curves:
         fine = np.isfinite(gain) & (gain > 0.0)
-        off = fine & ~_near(system.undamped, frequency, 0.01)
+        off = fine & ~near(system.undamped, frequency, 0.01)
         light = system.zeros[np.abs(system.zeros.real) < 0.01 * np.abs(system.zeros.imag)]
-        deep = off & ~_near(np.unique(np.abs(light.imag)), frequency, 0.03)
+        deep = off & ~near(np.unique(np.abs(light.imag)), frequency, 0.03)
         off = off if off.any() else fine
         deep = deep if deep.any() else off
         if fine.any():
@@ -212,16 +211,6 @@ def gain_panel(
         bottom, upper = axes.get_ylim()
         if upper / bottom < 1.5:
             axes.set_ylim(bottom / 10.0, upper)
-
-
-def _near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
-    """Return where `frequency` is closer than `within`, relatively, to one of the ascending `places`."""
-    if not places.size:
-        return np.zeros(len(frequency), dtype=np.bool_)
-    at = np.searchsorted(places, frequency)
-    left, right = places[np.maximum(at - 1, 0)], places[np.minimum(at, len(places) - 1)]
-    distance = np.minimum(np.abs(frequency - left), np.abs(frequency - right))
-    return np.asarray(distance < within * frequency)
 
 
 def phase_panel(axes: Axes, phases: Sequence[FloatArray], *, critical: bool) -> None:
@@ -313,17 +302,26 @@ def shade(axes: Axes, level: tuple[FloatArray, FloatArray] | None, *, dB: bool =
     edge = axes.get_ylim()[0 if below else 1]
     axes.fill_between(w, y, edge, color=BEYOND, linewidth=0, zorder=0.5)
     axes.plot(w, y, color=LIMIT, linewidth=1.0, linestyle=DASHED, zorder=1.5)
-    # The number, in the axis's own units, at the end where the line begins.
+    level_words = f" {plain(float(y[0]), 3)}{' dB' if dB else ''}" if np.all(y == y[0]) else ""
+    # At the end from which the line goes away from the words.
+    at, turn = (0, 1) if (y[0] >= y[-1]) != below or level_words else (-1, -1)
     axes.annotate(
-        f"limit {plain(float(y[0]), 3)}{' dB' if dB else ''}",
-        (float(w[0]), float(y[0])),
-        (3, -2 if below else 2),
+        f"limit{level_words}",
+        (float(w[at]), float(y[at])),
+        (3 * turn, -2 if below else 2),
         textcoords="offset points",
+        ha="left" if turn > 0 else "right",
         va="top" if below else "bottom",
         fontsize=7,
         color=LIMIT,
         annotation_clip=True,
     )
+
+
+def no_response(axes: Axes) -> None:
+    """Say in a panel that there is nothing to draw."""
+    axes.text(0.5, 0.5, "no response", transform=axes.transAxes, ha="center", va="center", color=MUTED)
+    axes.tick_params(axis="y", labelleft=False)
 
 
 def gain_label(words: str, unit: str, dB: bool) -> str:
@@ -345,7 +343,7 @@ __all__ = [
     "gains",
     "legend",
     "line_array",
-    "linear_axis",
+    "no_response",
     "phase_panel",
     "shade",
 ]

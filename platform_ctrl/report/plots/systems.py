@@ -371,11 +371,30 @@ def _font() -> Any:
     return get_font(findfont("DejaVu Sans"))
 
 
-def near_undamped(system: DrawnSystem, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
-    """Return where `frequency` is closer than `within`, relatively, to a pole or zero without damping."""
-    if not system.undamped.size:
+def near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np.bool_]:
+    """Return where `frequency` is closer than `within`, relatively, to one of the ascending `places`."""
+    if not places.size:
         return np.zeros(len(frequency), dtype=np.bool_)
-    at = np.clip(np.searchsorted(system.undamped, frequency), 1, len(system.undamped)) - 1
-    right = np.minimum(at + 1, len(system.undamped) - 1)
-    nearest = np.minimum(np.abs(frequency - system.undamped[at]), np.abs(frequency - system.undamped[right]))
-    return np.asarray(nearest < within * frequency)
+    at = np.searchsorted(places, frequency)
+    left, right = places[np.maximum(at - 1, 0)], places[np.minimum(at, len(places) - 1)]
+    distance = np.minimum(np.abs(frequency - left), np.abs(frequency - right))
+    return np.asarray(distance < within * frequency)
+
+
+def as_state_space(system: DrawnSystem) -> control.StateSpace:
+    """Return a system as a `control.StateSpace` with its names: what was given, if it is one.
+
+    Raises
+    ------
+    ArgumentError
+        An improper transfer function.
+    """
+    import control
+
+    if system.arrays is None:
+        raise ArgumentError(f"{system.label or 'the system'}: improper; expected no more zeros than poles")
+    if hasattr(system.source, "A"):
+        return system.source
+    A, B, C, D, _ = system.arrays
+    names = {"inputs": list(system.inputs), "outputs": list(system.outputs)}
+    return control.StateSpace(A, B, C, D, system.source.dt, remove_useless_states=False, **names)

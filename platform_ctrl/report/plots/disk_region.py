@@ -1,0 +1,300 @@
+"""What a disk margin allows, in the plane of gain and phase: the region of safe changes, and what it keeps free of L.
+
+All factors (1 + δ (1 − skew) α/2) / (1 − δ (1 + skew) α/2) with |δ| < 1 on a loop's gain are safe; −1 over one of them
+is a value that L never takes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLocator
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_to_gain_phase
+from platform_ctrl.arguments import positive
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.report.plots.bode import degrees_words, gain_words
+from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.panels import HZ, blocks, curve_style, legend, line_array
+from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.systems import (
+    DrawnSystem,
+    LinearSystem,
+    as_state_space,
+    drawable,
+    drawn_systems,
+    gaps,
+)
+from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.style import REFERENCE, standalone
+
+if TYPE_CHECKING:
+    import control
+
+# Gain factors beyond which nothing is drawn.
+_WIDEST = 20.0
+# Ticks of the gain axis; the second ones where it is long.
+_FINE = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
+_COARSE = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+@value
+class _Region:
+    """One region: a disk margin, and the loop that it belongs to, if any."""
+
+    label: str
+    alpha: float
+    loop: DrawnSystem | None
+    margin: DiskMargin | None
+
+
+@standalone
+def disk_margin_region(
+    margins: float | LinearSystem | Sequence[float | LinearSystem] | Mapping[str, float | LinearSystem],
+    *,
+    skew: float = 0.0,
+    labels: Sequence[str] | None = None,
+    frequency: ArrayLike | None = None,
+) -> control.ControlPlot:
+    """Draw the changes of gain and phase that are safe in every channel at once.
+
+    Inside a region no change makes the loop unstable, at whatever frequencies it happens. Where the region ends on the
+    axes stand the gain margins and the phase margin that it contains. Of a loop with one channel the dotted curve says
+    which changes make it unstable (−1/L): the region touches it.
+
+    Parameters
+    ----------
+    margins
+        Disk margins α, or loop transfers L with negative feedback (`control.StateSpace`, `TransferFunction`,
+        `FrequencyResponseData`) whose disk margins are then found; several in a sequence, or a mapping from labels.
+    skew
+        Of the disk: 0 for gains that may rise as far as they may fall, > 0 mostly rise, < 0 mostly fall.
+    labels
+        One for each.
+    frequency
+        Where −1/L is drawn, rad/s, or two numbers as the ends of a range. The margin does not depend on it.
+
+    Returns
+    -------
+    control.ControlPlot
+        One panel, gain factor across and phase in degrees up; ``lines`` the rims of the regions.
+
+    Raises
+    ------
+    ArgumentError
+        A margin that is not a number >= 0, loops that are not square, a skew that is not finite, or labels that do not
+        fit.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40(5), 2020.
+    """
+    import control
+
+    judged_skew("disk_margin_region", skew)
+    regions = _regions(margins, labels, skew)
+    words = [_words(region, skew) for region in regions]
+    figure, axes = blocks(1, 1, (4.0,), words, titles=False, width=7.2)
+    panel = axes[0, 0]
+    lines = line_array(axes)
+    left, right, top = _window(regions, skew)
+    gain = np.geomspace(left, right, 2001)
+    handles = []
+    for k, region in enumerate(regions):
+        rim_gain, rim_phase = _rim(region.alpha, skew, gain)
+        [line] = panel.plot(rim_gain, rim_phase, **curve_style(k) | {"marker": "", "linewidth": 1.7, "zorder": 3})
+        panel.fill_between(rim_gain, rim_phase, 0.0, color=line.get_color(), alpha=0.10, linewidth=0)
+        lines[0, 0].append(line)
+        handles.append(line)
+    _axes(panel, left, right, top)
+    curves = [_critical(panel, region, k, frequency) for k, region in enumerate(regions)]
+    _mark(panel, regions, skew, [*(np.column_stack(line.get_data()) for line in lines[0, 0]), *curves])
+    return control.ControlPlot(lines, axes, figure, legend=legend(figure, handles, words))
+
+
+def judged_skew(name: str, skew: object) -> float:
+    """Return a skew as a float.
+
+    Raises
+    ------
+    ArgumentError
+        It is not a finite number.
+    """
+    if not isinstance(skew, Real) or isinstance(skew, bool) or not math.isfinite(skew):
+        raise ArgumentError(f"{name}: skew = {skew!r}; expected a finite number")
+    return float(skew)
+
+
+def exclusion(alpha: float, skew: float, points: int = 721) -> ComplexArray:
+    """Return the rim of the values of L that a disk margin `alpha` keeps free: there |S + (skew − 1)/2| is 1/alpha.
+
+    Parameters
+    ----------
+    alpha
+        Below 2/(1 + |skew|): the region holds neither 0 nor infinity.
+    skew
+        Skew of the disk.
+    points
+        Along the closed curve.
+    """
+    delta = np.exp(2j * np.pi * np.linspace(0.0, 1.0, points))
+    return np.asarray(
+        -(1.0 - 0.5 * alpha * (1.0 + skew) * delta) / (1.0 + 0.5 * alpha * (1.0 - skew) * delta), dtype=np.complex128
+    )
+
+
+def allowed_phase(gain: FloatArray, alpha: float, skew: float) -> FloatArray:
+    """Return the phase in degrees up to which a gain factor may be turned; NaN where the factor itself is too much."""
+    a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
+    # |f - 1| < |a + b f| for f = gain exp(j phase): room for -2 gain (1 + a b) cos(phase).
+    need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = np.where(weight != 0.0, need / weight, np.where(need < 0.0, -1.0, 2.0))
+    if 1.0 + a * b < 0.0:
+        # The disk's outside: turned the other way round.
+        return np.where(cosine < -1.0, math.nan, 180.0)
+    return np.where(cosine > 1.0, math.nan, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_Region]:
+    name = "disk_margin_region"
+    if isinstance(margins, Mapping):
+        if labels is not None:
+            raise ArgumentError(f"{name}: labels are given twice; expected them as keys or as labels")
+        labels, margins = [str(key) for key in margins], list(margins.values())
+    given = list(margins) if isinstance(margins, Sequence | np.ndarray) and not isinstance(margins, str) else [margins]
+    if not given:
+        raise ArgumentError(f"{name}: given no margin and no loop; expected at least one")
+    if labels is not None and (isinstance(labels, str) or len(labels) != len(given)):
+        raise ArgumentError(f"{name}: labels: expected {len(given)} strings, one for each margin")
+    out = []
+    for k, one in enumerate(given):
+        label = None if labels is None else drawable(str(labels[k]))
+        if isinstance(one, Real) and not isinstance(one, bool):
+            out.append(_Region(label=label or "", alpha=positive(name, float(one), zero=True), loop=None, margin=None))
+            continue
+        [loop] = drawn_systems(name if len(given) == 1 else f"{name}: loop {k + 1}", one, square=True)
+        data = loop.is_data
+        found = disk_margin(loop.source if data else as_state_space(loop), skew=skew)
+        text = label if label is not None else loop.label or ("L" if len(given) == 1 else f"L {k + 1}")
+        out.append(_Region(label=text, alpha=found.alpha, loop=loop, margin=found))
+    return out
+
+
+def _words(region: _Region, skew: float) -> str:
+    head = f"{region.label}: " if region.label else ""
+    if region.alpha == 0.0:
+        stable = region.margin is None or not region.margin.reason
+        return head + ("disk margin 0" if stable else "closed loop not stable, no margin")
+    low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9), skew)
+    upper = gain_words(high) if math.isfinite(high) else "any"
+    lower = gain_words(low) if low > 0.0 else "× 0"
+    margin = f"disk margin {plain(region.alpha, 2)}" if math.isfinite(region.alpha) else "any disk margin"
+    skewed = f", skew {plain(skew, 3)}" if skew else ""
+    return f"{head}{margin}{skewed}: gain {lower} to {upper}, phase ± {degrees_words(math.degrees(phase))}"
+
+
+def _window(regions: Sequence[_Region], skew: float) -> tuple[float, float, float]:
+    """Return the lowest and highest gain and the highest phase that are shown."""
+    low, high, top = 0.7, 1.0 / 0.7, 20.0
+    for region in regions:
+        if region.alpha > 0.0:
+            one = disk_to_gain_phase(min(region.alpha, 1e9), skew)
+            low = min(low, one[0] / 1.5 if one[0] > 0.0 else 0.0)
+            high = max(high, 1.5 * one[1])
+            inside = allowed_phase(np.geomspace(max(low, 1.0 / _WIDEST), min(high, _WIDEST), 400), region.alpha, skew)
+            top = max(top, 1.2 * float(np.nanmax(inside)))
+    return max(low, 1.0 / _WIDEST), min(high, _WIDEST), min(top, 180.0)
+
+
+def _rim(alpha: float, skew: float, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rim of a region over gains, down to phase 0 where it ends within them."""
+    if alpha == 0.0:
+        return np.array([1.0]), np.array([0.0])
+    alpha = min(alpha, 1e9)
+    low, high, _ = disk_to_gain_phase(alpha, skew)
+    # Denser towards the ends, where the rim is steep.
+    ends = [
+        end * (1.0 + sign * np.geomspace(1e-6, 0.1, 80))
+        for end, sign in ((low, 1.0), (high, -1.0))
+        if 0 < end < math.inf
+    ]
+    every = np.unique(np.concatenate([gain, [1.0], *ends]))
+    every = every[(every >= gain[0]) & (every <= gain[-1])]
+    phase = allowed_phase(every, alpha, skew)
+    inside = np.isfinite(phase)
+    every, phase = every[inside], phase[inside]
+    if gain[0] < low:
+        every, phase = np.append(low, every), np.append(0.0, phase)
+    if high < gain[-1]:
+        every, phase = np.append(every, high), np.append(phase, 0.0)
+    return every, phase
+
+
+def _axes(panel: Axes, left: float, right: float, top: float) -> None:
+    panel.set_xscale("log")
+    panel.set_xlim(left, right)
+    panel.set_ylim(0.0, top)
+    least = np.log(right / left) / 14.0
+    ticks: list[float] = [1.0]
+    factors = _FINE if right < 16.0 * left else _COARSE
+    for factor in sorted((f for f in factors if left <= f <= right), key=lambda f: abs(math.log(f))):
+        if min(abs(math.log(factor / tick)) for tick in ticks) >= least:
+            ticks.append(factor)
+    panel.xaxis.set_major_locator(FixedLocator(sorted(ticks)))
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda factor, _: f"× {factor:g}"))
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.xaxis.set_minor_formatter(NullFormatter())
+    step = next(step for step in (5.0, 10.0, 15.0, 30.0, 45.0) if top <= 6.5 * step or step == 45.0)
+    panel.set_yticks(np.arange(0.0, top + 1e-9, step))
+    panel.axvline(1.0, color=REFERENCE, linewidth=0.9, zorder=1)
+    panel.set_xlabel("change of gain")
+    panel.set_ylabel("change of phase, either way, degrees")
+
+
+def _critical(panel: Axes, region: _Region, k: int, frequency: ArrayLike | None) -> FloatArray:
+    """Draw the changes that make a loop with one channel unstable, and where the region touches them."""
+    loop = region.loop
+    if loop is None or loop.shape != (1, 1) or region.margin is None or region.margin.reason:
+        return np.zeros((0, 2))
+    _, response = loop.along(grid([loop], frequency, name="disk_margin_region", loops=True))
+    with np.errstate(all="ignore"):
+        factor = gaps(-1.0 / response[0, 0])
+    gain, phase = np.abs(factor), np.degrees(np.abs(np.angle(factor)))
+    colour = curve_style(k)["color"]
+    panel.plot(gain, phase, color=colour, linewidth=1.0, linestyle=(0, (1.2, 1.4)), zorder=2)
+    touching = region.margin.perturbation[0]
+    if np.isfinite(touching):
+        at = abs(touching), math.degrees(abs(np.angle(touching)))
+        panel.plot(*([x] for x in at), "D", color=colour, markersize=4.5, zorder=4)
+    return np.column_stack([gain, phase])
+
+
+def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence[FloatArray]) -> None:
+    """Write the margins where the regions end on the axes, and the frequency where a loop is touched."""
+    places = Places(panel, curves)
+    for k, region in enumerate(regions):
+        if region.alpha <= 0.0:
+            continue
+        low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9), skew)
+        style: dict[str, Any] = {"color": curve_style(k)["color"], "marker": "o", "markersize": 4.0, "clip_on": False}
+        points = [(low, 0.0, gain_words(low)), (high, 0.0, gain_words(high)) if math.isfinite(high) else (0.0, 0.0, "")]
+        if phase < math.pi:
+            points.append((1.0, math.degrees(phase), degrees_words(math.degrees(phase))))
+        for x, y, text in points:
+            if x > 0.0 and places.shows(x, y):
+                panel.plot([x], [y], **style, zorder=5)
+                places.put(text, x, y, colour=style["color"], bold=True, anyway=len(regions) < 4)
+        margin = region.margin
+        if margin is not None and len(margin.perturbation) == 1 and np.isfinite(margin.perturbation[0]):
+            touching = margin.perturbation[0]
+            at = abs(touching), math.degrees(abs(np.angle(touching)))
+            places.put(f"{plain(margin.frequency * HZ, 3)} Hz", *at, colour=style["color"])
