@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from platform_ctrl.report import tables
-from platform_ctrl.report.document import page, write_page
-from platform_ctrl.report.pdf import pdf, write_pdf
+from platform_ctrl.report.document import page, prepared, write_page
+from platform_ctrl.report.pdf_document import pdf, write_pdf
 
 if TYPE_CHECKING:
     from platform_ctrl.report import figures
 
-__all__ = ["figures", "page", "pdf", "tables", "write_page", "write_pdf"]
+__all__ = ["figures", "page", "pdf", "prepared", "tables", "write_page", "write_pdf"]
 
 
 if not TYPE_CHECKING:

@@ -193,9 +193,17 @@ def violation_drivers(one: Sensitivity, most: int = 3) -> str:
     return _strongest(one.violations, most)
 
 
+def drivers_of(one: Sensitivity) -> list[str]:
+    """Return the inputs that drive a figure, the strongest first."""
+    return [single.parameter for single in _telling(one.influences)]
+
+
 def _strongest(found: Sequence[Influence], most: int) -> str:
-    drivers = [single for single in found if single.driver and single.index >= 0.005][:most]
-    return ", ".join(f"{single.parameter} {share(single.index)}" for single in drivers)
+    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _telling(found)[:most])
+
+
+def _telling(found: Sequence[Influence]) -> list[Influence]:
+    return [single for single in found if single.driver and single.index >= 0.005]
 
 
 def worst_rows(

@@ -166,10 +166,11 @@ class Facts:
 
 @value
 class Listing:
-    """Text to be copied: a command or a file."""
+    """Text to be copied: a command, or a file of that name, which a PDF carries as an attachment too."""
 
     kind: ClassVar[str] = "listing"
     text: str
+    file: str = ""
 
 
 @value

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def write_page(
-    result: JobResult,
+    result: JobResult | Document,
     path: str | os.PathLike[str],
     *,
     command: str | None = None,
@@ -48,7 +48,8 @@ def write_page(
     Parameters
     ----------
     result
-        From `platform_ctrl.check.checked`.
+        From `platform_ctrl.check.checked`; or from `prepared`, where page and PDF are both written: the figures are
+        drawn once then, and the other options count there.
     path
         The file; one that exists is replaced.
     command
@@ -67,7 +68,11 @@ def write_page(
 
 
 def page(
-    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+    result: JobResult | Document,
+    *,
+    command: str | None = None,
+    campaign: Summary | None = None,
+    again: str | None = None,
 ) -> str:
     """Return the page as HTML: self-contained, for light and dark screens and for paper.
 
@@ -76,13 +81,17 @@ def page(
     result, command, campaign, again
         As in `write_page`.
     """
-    return html(document(result, command=command, campaign=campaign, again=again))
+    return html(prepared(result, command=command, campaign=campaign, again=again))
 
 
-def document(
-    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+def prepared(
+    result: JobResult | Document,
+    *,
+    command: str | None = None,
+    campaign: Summary | None = None,
+    again: str | None = None,
 ) -> Document:
-    """Return what the report says, as page or as PDF.
+    """Return what the report says, for `write_page` and `write_pdf`; what is prepared already is returned as it is.
 
     Parameters
     ----------
@@ -91,6 +100,8 @@ def document(
     """
     from platform_ctrl.report import style
 
+    if isinstance(result, Document):
+        return result
     job = result.job
     with style.settings():
         sections = [
@@ -122,7 +133,8 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
         lines=tuple(f"{row.subject}: {row.requirement} {row.value}, asked {row.limit}" for row in missed),
         aside=f"{reached} of {count(len(goals), 'goal')} reached: no part of the verdict." if goals else "",
     )
-    return (banner, Paragraph(text=" ".join(opening(result, campaign)), tone="lead"))
+    first, verdict, *details = opening(result, campaign)
+    return (banner, Paragraph(text=f"{first} {verdict}", tone="lead"), Paragraph(text=" ".join(details)))
 
 
 def _plant(result: JobResult) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 _NEAR = 0.05
 # More loops than these are not gone through one by one: the nearest to their limits stand for all.
 _MOST_LOOPS = 4
+# Between a number and its unit no line ends.
+_UNIT = re.compile(r"(?<=\d) (?=(?:%|\u00b0|m?rad|k?Hz|m?N m|1/s|s)\b|%)|(?<=[\u2264\u2265]) ")
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 
@@ -37,7 +40,7 @@ def opening(result: JobResult, campaign: Summary | None = None) -> list[str]:
     """
     sentences = [_designed(result), _verdict(result), *_limits(result), _together(result), _runs(result)]
     sentences.append("" if campaign is None else _campaign(campaign))
-    return [one for one in sentences if one]
+    return [_UNIT.sub("\u00a0", one) for one in sentences if one]
 
 
 def tightest(results: Sequence[CheckResult]) -> CheckResult | None:
@@ -119,15 +122,18 @@ def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
 
 def _together(result: JobResult) -> str:
     check = result.coupled
+    several = len(result.loops) > 1
     if not check.stable:
-        return "Closed together on the coupled platform the loops are unstable."
+        closed = "together on the coupled platform the loops are" if several else "on the coupled platform the loop is"
+        return f"Closed {closed} unstable."
     if not check.channels:
         return ""
     low, high, phase = check.simultaneous.gain_phase
     gains = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
+    closed = "together on the coupled platform they stay" if several else "on the coupled platform it stays"
     return (
-        f"Closed together on the coupled platform they stay stable with gains of {gains} times nominal or phases "
-        f"within \u00b1{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
+        f"Closed {closed} stable with gains of {gains} times nominal or phases within "
+        f"\u00b1{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
     )
 
 
@@ -147,7 +153,8 @@ def _runs(result: JobResult) -> str:
 
 
 def _campaign(summary: Summary) -> str:
-    from platform_ctrl.report.campaign_tables import all_drivers, chance, chances, count_words
+    from platform_ctrl.campaign.table import PASSED
+    from platform_ctrl.report.campaign_tables import chance, chances, count_words, drivers_of
 
     found = summary.statistics
     flown = found.violation
@@ -157,8 +164,9 @@ def _campaign(summary: Summary) -> str:
     bounds = chances(flown.low, flown.high)
     if not flown.events:
         return f"None of the campaign's {count_words(flown.runs)} violates a requirement: probability {bounds} {sure}."
-    drivers = all_drivers(summary)[:2]
-    driven = f"; what drives the figures most is {listed(drivers)}" if drivers else ""
+    overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.figure == PASSED)
+    drivers = [f"\u201c{name}\u201d" for one in overall for name in drivers_of(one)[:2]]
+    driven = f"; what decides it most is {listed(drivers)}" if drivers else ""
     return (
         f"In a campaign of {count_words(flown.runs)} the probability of violating a requirement is "
         f"{chance(flown.estimate)} ({bounds} {sure}){driven}."

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from platform_ctrl.report.content import Document, Plate
-from platform_ctrl.report.document import document
+from platform_ctrl.report.document import prepared
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class TypesettingError(PlatformCtrlError):
 
 
 def write_pdf(
-    result: JobResult,
+    result: JobResult | Document,
     path: str | os.PathLike[str],
     *,
     command: str | None = None,
@@ -47,7 +47,7 @@ def write_pdf(
     Parameters
     ----------
     result
-        From `platform_ctrl.check.checked`.
+        From `platform_ctrl.check.checked`, or from `platform_ctrl.report.prepared`.
     path
         The file; one that exists is replaced.
     command
@@ -68,7 +68,11 @@ def write_pdf(
 
 
 def pdf(
-    result: JobResult, *, command: str | None = None, campaign: Summary | None = None, again: str | None = None
+    result: JobResult | Document,
+    *,
+    command: str | None = None,
+    campaign: Summary | None = None,
+    again: str | None = None,
 ) -> bytes:
     """Return the report as PDF: what the page says, in the same order; the same bytes for the same result.
 
@@ -85,7 +89,7 @@ def pdf(
         Typst could not set the document.
     """
     typst = typesetter()
-    return typeset(typst, document(result, command=command, campaign=campaign, again=again))
+    return typeset(typst, prepared(result, command=command, campaign=campaign, again=again))
 
 
 def typesetter() -> Any:
@@ -116,16 +120,18 @@ def typeset(typst: Any, content: Document) -> bytes:
     templates = resources.files("platform_ctrl.report") / "templates"
     colours = light_colours(templates.joinpath("report.css").read_text(encoding="utf-8"))
     data = plain_data(content, colours) | {"colours": colours}
-    try:
-        made = typst.compile(
-            templates.joinpath("report.typ").read_bytes(),
-            font_paths=[str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
-            sys_inputs={"document": json.dumps(data, ensure_ascii=False)},
-            timestamp=0,
-        )
-    except RuntimeError as error:
-        raise TypesettingError(f"the report cannot be set as PDF: {' '.join(str(error).split())}") from None
-    return bytes(made)
+    inputs = {"document": json.dumps(data, ensure_ascii=False)}
+    fonts = [str(Path(mpl.get_data_path()) / "fonts" / "ttf")]
+    template = templates.joinpath("report.typ").read_bytes()
+    # A letter that no font has breaks the standard of accessible documents: it is shown as a box then.
+    for standards in (["ua-1"], []):
+        try:
+            made = typst.compile(template, font_paths=fonts, sys_inputs=inputs, timestamp=0, pdf_standards=standards)
+        except RuntimeError as error:
+            words = " ".join(str(error).split())
+        else:
+            return bytes(made)
+    raise TypesettingError(f"the report cannot be set as PDF: typst says: {words}")
 
 
 def light_colours(sheet: str) -> dict[str, str]:
@@ -151,7 +157,7 @@ def plain_data(item: Any, colours: dict[str, str]) -> Any:
 
 def standalone_svg(svg: str, colours: dict[str, str]) -> str:
     """Return a picture of the page as a file of its own: colours in place of variables, and the font of figures."""
-    svg = _VARIABLE.sub(lambda found: colours[found[1]], svg)
+    svg = _VARIABLE.sub(lambda found: colours.get(found[1], found[0]), svg)
     head, _, rest = svg.partition("<svg")
     space = "" if "xmlns=" in rest.partition(">")[0] else ' xmlns="http://www.w3.org/2000/svg"'
     rest = rest.replace("system-ui,-apple-system", f"'{_FIGURE_FONT}',system-ui")
