@@ -147,6 +147,14 @@ def linearise(
     K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
 
     See docs/the-paper.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> model = pc.linearise(pc.read_platform("three_gyro_platform"))
+    >>> model.G[3:, 3:].round(3)  # gimbals 9 and 10: the gyroscopic matrix of one rotor
+    array([[ 0.  ,  0.15],
+    [-0.15,  0.  ]])
     """
     tree = topology(platform)
     n = len(tree.parents)

@@ -486,6 +486,13 @@ def requirement(
     References
     ----------
     See docs/job-file.md.
+
+    Examples
+    --------
+    >>> from platform_ctrl import requirements
+    >>> margin = requirements.requirement("disk margin", 0.5)
+    >>> round(margin.ratio(0.75), 4)  # at most 1: met
+    0.6667
     """
     one_of("requirement: kind", kind, get_args(Kind))
     over = tuple(over)

@@ -51,6 +51,12 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     References
     ----------
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> pc.subsystems(pc.linearise(pc.read_platform("three_gyro_platform")))
+    (('4', '5', '7'), ('9', '10'))
     """
     expect_model(model)
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
@@ -101,6 +107,13 @@ def state_space(
     K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
 
     See docs/theory.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> model = pc.linearise(pc.read_platform("three_gyro_platform"))
+    >>> pc.state_space(model, gimbals=("9", "10")).input_labels
+    ['Q9', 'Q10', 'Omega1', 'Omega2', 'Omega3']
     """
     expect_model(model)
     if root not in ("prescribed", "free"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import doctest
 import functools
 import importlib
 import inspect
@@ -284,3 +285,13 @@ def test_the_reference_pages_generator_reads_every_docstring_without_a_warning(
                 if one.docstring is not None:
                     one.docstring.parse("numpy")
     assert [record.getMessage() for record in caplog.records] == []
+
+
+EXAMPLES = {name: item for name, item in public().items() if parsed(item)["Examples"]}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_print_what_they_say(name: str) -> None:
+    source = inspect.getdoc(EXAMPLES[name]) or ""
+    example = doctest.DocTestParser().get_doctest(source, {}, name, None, None)
+    assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example).failed == 0

@@ -176,6 +176,16 @@ def disk_margin(
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
 
     A. Packard, J. C. Doyle, Automatica 29, 1993.
+
+    Examples
+    --------
+    >>> import control
+    >>> from platform_ctrl import analysis
+    >>> margin = analysis.disk_margin(control.ss([[0, 1], [0, -1]], [[0], [1]], [[1, 0]], 0))
+    >>> round(margin.alpha, 4), round(margin.frequency, 3)
+    (0.8944, 1.0)
+    >>> [round(bound, 3) for bound in margin.gain_phase]  # two gain factors, and a phase in rad
+    [0.382, 2.618, 0.841]
     """
     if not isinstance(skew, Real) or not math.isfinite(skew):
         raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")

@@ -180,6 +180,13 @@ def damping(system: control.StateSpace) -> Damping:
     References
     ----------
     K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 6.
+
+    Examples
+    --------
+    >>> import control
+    >>> from platform_ctrl import analysis
+    >>> analysis.damping(control.ss([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], 0)).ratio.round(3)
+    array([0.1, 0.1])
     """
     dt = state_arrays(system, "damping").dt
     s = continuous_poles(poles(system), dt)

@@ -72,6 +72,12 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
     References
     ----------
     C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
+
+    Examples
+    --------
+    >>> from platform_ctrl import campaign
+    >>> round(campaign.clopper_pearson(0, 10_000).high, 6)
+    0.000369
     """
     if whole("events", events, 0) > whole("runs", runs, 0):
         raise ArgumentError(f"events: given {events} of {runs} runs; expected 0 <= events <= runs")

@@ -105,6 +105,13 @@ def stability_certificate(
     S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
 
     See docs/certificates.md.
+
+    Examples
+    --------
+    >>> from platform_ctrl import certificates
+    >>> proof = certificates.stability_certificate([[-1.0, 2.0], [0.0, -3.0]])
+    >>> proof.verify().proved
+    True
     """
     loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
     system = _rounded(loop, "stability_certificate")

@@ -203,6 +203,14 @@ def lqr(
     A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
 
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
+
+    Examples
+    --------
+    >>> import control, numpy as np
+    >>> from platform_ctrl import design
+    >>> double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0)
+    >>> design.lqr(double_integrator, np.eye(2), [[1]]).state_gain.round(4)  # u = state_gain x
+    array([[-1.    , -1.7321]])
     """
     arrays = state_arrays(system, "lqr")
     weights = judged_weights(

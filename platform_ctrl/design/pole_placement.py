@@ -114,6 +114,14 @@ def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequenc
     A. L. Tits, Y. Yang, IEEE Trans. Automatic Control 41, 1996.
 
     See docs/classical.md.
+
+    Examples
+    --------
+    >>> import control, numpy as np
+    >>> from platform_ctrl import design
+    >>> double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0)
+    >>> design.pole_placement(double_integrator, [-1, -2]).state_gain.round(6)  # u = -state_gain x
+    array([[2., 3.]])
     """
     arrays = state_arrays(system, "pole_placement")
     chosen = list(system.input_labels) if inputs is None else list(inputs)

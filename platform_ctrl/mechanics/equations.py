@@ -86,6 +86,16 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     K. Magnus, Ingenieur-Archiv 1976, eq. (11).
 
     See docs/theory.md.
+
+    Examples
+    --------
+    A torque about the axis of gimbal 10 turns that gimbal; its rotor's action appears once it moves.
+
+    >>> import platform_ctrl as pc
+    >>> platform = pc.read_platform("three_gyro_platform")
+    >>> acceleration = pc.forward_dynamics(platform, [0] * 5, [0] * 8, [0, 0, 0, 0, 0, 0, 0, 1e-3])
+    >>> round(float(acceleration[7]), 3)
+    5.014
     """
     n = len(topology(platform).parents)
     angles = real_array("q", q, (n,))

@@ -138,6 +138,13 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     K. Magnus, Ingenieur-Archiv 1976, eqs. (3), (11) to (14).
 
     See docs/theory.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> m = pc.matrices(pc.read_platform("three_gyro_platform"))
+    >>> m.L.round(3)
+    array([0.15, 0.15, 0.15])
     """
     tree = topology(platform)
     n, m = len(tree.parents), len(tree.carriers)

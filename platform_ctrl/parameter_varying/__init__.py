@@ -78,6 +78,14 @@ def parameter_varying(
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
 
     See docs/parameter-varying.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> platform = pc.read_platform("three_gyro_platform")
+    >>> varying = pc.parameter_varying(platform, gimbals=("9", "10"), form="momenta")
+    >>> varying.affine().parameters
+    ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
     """
     if form not in ("rates", "momenta"):
         raise ArgumentError(f"form: given {form!r}; expected 'rates' or 'momenta'")

@@ -209,6 +209,13 @@ def precession(
     K. Magnus, Ingenieur-Archiv 1976, eq. (15).
 
     See docs/precession.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> slow = pc.precession(pc.linearise(pc.read_platform("three_gyro_platform")))
+    >>> slow.admissible, slow.part("4").direction_names, slow.momentum_states
+    (False, ('beta5 - beta7',), 1)
     """
     frequency = None if loop_frequency is None else positive("loop_frequency", loop_frequency)
     required = positive("separation", separation)

@@ -121,6 +121,15 @@ def rollout(
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
 
     See docs/simulation.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> from platform_ctrl import simulation
+    >>> platform = pc.read_platform("three_gyro_platform")
+    >>> out = simulation.rollout(platform, q=[[0.1] * 5] * 64, velocity=[[0.2] * 8] * 64, step=1e-4, steps=10)
+    >>> out.q.shape
+    (64, 5)
     """
     expect_platform(platform)
     n = len(platform.gimbals)

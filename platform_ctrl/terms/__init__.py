@@ -82,6 +82,13 @@ def terms(
     K. Magnus, Ingenieur-Archiv 1976, eq. (27).
 
     See docs/terms.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> ranked = pc.terms(pc.read_platform("three_gyro_platform"), Omega=(1, 1, 1), rates=[0.01] * 5)
+    >>> ranked.of("9")[0].label
+    'L11 Ω1'
     """
     expect_platform(platform)
     n = len(platform.gimbals)
