@@ -44,13 +44,13 @@ _CELL = 1.75
 
 def exceedance_figure(found: CampaignStatistics) -> Figure:
     """Share of the runs above a level, each manoeuvre a line; the level counts relative to the limit."""
-    figures = [name for name in FIGURES if _asked(found, name)]
-    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in _asked(found, name)))
+    figures = [name for name in FIGURES if asked(found, name)]
+    manoeuvres = list(dict.fromkeys(one.manoeuvre for name in figures for one in asked(found, name)))
     labels = [str(name) for name in manoeuvres]
     drawn, rows = panels(1, len(figures), 3.0 + 0.22 * legend_rows(labels), legend=legend_rows(labels))
     handles = {}
     for axes, name in zip(rows[0], figures, strict=True):
-        for one in _asked(found, name):
+        for one in asked(found, name):
             levels, shares = _exceedance(one)
             if len(levels) == 1:  # one run, or all alike: a line needs a beginning
                 levels, shares = np.append(0.0, levels), np.append(1.0, shares)
@@ -73,11 +73,11 @@ def _exceedance(one: RequirementStatistics) -> tuple[FloatArray, FloatArray]:
 
 def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
     axes.set_yscale("log")
-    least = 0.5 / max(one.violation.runs for one in _asked(found, name))
+    least = 0.5 / max(one.violation.runs for one in asked(found, name))
     axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.3)
     log_axis(axes.yaxis)
-    reach = [_exceedance(one)[0].max(initial=0.0) for one in _asked(found, name)]
-    usual = [one.quantiles[0.5] / one.limit for one in _asked(found, name) if one.limit]
+    reach = [_exceedance(one)[0].max(initial=0.0) for one in asked(found, name)]
+    usual = [one.quantiles[0.5] / one.limit for one in asked(found, name) if one.limit]
     most = max([_REACH, *(1.3 * ratio for ratio in usual if np.isfinite(ratio))])
     right = float(np.clip(1.08 * max(reach), 1.25, most))
     axes.set_xlim(0.0, right)
@@ -89,20 +89,21 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
 
 def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
     """How one figure is distributed in each manoeuvre that asks for it, its limit in red."""
-    asked = _asked(found, name)
-    rows = -(-len(asked) // _COLUMNS)
+    wanted = asked(found, name)
+    rows = -(-len(wanted) // _COLUMNS)
     drawn, grid = panels(rows, _COLUMNS, 0.85 + rows * _CELL + (rows - 1) * 0.55)
     cells = [axes for row in grid for axes in row]
-    for axes, one in zip(cells, asked, strict=False):
-        _histogram(axes, one, name)
-    for axes in cells[len(asked) :]:
+    for axes, one in zip(cells, wanted, strict=False):
+        histogram_panel(axes, one, name)
+    for axes in cells[len(wanted) :]:
         axes.set_visible(False)
     for row in grid:
         row[0].set_ylabel("runs")
     return drawn
 
 
-def _histogram(axes: Axes, one: RequirementStatistics, name: str) -> None:
+def histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
+    """Draw the histogram of one figure in one manoeuvre, beyond its limit in red."""
     spread, limit = _spread(one), one.limit
     assert limit is not None
     factor, unit = handy_unit(FIGURES[name][1], limit)
@@ -163,7 +164,8 @@ def _shade(axes: Axes, limit: float, reach: float = 0.0) -> None:
     axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
 
 
-def _asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
+def asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
+    """Return what the campaign says about one figure, manoeuvre by manoeuvre."""
     return [one for one in found.requirements if one.figure == name and one.manoeuvre is not None and one.limit]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.check.simulated import Run
-from platform_ctrl.description import Platform
+from platform_ctrl.description import Platform, Torquer
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.style import (
     BEYOND,
@@ -22,6 +23,7 @@ from platform_ctrl.report.style import (
     panels,
     signal_style,
 )
+from platform_ctrl.simulation import Trajectory
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
 _FAR = 3.7
@@ -31,29 +33,46 @@ _WILD = 5.0
 
 def run_figure(run: Run, platform: Platform) -> Figure:
     """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
-    t = run.trajectory
+    return trajectory_figure(run.trajectory, platform.torquers, run.manoeuvre.limits, run.manoeuvre.duration)
+
+
+def trajectory_figure(
+    t: Trajectory, torquers: Sequence[Torquer], limits: Mapping[str, float], duration: float
+) -> Figure:
+    """Everything that was recorded, as `run_figure`.
+
+    Parameters
+    ----------
+    t
+        The run.
+    torquers
+        In the order of its columns.
+    limits
+        By the names of a manoeuvre's limits: ``angle``, ``attitude``, rad; ``torque_share``.
+    duration
+        How long the run was to last, s.
+    """
     free = t.mode == "stabilised"
     figure, rows = panels(2, 3 if free else 2, 4.9)
-    limits = run.manoeuvre.limits
-    roots = [k for k, torquer in enumerate(platform.torquers) if torquer.root_axis is not None]
-    gimbals = [k for k in range(len(platform.torquers)) if k not in roots]
+    roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
+    gimbals = [k for k in range(len(torquers)) if k not in roots]
 
     _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")), "gimbal angles", "mrad")
-    _torques(rows[0][1], run, platform, gimbals, "gimbal torques")
+    _torques(rows[0][1], t, torquers, gimbals, "gimbal torques")
     if free:
-        _torques(rows[0][2], run, platform, roots, "platform torques")
+        _torques(rows[0][2], t, torquers, roots, "platform torques")
         attitude, limit = 1e3 * t.attitude_angles, _thousand(limits.get("attitude"))
         _traces(rows[1][0], t.t, attitude, _axes_names("θ"), limit, "inertial platform angles", "mrad")
     rate = rows[1][1 if free else 0]
     factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
     title = "platform rate" if free else "platform rate, prescribed"
     _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None, title, unit)
-    _shares(rows[1][-1], run, platform, gimbals + roots if free else gimbals, limits.get("torque_share"))
+    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"))
     if not t.completed:
         for axes in [axes for row in rows for axes in row][:-1]:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
     for axes in [axes for row in rows for axes in row][:-1]:
-        axes.set_xlim(0.0, run.manoeuvre.duration)
+        axes.set_xlim(0.0, duration)
         axes.set_xlabel("time, s")
         linear_axis(axes.xaxis, 6)
     return figure
@@ -100,28 +119,26 @@ def _traces(
     )
 
 
-def _torques(axes: Axes, run: Run, platform: Platform, columns: list[int], title: str) -> None:
-    t = run.trajectory
+def _torques(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], title: str) -> None:
     names = tuple(t.torquer_names[k] for k in columns)
-    allowed = {platform.torquers[k].limit for k in columns}
+    allowed = {torquers[k].limit for k in columns}
     largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
     factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
     common = allowed.pop() if len(allowed) == 1 else None
     _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
 
 
-def _shares(axes: Axes, run: Run, platform: Platform, columns: list[int], limit: float | None) -> None:
+def _shares(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None) -> None:
     """Bars of the largest commanded torque of every torquer over its own limit."""
-    t = run.trajectory
     asked = limit if limit is not None else 1.0
-    chosen = [k for k in columns if platform.torquers[k].limit is not None]
+    chosen = [k for k in columns if torquers[k].limit is not None]
     axes.set_title("largest command over its limit")
     if not chosen or not t.t.size:
         axes.set_axis_off()
         _note(axes, "no torquer has a limit")
         return
     peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
-    share = peaks / np.array([platform.torquers[k].limit for k in chosen], dtype=np.float64)
+    share = peaks / np.array([torquers[k].limit for k in chosen], dtype=np.float64)
     share = np.where(np.isfinite(share), share, 10.0 * asked)
     place = np.arange(len(chosen), dtype=np.float64)[::-1]
     right = 1.12 * max(1.0, asked, min(float(share.max()), 3.0))

@@ -1,0 +1,80 @@
+"""One simulated run over time, with its limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from platform_ctrl.arguments import known_name, positive, short
+from platform_ctrl.check import Run
+from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform, Torquer, expect_platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.run_figures import trajectory_figure
+from platform_ctrl.report.style import standalone
+from platform_ctrl.simulation import Trajectory
+
+_LIMITS = ("angle", "attitude", "torque_share")
+
+
+@standalone
+def time_run(
+    run: Run | Trajectory, platform: Platform | None = None, *, limits: Mapping[str, float] | None = None
+) -> Figure:
+    """Gimbal angles, torques, platform rate and attitude of a simulated run over time, beyond their limits shaded.
+
+    A run that diverged is drawn up to a red line at its end. Where a limit lies far beyond the trace it stands in the
+    panel's title instead of flattening it.
+
+    Parameters
+    ----------
+    run
+        A manoeuvre that was checked (`check.Run`, with its limits), or a `simulation.Trajectory`.
+    platform
+        The plant that was run: tells the torquers' limits. None: they are not drawn.
+    limits
+        ``angle``, ``attitude``, rad, ``torque_share``: at most; default those of the manoeuvre, none of a trajectory.
+
+    Raises
+    ------
+    ArgumentError
+        Something else than a run, another platform than the run's, or a limit that does not exist.
+    """
+    if not isinstance(run, Run | Trajectory):
+        raise ArgumentError(f"time_run: given {short(run)}; expected a check.Run or a simulation.Trajectory")
+    recorded = run.trajectory if isinstance(run, Run) else run
+    if limits is None:
+        asked = dict(run.manoeuvre.limits) if isinstance(run, Run) else {}
+    else:
+        if not isinstance(limits, Mapping):
+            raise ArgumentError(
+                f"time_run: limits: given {short(limits)}; expected a mapping such as {{'angle': 0.01}}"
+            )
+        for name in limits:
+            known_name("time_run: limits", name, _LIMITS)
+        asked = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
+    names = recorded.torquer_names
+    if platform is None:
+        torquers = [Torquer(name=name, **_place(name)) for name in names]
+    else:
+        expect_platform(platform)
+        torquers = list(platform.torquers)
+        own = tuple(torquer.name for torquer in torquers)
+        if own != names or platform.angle_names != recorded.angle_names:
+            raise ArgumentError(
+                f"time_run: platform {platform.name!r} has torquers {', '.join(own)}, the run {', '.join(names)}; "
+                "expected the platform that was run"
+            )
+    duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
+    if not duration > 0.0:
+        duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
+    return trajectory_figure(recorded, torquers, asked, duration)
+
+
+def _place(name: str) -> Any:
+    """Return where a torquer acts, by its name: M1, M2, M3 on the root."""
+    if name in ROOT_TORQUE_NAMES:
+        return {"root_axis": 1 + ROOT_TORQUE_NAMES.index(name)}
+    return {"gimbal": name}
