@@ -13,8 +13,7 @@ import argparse
 import platform_ctrl as pc
 from platform_ctrl.design.complex_coordinates import complex_plant
 from platform_ctrl.design.complex_shaping import complex_loop
-from platform_ctrl.report.complex_figures import two_sided_nyquist
-from platform_ctrl.report.style import settings
+from platform_ctrl.report import figures
 
 parser = argparse.ArgumentParser(description="Two-sided Nyquist plot of gyro 9-10.")
 parser.add_argument("--crossover", type=float, default=40.0, metavar="HZ", help="of the cross-axis gain")
@@ -40,7 +39,5 @@ print(f"disk margin {curve.disk_margin:.3f}, reached at {curve.margin_frequency 
 for frequency, margin in zip(curve.crossings, curve.phase_margins, strict=True):
     print(f"  |L| = 1 at {frequency / 6.2832:+7.1f} Hz, phase margin {margin * 57.29578:+.0f} degrees")
 
-with settings():
-    figure = two_sided_nyquist(curve)
-    figure.savefig(given.o, dpi=120, facecolor="white")
+figures.two_sided_nyquist(curve).savefig(given.o, dpi=120)
 print(f"saved {given.o}")
