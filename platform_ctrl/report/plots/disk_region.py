@@ -106,7 +106,7 @@ def disk_margin_region(
     panel = axes[0, 0]
     lines = line_array(axes)
     left, right, top = _window(regions, skew)
-    gain = np.geomspace(left, right, 2001)
+    gain = np.geomspace(left, right, 401)
     handles = []
     for k, region in enumerate(regions):
         rim_gain, rim_phase = _rim(region.alpha, skew, gain)
@@ -245,7 +245,7 @@ def _axes(panel: Axes, left: float, right: float, top: float) -> None:
     panel.set_ylim(0.0, top)
     least = np.log(right / left) / 14.0
     ticks: list[float] = [1.0]
-    factors = _FINE if right < 16.0 * left else _COARSE
+    factors = _FINE if right < 40.0 * left else _COARSE
     for factor in sorted((f for f in factors if left <= f <= right), key=lambda f: abs(math.log(f))):
         if min(abs(math.log(factor / tick)) for tick in ticks) >= least:
             ticks.append(factor)

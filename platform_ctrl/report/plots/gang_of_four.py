@@ -141,7 +141,7 @@ def gang_of_four(
         panel.set_title(titles[n])
         panel.set_ylabel(gain_label("gain", units[n], dB))
         if n < 2 and len(rows) <= 3:
-            _peaks(panel, every, rows, dB)
+            _peaks(panel, every, rows, dB, limits[n])
     handles = lines[0, 0][: len(names)]
     return control.ControlPlot(lines, axes, figure, legend=legend(figure, handles, names))
 
@@ -201,12 +201,20 @@ def _units(loop: DrawnSystem, g: Gang) -> tuple[list[str], list[str]]:
     return ["", "", ratio_unit(angle, torque), ratio_unit(torque, angle)], titles
 
 
-def _peaks(panel: Axes, w: FloatArray, rows: Sequence[FloatArray], dB: bool) -> None:
+def _peaks(
+    panel: Axes,
+    w: FloatArray,
+    rows: Sequence[FloatArray],
+    dB: bool,
+    limit: tuple[FloatArray, FloatArray] | None,
+) -> None:
     """Mark the peak of each curve, and write it."""
     levels = [gains(row, dB=dB) for row in rows]
     places = Places(panel, [np.column_stack([w * HZ, level]) for level in levels])
     left, right = panel.get_xlim()
     places.avoid([np.array([[left, 0.0 if dB else 1.0], [right, 0.0 if dB else 1.0]])])
+    if limit is not None:
+        places.avoid([np.column_stack([np.clip(limit[0] * HZ, left, right), gains(limit[1], dB=dB)])])
     written: list[float] = []
     for k, level in enumerate(levels):
         if not np.isfinite(level).any():

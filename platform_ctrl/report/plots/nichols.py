@@ -96,7 +96,9 @@ def nichols(
     every = grid([one for part in parts for one in part], frequency, name="nichols", loops=True)
     curves = []
     for one, part in zip(drawn, parts, strict=True):
-        for name, own in zip(one.inputs, part, strict=True):
+        # Products of systems lose their signal names: those of the first will do.
+        own_names = drawn[0].inputs if len(drawn[0].inputs) == len(part) else one.inputs
+        for name, own in zip(own_names, part, strict=True):
             words = [one.label] if one.label or len(part) == 1 else []
             words += [f"at {drawable(greek(name))}"] if len(part) > 1 else []
             curves.append(curve(own, every, " ".join(words) or "L"))
@@ -149,7 +151,8 @@ def _window(panel: Axes, curves: Sequence[Curve]) -> None:
     # A delay turns the phase for ever: two turns will do.
     left, right = max(left, -900.0), min(right, 360.0)
     turn = 45.0 if right - left <= 360.0 else 90.0 if right - left <= 720.0 else 180.0
-    panel.set_xlim(turn * math.floor((left - 8.0) / turn), turn * math.ceil((right + 8.0) / turn))
+    room = 0.03 * (right - left)
+    panel.set_xlim(left - room, right + room)
     panel.xaxis.set_major_locator(MultipleLocator(turn))
     panel.set_xlabel("phase of L, degrees")
     panel.set_ylabel("gain of L, dB")

@@ -42,8 +42,8 @@ _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76
 _TITLE, _NO_TITLE, _BETWEEN, _LEGEND_ROW = 0.26, 0.08, 0.16, 0.22
 # Where the words beside an axis stand, inches left of it.
 _WORDS = 0.5
-# A gain that a dip goes down to, over the largest one, is not shown below this.
-_DEEPEST = 1e-9
+# A gain below this share of the largest one is rounding and not shown.
+_DEEPEST = 1e-14
 
 
 def blocks(
