@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -125,7 +126,7 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
 
 
 def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
-    """Accept `result`: write its baseline, with the tolerances that stand in the file already.
+    """Accept `result`: write its baseline, with the tolerances that stand in the file already; folders are made.
 
     Raises
     ------
@@ -138,6 +139,8 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     text = _text(now)
     written = before is None or target.read_bytes() != text.encode()
     if written:
+        with suppress(OSError):  # said by what writes
+            target.parent.mkdir(parents=True, exist_ok=True)
         write_whole(target, text)
     return Update(
         path=target,

@@ -1,0 +1,113 @@
+"""What a test asserts of a job: its requirements, and that it has not become worse."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from platform_ctrl.baselines import Comparison, Update, compare, plot_beside, read_baseline, update_baseline
+from platform_ctrl.check import JobResult
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.report.failure_text import missed_text, moved_text, requirement_text
+from platform_ctrl.requirements import CheckResult
+
+
+def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
+    """Assert that every requirement of a job is met.
+
+    Parameters
+    ----------
+    result
+        From the fixture ``closed_loop``, or from `check.checked`.
+    goals
+        Whether the goals of the closed designs have to be met too.
+
+    Raises
+    ------
+    AssertionError
+        With a table of what is missed: value, limit, margin, and where the worst value was found.
+    """
+    __tracebackhide__ = True
+    asked = [one for one in result.requirements if one.hard]
+    texts = [missed_text(asked, result.job.name)]
+    if goals:
+        wanted = [goal for outcome in result.loops for goal in outcome.closed.goals]
+        texts.append(missed_text(wanted, result.job.name, "goal"))
+    text = "\n".join(filter(None, texts))
+    if text:
+        raise AssertionError(text)
+
+
+def assert_met(one: CheckResult) -> None:
+    """Assert that one requirement is met; the message has value, limit, margin and evidence."""
+    __tracebackhide__ = True
+    if not one.passed:
+        raise AssertionError(f"{requirement_text(one)}\n  {one.evidence}")
+
+
+def assert_baseline(
+    result: JobResult,
+    file: str | os.PathLike[str],
+    *,
+    update: bool = False,
+    plots: str | os.PathLike[str] | None = None,
+) -> Comparison | Update:
+    """Assert that no figure of a job is worse than it was once accepted, by more than its tolerance.
+
+    In a pytest run take the fixture of the same name, which obeys ``--update-baselines`` and ``--platform-plots``.
+
+    Parameters
+    ----------
+    result
+        From the fixture ``closed_loop``, or from `check.checked`.
+    file
+        The baseline, as `baselines.write_baseline` writes it; to be kept under version control.
+    update
+        Accept the figures as they are: write the file, and assert nothing.
+    plots
+        Folder for the plot of what has moved; None: beside `file`. It is there after a failure alone: one of an
+        earlier failure is removed.
+
+    Returns
+    -------
+    Comparison or Update
+        What has moved; of an update, what was written.
+
+    Raises
+    ------
+    AssertionError
+        A figure is worse, or no longer measured, or there is no such file. The message shows each figure before and
+        now, its change, tolerance and limit, which plant or controller has changed, and where the plot is.
+    InputError
+        The file is no baseline, or cannot be written.
+    """
+    __tracebackhide__ = True
+    path = Path(file)
+    plot = plot_beside(path, plots)
+    if update:
+        written = update_baseline(result, path)
+        plot.unlink(missing_ok=True)
+        return written
+    if not path.exists():
+        raise AssertionError(f"{path}: there is no such file; pytest --update-baselines writes it")
+    comparison = compare(result, read_baseline(path))
+    if comparison.passed:
+        plot.unlink(missing_ok=True)
+        return comparison
+    raise AssertionError(_failure(comparison, result, path, plot))
+
+
+def _failure(comparison: Comparison, result: JobResult, path: Path, plot: Path) -> str:
+    text = moved_text(comparison, str(path))
+    title = moved_text(comparison, f"{result.job.name}, {path.name}").partition("\n")[0]
+    return f"{text}\n  plot: {_drawn(comparison, title, plot)}\n  to accept this: pytest --update-baselines"
+
+
+def _drawn(comparison: Comparison, title: str, plot: Path) -> str:
+    """Draw what moved and return where; a folder that cannot be written to does not hide what moved."""
+    from platform_ctrl.report.moved_figure import write_moved_figure
+
+    try:
+        return str(write_moved_figure(comparison, title, plot))
+    except PlatformCtrlError as error:
+        return f"none ({error})"

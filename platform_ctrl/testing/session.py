@@ -1,0 +1,229 @@
+"""What a test session knows of its jobs: each is designed and checked once, however many tests ask for it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.baselines import Comparison, Update
+from platform_ctrl.check import JobResult, checked, outcomes_from, read_controllers
+from platform_ctrl.design import loops
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job import Job
+from platform_ctrl.reading import read_job
+from platform_ctrl.report.failure_text import margin_text
+from platform_ctrl.requirements import CheckResult
+from platform_ctrl.testing.asked import Asked, asked_of
+from platform_ctrl.testing.assertions import assert_baseline, assert_met
+
+if TYPE_CHECKING:
+    import control
+
+JobSource = Job | str | os.PathLike[str] | Mapping[str, Any]
+Given = str | os.PathLike[str] | Mapping[str, Any] | Sequence["control.StateSpace"] | None
+Recorder = Callable[[str, object], None]
+
+
+class JobSession:
+    """The jobs of a test session, its options, and what it has to tell at the end.
+
+    Parameters
+    ----------
+    update, plots
+        ``--update-baselines``, ``--platform-plots``.
+    """
+
+    def __init__(self, update: bool, plots: Path | None) -> None:
+        self.update, self.plots = update, plots
+        self._notes: dict[Path, str] = {}
+        self._done: dict[str, JobResult | PlatformCtrlError] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """A line for every baseline that was written, or that could be."""
+        return list(self._notes.values())
+
+    def closed(self, source: JobSource, controllers: Given = None, folder: Path | None = None) -> JobResult:
+        """Return what a job comes to, from this session's memory where the same was asked for before.
+
+        Parameters
+        ----------
+        source
+            The job, or what `read_job` reads.
+        controllers
+            As for the fixture ``closed_loop``.
+        folder
+            Where relative paths start.
+        """
+        __tracebackhide__ = True
+        start = folder or Path()
+        job = (
+            source if isinstance(source, Job) else read_job(placed(source, start), folder=_plant_folder(source, start))
+        )
+        given = _controllers(controllers, job, start)
+        from platform_ctrl.campaign.identity import digest  # loads what only campaigns need
+
+        key = digest([job, given])
+        if key not in self._done:
+            try:
+                self._done[key] = checked(job, loops(job) if given is None else outcomes_from(job, given))
+            except PlatformCtrlError as error:
+                self._done[key] = error
+        found = self._done[key]
+        if isinstance(found, PlatformCtrlError):
+            # Where in the library it was found out is of no use to who reads a failed test.
+            raise found.with_traceback(None) from None
+        return found
+
+    def compare(self, result: JobResult, file: Path) -> Comparison | Update:
+        """Hold a result against its baseline, or update that; note what has to be told at the end."""
+        __tracebackhide__ = True
+        here = Path.cwd()
+        file = file.relative_to(here) if file.is_relative_to(here) else file
+        found = assert_baseline(result, file, update=self.update, plots=self.plots)
+        if isinstance(found, Update):
+            if found.written or file not in self._notes:
+                self._notes[file] = found.summary
+        else:
+            counts = {state: len(found.of(state)) for state in ("better", "new")}
+            if any(counts.values()):
+                words = [f"{number} {state}" for state, number in counts.items() if number]
+                self._notes[file] = f"{file}: {', '.join(words)}; pytest --update-baselines accepts this"
+        return found
+
+
+class JobUnderTest:
+    """A job that is tested, and what its tests are.
+
+    Parameters
+    ----------
+    session
+        The test session's jobs.
+    source, controllers, folder
+        As for `JobSession.closed`.
+    baseline
+        File of accepted figures; None: no comparison.
+    """
+
+    def __init__(
+        self, session: JobSession, source: JobSource, controllers: Given, folder: Path, baseline: Path | None
+    ) -> None:
+        self.session, self.controllers, self.folder, self.baseline = session, controllers, folder, baseline
+        # Read once: what the tests are called and what they measure belongs together.
+        self.job = (
+            source
+            if isinstance(source, Job)
+            else read_job(placed(source, folder), folder=_plant_folder(source, folder))
+        )
+
+    @property
+    def result(self) -> JobResult:
+        """What the job comes to; designed and checked when it is first asked for."""
+        __tracebackhide__ = True
+        return self.session.closed(self.job, self.controllers, self.folder)
+
+    def tests(self) -> tuple[RequirementTest | BaselineTest, ...]:
+        """Return a test for every requirement, and one for the baseline."""
+        own = [RequirementTest(self, asked) for asked in asked_of(self.job)]
+        return (*own, *([] if self.baseline is None else [BaselineTest(self, self.baseline)]))
+
+
+class RequirementTest:
+    """One requirement of a job as a test.
+
+    Attributes
+    ----------
+    subject, name
+        Which requirement.
+    """
+
+    def __init__(self, job: JobUnderTest, asked: Asked) -> None:
+        self._job = job
+        self.subject, self.name = asked
+        self.record: Recorder | None = None
+
+    @property
+    def id(self) -> str:
+        """What the test is called."""
+        return f"{self.subject}: {self.name}"
+
+    @property
+    def result(self) -> CheckResult:
+        """The requirement held against its value.
+
+        Raises
+        ------
+        AssertionError
+            It was not judged: what it is asked of did not come about.
+        """
+        __tracebackhide__ = True
+        judged = self._job.result.requirements
+        found = next((one for one in judged if (one.subject, one.name) == (self.subject, self.name)), None)
+        if found is None:
+            raise AssertionError(f"{self._job.job.name}: {self.id}: could not be judged; the closed loop is not stable")
+        return found
+
+    def assert_met(self) -> None:
+        """Assert that it is met; the message has value, limit, margin and evidence.
+
+        Raises
+        ------
+        AssertionError
+            It is not.
+        """
+        __tracebackhide__ = True
+        one = self.result
+        if self.record is not None:
+            for name in ("value", "limit", "unit", "sense"):
+                self.record(name, getattr(one, name))
+            self.record("margin", margin_text(one))
+        assert_met(one)
+
+
+class BaselineTest:
+    """The baseline of a job as a test: no figure is worse than accepted.
+
+    Attributes
+    ----------
+    file
+        The baseline.
+    """
+
+    id = "baseline"
+
+    def __init__(self, job: JobUnderTest, file: Path) -> None:
+        self._job, self.file = job, file
+        self.record: Recorder | None = None
+
+    def assert_met(self) -> None:
+        """Assert that nothing is worse; with ``--update-baselines`` accept what there is.
+
+        Raises
+        ------
+        AssertionError
+            A figure is worse, or no longer measured, or there is no such file.
+        InputError
+            The file is no baseline, or cannot be written.
+        """
+        __tracebackhide__ = True
+        self._job.session.compare(self._job.result, self.file)
+
+
+def placed(source: JobSource, folder: Path) -> Any:
+    """Return a path relative to `folder`; anything else as it is."""
+    return folder / source if isinstance(source, str | os.PathLike) else source
+
+
+def _plant_folder(source: JobSource, folder: Path) -> Path | None:
+    """Return where the plant of a job given as a dict is looked for; that of a file stands beside it."""
+    return folder if isinstance(source, Mapping) else None
+
+
+def _controllers(given: Given, job: Job, folder: Path) -> list[control.StateSpace] | None:
+    if given is None:
+        return None
+    if isinstance(given, str | os.PathLike):
+        return read_controllers(folder / given, job)
+    return read_controllers(given, job) if isinstance(given, Mapping) else list(given)
