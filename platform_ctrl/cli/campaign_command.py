@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import (
     CAMPAIGN,
     Controllers,
@@ -35,6 +36,7 @@ def campaign(
             "-o",
             metavar="DIR",
             help="Folder for campaign.html, campaign.parquet and campaign.json; made if needed.",
+            autocompletion=completion.campaign_folders,
         ),
     ] = CAMPAIGN,
     controllers: Controllers = None,
@@ -58,9 +60,18 @@ def campaign(
             metavar="sobol|latin-hypercube|random",
             help="How the runs fill the space of what varies. Default: as in the job.",
             show_default=False,
+            autocompletion=completion.words("sobol", "latin-hypercube", "random"),
         ),
     ] = None,
-    device: Annotated[str, typer.Option("--device", metavar="cpu|cuda", help="What flies the runs.")] = "cpu",
+    device: Annotated[
+        str,
+        typer.Option(
+            "--device",
+            metavar="cpu|cuda",
+            help="What flies the runs.",
+            autocompletion=completion.words("cpu", "cuda"),
+        ),
+    ] = "cpu",
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -79,6 +90,7 @@ def campaign(
             help="After the campaign's runs, fly those that a probability too small to be counted needs: that this "
             "requirement is violated, or any.",
             show_default=False,
+            autocompletion=completion.words("any", "angle", "attitude", "torque_share"),
         ),
     ] = None,
     runs_per_level: Annotated[
@@ -90,6 +102,7 @@ def campaign(
             "--rare-method",
             metavar="splitting|cross-entropy",
             help="cross-entropy: splitting, then weighted runs; surer where ten inputs or fewer vary.",
+            autocompletion=completion.words("splitting", "cross-entropy"),
         ),
     ] = "splitting",
     as_json: Json = False,

@@ -8,8 +8,21 @@ from typing import Annotated
 import typer
 
 from platform_ctrl.cli.held_baseline import Held, writable
-from platform_ctrl.cli.inputs import RESULT, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
-from platform_ctrl.cli.job_outcome import REPORT, delivered
+from platform_ctrl.cli.inputs import (
+    REPORT,
+    RESULT,
+    CampaignFolder,
+    Controllers,
+    JobFile,
+    Json,
+    Junit,
+    Pdf,
+    Quiet,
+    controller_file,
+    job_of,
+    prepared,
+)
+from platform_ctrl.cli.job_outcome import Extras, delivered
 
 CHECKED = Path("check")
 
@@ -41,10 +54,9 @@ def check(
     update_baseline: Annotated[
         bool, typer.Option("--update-baseline", help="Accept the figures as they are: write them to the baseline.")
     ] = False,
-    junit: Annotated[
-        Path | None,
-        typer.Option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.", show_default=False),
-    ] = None,
+    junit: Junit = None,
+    pdf: Pdf = False,
+    campaign: CampaignFolder = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -68,20 +80,25 @@ def check(
         read = job_of(job)
         file = controller_file(controllers, out)
         held = Held.given(baseline, update_baseline)
+        extras = Extras.given(read, pdf, campaign)
         from platform_ctrl.check import checked
         from platform_ctrl.check.given import outcomes_from, read_controllers
         from platform_ctrl.check.recorded import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
-        prepared(folder, (RESULT, REPORT))
+        if campaign is not None:
+            from platform_ctrl.cli.campaign_section import counted
+
+            counted(read, closed, campaign)  # before the work on what would be refused
+        prepared(folder, extras.files)
         if junit is not None:
             writable("--junit", junit)
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         outcome = held.outcome(result)
-        show = delivered(result, folder, as_json, say, command, outcome.record)
+        show = delivered(result, folder, as_json, say, command, outcome.record, extras)
         if junit is not None:
             from platform_ctrl.report.junit import write_junit
 

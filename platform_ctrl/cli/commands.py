@@ -14,16 +14,21 @@ import typer
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
+from platform_ctrl.cli.held_baseline import writable
 from platform_ctrl.cli.inputs import (
     DESIGNED,
+    REPORT,
     RESULT,
+    CampaignFolder,
     JobFile,
     Json,
+    Junit,
+    Pdf,
     Quiet,
     job_of,
     prepared,
 )
-from platform_ctrl.cli.job_outcome import REPORT, delivered
+from platform_ctrl.cli.job_outcome import Extras, delivered
 from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.simulate_command import simulate
 
@@ -98,6 +103,9 @@ def design(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help=f"Folder for {RESULT} and {REPORT}; made if needed.")
     ] = DESIGNED,
+    pdf: Pdf = False,
+    campaign: CampaignFolder = None,
+    junit: Junit = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> int:
@@ -108,7 +116,8 @@ def design(
 
     \b
     platform-ctrl design examples/three_gyro_platform.toml
-    platform-ctrl design job.toml -o run7
+    platform-ctrl design job.toml -o run7 --pdf
+    platform-ctrl design job.toml --campaign campaign --pdf
     platform-ctrl design job.toml --json | jq '.requirements[] | select(.passed | not)'
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (one line on standard error says which).
@@ -117,7 +126,10 @@ def design(
 
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        prepared(out, (RESULT, REPORT))
+        extras = Extras.given(read, pdf, campaign)
+        prepared(out, extras.files)
+        if junit is not None:
+            writable("--junit", junit)
         from platform_ctrl.check import checked
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.warming import warm_up
@@ -125,7 +137,11 @@ def design(
         if read.manoeuvres:
             warm_up()
         result = checked(read, loops(read, say), say)
-        show = delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)])
+        show = delivered(result, out, as_json, say, ["design", str(job), "-o", str(out)], extras=extras)
+        if junit is not None:
+            from platform_ctrl.report.junit import write_junit
+
+            write_junit(result, junit)
     return show()
 
 

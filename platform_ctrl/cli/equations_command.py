@@ -6,6 +6,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
+from platform_ctrl.cli import completion
 from platform_ctrl.errors import InputError
 from platform_ctrl.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -17,10 +18,22 @@ Word = TypeVar("Word", bound=str)
 
 def equations(
     plant: Annotated[
-        str, typer.Argument(metavar="PLANT", help="A shipped plant's name, or a plant file (TOML).", show_default=False)
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help="A shipped plant's name, or a plant file (TOML).",
+            show_default=False,
+            autocompletion=completion.plants,
+        ),
     ],
     form: Annotated[
-        str, typer.Option("--format", metavar="|".join(WRITTEN), help="latex: a fragment that needs amsmath.")
+        str,
+        typer.Option(
+            "--format",
+            metavar="|".join(WRITTEN),
+            help="latex: a fragment that needs amsmath.",
+            autocompletion=completion.words(*WRITTEN),
+        ),
     ] = "text",
     order: Annotated[
         str,
@@ -28,6 +41,7 @@ def equations(
             metavar="N",
             help=f"Matrices to order 0 to {HIGHEST_ORDER} in the angles, or {EXACT}: in sines and cosines, for small "
             "trees.",
+            autocompletion=completion.words(*ORDERS),
         ),
     ] = "1",
     terms: Annotated[
@@ -35,6 +49,7 @@ def equations(
         typer.Option(
             metavar="|".join(TERMS),
             help="paper: A constant, and in (27) the terms that the paper keeps. exact: all terms.",
+            autocompletion=completion.words(*TERMS),
         ),
     ] = "paper",
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,

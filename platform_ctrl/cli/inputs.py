@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from platform_ctrl.cli import completion
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,8 +18,13 @@ if TYPE_CHECKING:
 DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
 RESULT = "result.json"
+REPORT = "report.html"
+PDF = "report.pdf"
 
-JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="Job file (TOML).", show_default=False)]
+JobFile = Annotated[
+    Path,
+    typer.Argument(metavar="JOB", help="Job file (TOML).", show_default=False, autocompletion=completion.jobs),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, and no progress.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Controllers = Annotated[
@@ -28,7 +34,23 @@ Controllers = Annotated[
         metavar="FILE",
         help=f"A {RESULT}, or a JSON file with its keys schema and controllers alone. Default: {DESIGNED / RESULT}.",
         show_default=False,
+        autocompletion=completion.controller_files,
     ),
+]
+Pdf = Annotated[bool, typer.Option("--pdf", help=f"Write the report as {PDF} too.")]
+CampaignFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--campaign",
+        metavar="DIR",
+        help="Folder of a campaign of this job with these controllers: the report gets a section about it.",
+        show_default=False,
+        autocompletion=completion.campaign_folders,
+    ),
+]
+Junit = Annotated[
+    Path | None,
+    typer.Option("--junit", metavar="FILE", help="Write every verdict as JUnit XML too.", show_default=False),
 ]
 
 

@@ -4,19 +4,58 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from platform_ctrl.cli.inputs import RESULT
+from platform_ctrl.cli.inputs import PDF, REPORT, RESULT
+from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.check import JobResult
-
-REPORT = "report.html"
+    from platform_ctrl.job import Job
 
 Shown = Callable[[], int]
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What a report has beside the page: a PDF, and a section about the campaign in a folder."""
+
+    pdf: bool = False
+    campaign: Path | None = None
+
+    @classmethod
+    def given(cls, job: Job, pdf: bool, campaign: Path | None) -> Extras:
+        """Judge what the command was given, before the work.
+
+        Raises
+        ------
+        InputError
+            No typesetter is installed, or the folder has no campaign of the job that is done.
+        """
+        if pdf:
+            from platform_ctrl.report.pdf_document import typesetter
+
+            typesetter()
+        if campaign is not None:
+            from platform_ctrl.cli.campaign_section import expect_campaign
+
+            expect_campaign(job, campaign)
+        return cls(pdf, campaign)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files that are written."""
+        return (RESULT, REPORT, PDF) if self.pdf else (RESULT, REPORT)
+
+    @property
+    def words(self) -> list[str]:
+        """The options again."""
+        campaign = [] if self.campaign is None else ["--campaign", str(self.campaign)]
+        return (["--pdf"] if self.pdf else []) + campaign
 
 
 def delivered(
@@ -26,26 +65,73 @@ def delivered(
     say: Callable[[str], None],
     command: list[str],
     more: Mapping[str, object] | None = None,
+    extras: Extras | None = None,
 ) -> Shown:
-    """Write both files; return what shows the result and gives the exit code, for when the spinner has gone.
+    """Write all files or none; return what shows the result and gives the exit code, for when the spinner has gone.
 
-    `more` is printed beside what the result's file holds, as JSON alone.
+    Parameters
+    ----------
+    result
+        Of the job.
+    folder
+        Where the files go.
+    as_json
+        Show the record alone.
+    say
+        Called with a line before each step.
+    command
+        The words of the command line behind its name, the job second.
+    more
+        Printed beside what the result's file holds, as JSON alone.
+    extras
+        What else the report has. A campaign of other controllers is left out, and is an error once all else is done.
     """
     from platform_ctrl.check.records import laid_out, plain, result_record, write_record
     from platform_ctrl.cli.terminal import show_result
-    from platform_ctrl.report import write_page
+    from platform_ctrl.cli.together import together
+    from platform_ctrl.report import prepared, write_page, write_pdf
 
-    say(f"drawing the report: {folder / REPORT}")
-    write_page(result, folder / REPORT, command=shlex.join(["platform-ctrl", *command]))
+    extras = extras or Extras()
     record = result_record(result)
-    write_record(record, folder / RESULT)
+    about: dict[str, Any] = {"command": shlex.join(["platform-ctrl", *command, *extras.words])}
+    refused: InputError | None = None
+    if extras.campaign is not None:
+        say(f"reading the campaign: {extras.campaign}")
+        try:
+            about |= _campaign(result, record, extras.campaign, Path(command[1]), folder / RESULT)
+        except InputError as error:
+            refused = InputError(f"{error}; the report in {folder} was written without it")
+    say(f"drawing the report: {folder / REPORT}")
+    with together(folder) as unfinished:
+        write_record(record, unfinished / RESULT)
+        content = prepared(result, **about) if extras.pdf else result
+        write_page(content, unfinished / REPORT, **about)
+        if extras.pdf:
+            say(f"setting the report: {folder / PDF}")
+            write_pdf(content, unfinished / PDF, **about)
 
     def show() -> int:
         if as_json:
             typer.echo(laid_out(record | plain(more or {})))
         else:
             show_result(result)
-            typer.echo(f"report: {folder / REPORT}, figures: {folder / RESULT}")
+            files = ", ".join(str(folder / name) for name in (REPORT, PDF) if name in extras.files)
+            typer.echo(f"report: {files}, figures: {folder / RESULT}")
+        if refused is not None:
+            raise refused
+        if not extras.pdf and (folder / PDF).exists():
+            typer.echo(f"{folder / PDF}: is of an earlier run; --pdf writes it anew", err=True)
         return 0 if result.passed else 1
 
     return show
+
+
+def _campaign(
+    result: JobResult, record: Mapping[str, Any], campaign: Path, job: Path, controllers: Path
+) -> dict[str, Any]:
+    from platform_ctrl.check.given import read_controllers
+    from platform_ctrl.cli.campaign_section import counted, run_again
+
+    # As a campaign reads them, from the record: the same numbers in the same order.
+    summary = counted(result.job, read_controllers(record, result.job), campaign)
+    return {"campaign": summary, "again": run_again(job, controllers, campaign)}

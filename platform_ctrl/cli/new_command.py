@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import Json, Quiet, prepared
 from platform_ctrl.errors import InputError
 
@@ -37,6 +38,7 @@ def new(
             metavar="PLANT",
             help="Start from this plant: a shipped name or a plant file. Default: one gyro in two gimbals.",
             show_default=False,
+            autocompletion=completion.plants,
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite files that are there.")] = False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
 from platform_ctrl.errors import InputError
 
@@ -33,12 +34,17 @@ def simulate(
             help="Run of the job's campaign, as its table numbers them from 0. A name, or a number where there is no "
             "campaign, is that of a manoeuvre.",
             show_default=False,
+            autocompletion=completion.manoeuvres,
         ),
     ] = None,
     manoeuvre: Annotated[
         str | None,
         typer.Option(
-            "--manoeuvre", metavar="NAME", help="Manoeuvre: its name, or its number from 1.", show_default=False
+            "--manoeuvre",
+            metavar="NAME",
+            help="Manoeuvre: its name, or its number from 1.",
+            show_default=False,
+            autocompletion=completion.manoeuvres,
         ),
     ] = None,
     controllers: Controllers = None,
@@ -51,6 +57,7 @@ def simulate(
             help=f"Of a run of the campaign: the campaign's folder, default: {CAMPAIGN}; seed and sampling are those "
             "of the campaign there. A figure of the run goes there; of a manoeuvre only if a folder is named.",
             show_default=False,
+            autocompletion=completion.campaign_folders,
         ),
     ] = None,
     as_json: Json = False,
