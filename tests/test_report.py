@@ -224,7 +224,7 @@ def test_requirements_that_are_not_met_are_marked_by_symbol_and_colour(result: J
 def test_every_loop_and_run_has_its_figures(result: JobResult, page: str) -> None:
     caging = sum(outcome.spec.kind == "caging" for outcome in result.loops)
     servo, axes, nutation, coupled = 1, 1, 1, 4
-    expected = 5 * caging + servo + axes + nutation + coupled + len(result.runs)
+    expected = 6 * caging + servo + axes + nutation + coupled + len(result.runs)
     assert page.count("<figure") == page.count("<figcaption") == expected
 
 

@@ -21,13 +21,14 @@ from platform_ctrl.requirements import FAULTS, SPREAD
 
 
 def nutation(result: JobResult) -> str:
-    """Nutation over rotor speed."""
+    """Campbell chart."""
     spread = result.job.spread.spin
     shaded = f" The shaded band is the spread of the rotors' speed, ±{plain(100.0 * spread, 3)} %." if spread else ""
     return (
-        "Nutation frequencies of the uncontrolled gimbals at rest, all rotors at the same share of their speed; "
-        "the marker is the nominal plant, the dotted lines the bandwidths of the closed loops: the closer, the "
-        f"harder the design.{shaded}"
+        "Natural frequencies of the uncontrolled gimbals at rest over the speed of the rotors, all at the same share "
+        "of their own; markers are the nominal plant. Dotted lines are the bandwidths of the closed loops: the closer "
+        "to nutation, the harder the design. Dashed grey lines are multiples of the rotors' speed, at which an "
+        f"unbalance shakes the gimbals.{shaded}"
     )
 
 
@@ -108,6 +109,22 @@ def loop_transfer(outcome: LoopOutcome) -> str:
         f"gain.{gain} Others: the loop that each torquer closes while all the others stay closed. Stability margins "
         "show where the gain passes 1: the phase there should keep away from −180° and its odd multiples; the "
         "nutation shows as a resonance that the phase has to pass on the safe side."
+    )
+
+
+def nichols(outcome: LoopOutcome) -> str:
+    """Nichols plot of the closed design."""
+    asked = outcome.spec.limits.disk_margin
+    region = (
+        f" In the shaded regions a channel alone would have lost the disk margin of {plain(asked, 3)} that is asked of "
+        "all together."
+        if asked is not None
+        else ""
+    )
+    return (
+        f"The loop that each torquer closes with “{outcome.closed.name}” while all the others stay closed: it "
+        f"has to pass the crosses, gain 1 and phase −180°, at a distance.{region} A diamond stands where a "
+        "channel comes closest, with its disk margin in the legend."
     )
 
 

@@ -120,7 +120,7 @@ def mode_table(result: JobResult) -> Table:
 
 def record_part(job: Job) -> Part:
     """Return the job with its plant, to be copied."""
-    words = f"Every number in full, in SI units, the plant included (the job names it \u201c{job.plant}\u201d)."
+    words = f"Every number in full, in SI units, the plant included (the job names it “{job.plant}”)."
     return Part(
         title="Job and plant as read",
         blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.report.loop_responses import LoopResponses
 
 
 def write_page(
@@ -176,7 +177,7 @@ def _plant_plates(result: JobResult) -> list[Plate]:
     nutation = figures.nutation_figure(result)
     if nutation is None:
         return []
-    return [_plate(nutation, "Nutation over rotor speed", captions.nutation(result), small=True)]
+    return [_plate(nutation, "Campbell chart", captions.nutation(result))]
 
 
 def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
@@ -184,7 +185,7 @@ def _loop(result: JobResult, outcome: LoopOutcome, number: int) -> Section:
     blocks += [Paragraph(text=f"Not proved: {line}", tone="bad") for line in _unproved(result, outcome)]
     groups = comparison.group_rows(outcome.closed)
     if groups:
-        title = f"Plants that \u201c{outcome.use}\u201d has to stand"
+        title = f"Plants that “{outcome.use}” has to stand"
         blocks.append(Part(title=title, blocks=(made.group_table(groups),)))
     blocks += _caging_plates(result, outcome)
     if outcome.spec.kind == "stabilisation":
@@ -218,6 +219,7 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
             "Loop transfer",
             captions.loop_transfer(outcome),
         ),
+        *_nichols_plate(responses, outcome, plants.torques),
         _plate(figures.disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         _plate(
             figures.pole_figure(responses, spec, plants.nutation, plants.period),
@@ -230,6 +232,15 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         figure = figures.root_locus_figure(locus, spec, plants.nutation, plants.period)
         plates.append(_plate(figure, "Root locus over the loop gain", captions.root_locus(outcome, locus)))
     return plates
+
+
+def _nichols_plate(responses: LoopResponses, outcome: LoopOutcome, torques: tuple[str, ...]) -> list[Plate]:
+    from platform_ctrl.report.loop_nichols import nichols_figure
+
+    if captions.unstable(outcome.closed):
+        return []
+    figure = nichols_figure(responses, outcome.spec, torques)
+    return [_plate(figure, "Gain over phase", captions.nichols(outcome), small=True)]
 
 
 def _servo_plates(result: JobResult) -> list[Plate]:

@@ -56,7 +56,7 @@ def _designed(result: JobResult) -> str:
     platform, job = result.job.platform, result.job
     given = all(design.method == "given" for outcome in result.loops for design in outcome.designs)
     bodies = f"{count(len(platform.gimbals), 'gimbal')} and {count(len(platform.rotors), 'rotor')}"
-    where = f"\u201c{platform.name}\u201d ({bodies})"
+    where = f"“{platform.name}” ({bodies})"
     if not result.loops:
         return f"No loop is closed on {where}."
     number = len(result.loops)
@@ -86,7 +86,7 @@ def _verdict(result: JobResult) -> str:
 
 
 def _whose(one: CheckResult) -> str:
-    return f"\u201c{one.subject}\u201d"
+    return f"“{one.subject}”"
 
 
 def _against(one: CheckResult) -> str:
@@ -108,7 +108,7 @@ def _limits(result: JobResult) -> list[str]:
 def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
     results = outcome.closed.results
     own = bandwidth_hz(outcome.closed)
-    name = f"\u201c{outcome.spec.name}\u201d"
+    name = f"“{outcome.spec.name}”"
     reaches = f"{name} reaches a bandwidth of {quantity(own, 'Hz', 3)} and" if own > 0.0 else name
     missed = [one for one in results if not one.passed]
     if missed:
@@ -133,7 +133,7 @@ def _together(result: JobResult) -> str:
     closed = "together on the coupled platform they stay" if several else "on the coupled platform it stays"
     return (
         f"Closed {closed} stable with gains of {gains} times nominal or phases within "
-        f"\u00b1{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
+        f"±{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
     )
 
 
@@ -143,13 +143,13 @@ def _runs(result: JobResult) -> str:
     lost = [run.manoeuvre.name for run in result.runs if not run.trajectory.completed]
     flown = f"Of {count(len(result.runs), 'simulated run')}" if len(result.runs) > 1 else "The simulated run"
     if lost:
-        names = listed([f"\u201c{name}\u201d" for name in lost])
+        names = listed([f"“{name}”" for name in lost])
         return f"{flown} {names} did not come to {'its' if len(lost) == 1 else 'their'} end."
     worst = tightest([one for run in result.runs for one in run.results])
     if worst is None:
         return ""
     verb = "exceeds a limit by most" if not worst.passed else "comes nearest to a limit"
-    return f"{flown} \u201c{worst.subject}\u201d {verb}: {worst.name} {_against(worst)}."
+    return f"{flown} “{worst.subject}” {verb}: {worst.name} {_against(worst)}."
 
 
 def _campaign(summary: Summary) -> str:
@@ -165,7 +165,7 @@ def _campaign(summary: Summary) -> str:
     if not flown.events:
         return f"None of the campaign's {count_words(flown.runs)} violates a requirement: probability {bounds} {sure}."
     overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.figure == PASSED)
-    drivers = [f"\u201c{name}\u201d" for one in overall for name in drivers_of(one)[:2]]
+    drivers = [f"“{name}”" for one in overall for name in drivers_of(one)[:2]]
     driven = f"; what decides it most is {listed(drivers)}" if drivers else ""
     return (
         f"In a campaign of {count_words(flown.runs)} the probability of violating a requirement is "
