@@ -80,16 +80,17 @@ class Held:
         from platform_ctrl.report.failure_text import moved_text
 
         words = moved_text(comparison, str(self.file))
-        record = _record(self.file, comparison.changes, passed=comparison.passed, updated=False)
         if comparison.passed:
             plot.unlink(missing_ok=True)
+            record = _record(self.file, comparison.changes, passed=True, updated=False)
             return Outcome(comparison, f"baseline {words}", record)
         from platform_ctrl.report.moved_figure import write_moved_figure
 
         title = moved_text(comparison, f"{result.job.name}, {self.file.name}").partition("\n")[0]
         words += f"\n  plot: {write_moved_figure(comparison, title, plot)}"
         words += "\n  to accept this: the same command with --update-baseline"
-        return Outcome(comparison, f"baseline {words}", record | {"plot": str(plot)})
+        record = _record(self.file, comparison.changes, passed=False, updated=False, plot=str(plot))
+        return Outcome(comparison, f"baseline {words}", record)
 
 
 def writable(option: str, file: Path) -> None:
@@ -110,7 +111,10 @@ def writable(option: str, file: Path) -> None:
         raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
 
 
-def _record(file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool) -> dict[str, Any]:
+def _record(
+    file: Path, changes: tuple[Change, ...], *, passed: bool, updated: bool, plot: str | None = None
+) -> dict[str, Any]:
     names = ("subject", "name", "unit", "sense", "before", "now", "allowed", "limit", "state")
     entries = [{name: getattr(change, name) for name in names} for change in changes]
-    return {"baseline": {"file": str(file), "passed": passed, "updated": updated, "figures": entries}}
+    found = {"file": str(file), "passed": passed, "updated": updated, "plot": plot, "figures": entries}
+    return {"baseline": found}
