@@ -15,7 +15,7 @@ from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, statis
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, Table
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.campaign_figures import asked, histogram_panel
 from platform_ctrl.report.style import panels, standalone
 
@@ -81,6 +81,10 @@ def _statistics(campaign: Any, limits: Limits | None) -> CampaignStatistics:
         return statistics(campaign.table, _limits(campaign.record, limits))
     if isinstance(campaign, str | os.PathLike):
         folder = Path(campaign)
+        if not folder.exists():
+            raise InputError(
+                f"campaign_histograms: {folder}: does not exist; expected a campaign's folder or its table"
+            )
         record = read_record(folder) if folder.is_dir() else None
         if record is not None:
             return statistics(folder / TABLE, _limits(record, limits))

@@ -138,7 +138,7 @@ def campbell(
             mark = MARKERS[k % len(MARKERS)]
             axes.plot([unit], [mode.nominal * _HZ], mark, color=SERIES[k % len(SERIES)], markersize=5)
     highest = max((float(m.frequency.max()) for m in modes), default=0.0)
-    lowest_line = float(multiples.min()) * min(reference) * float(speed[-1])
+    lowest_line = float(multiples.min(initial=1.0)) * min(reference) * float(speed[-1])
     top = 1.18 * _HZ * (highest or lowest_line)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(0.0, top)

@@ -9,21 +9,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.arrays import state_space as state_space_of
 from platform_ctrl.analysis.feedback import closed_loop_arrays, loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
-from platform_ctrl.arguments import known_names, positive, real_numbers
+from platform_ctrl.arguments import known_names, positive, real_numbers, short
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.design.plants import changed
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.report.branches import Poles, followed, traced
-from platform_ctrl.report.plots.planes import reach_of
+from platform_ctrl.report.plots.planes import View, view_of
+from platform_ctrl.report.plots.systems import drawn_systems
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
     import control
+
+    from platform_ctrl.report.plots.systems import LinearSystem
 
 # A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
 _ON = 1e-9
@@ -51,8 +55,8 @@ class Locus:
         Whether all poles lie inside the stability boundary.
     edges : (k,)
         Numbers between the ends at which that changes, to rounding.
-    reach
-        How far a view has to go, rad/s.
+    view
+        What of the s-plane shows it.
     """
 
     values: FloatArray
@@ -61,7 +65,7 @@ class Locus:
     dt: float
     stable: NDArray[np.bool_]
     edges: FloatArray
-    reach: float
+    view: View
 
     @property
     def s(self) -> ComplexArray:
@@ -76,7 +80,7 @@ class Locus:
         return [(ends[k], ends[k + 1]) for k in range(0 if first else 1, len(ends) - 1, 2)]
 
 
-def gain_locus(plant: control.StateSpace, controller: control.StateSpace, gains: ArrayLike | None) -> Locus:
+def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike | None) -> Locus:
     """Return the poles of the closed loop while all of the controller is multiplied by one factor.
 
     Raises
@@ -85,7 +89,8 @@ def gain_locus(plant: control.StateSpace, controller: control.StateSpace, gains:
         Plant and controller do not fit, `gains` are not increasing numbers, or a direct gain makes the loop singular.
     """
     factors = increasing("gains", gains, np.linspace(0.0, 2.5, 101))
-    L = state_arrays(loop_transfer(plant, controller), "root_locus")
+    parts = _linear("root_locus: plant", plant), _linear("root_locus: controller", controller)
+    L = state_arrays(loop_transfer(*parts), "root_locus")
     A, B, C = scaled(L.A, L.B, L.C)
     if not len(A):
         raise ArgumentError("root_locus: neither the plant nor the controller has a state; expected poles to draw")
@@ -107,10 +112,18 @@ def gain_locus(plant: control.StateSpace, controller: control.StateSpace, gains:
     return traced_locus(factors, poles, L.dt)
 
 
+def _linear(name: str, given: LinearSystem) -> control.StateSpace:
+    """Return a system in states: transfer functions are brought to them."""
+    [one] = drawn_systems(name, given, data=False)
+    if one.arrays is None:
+        raise ArgumentError(f"{name}: an improper transfer function; expected as many poles as zeros, or more")
+    return given if hasattr(given, "A") else state_space_of(one.arrays, one.inputs, one.outputs)
+
+
 def spin_locus(
     platform: Platform,
     gimbals: Sequence[str] | None,
-    controller: control.StateSpace,
+    controller: LinearSystem,
     *,
     rotors: Sequence[str] | None,
     spins: ArrayLike | None,
@@ -126,7 +139,8 @@ def spin_locus(
         Names that do not exist, a controller that does not fit, rotors that stand still, numbers that make no sense.
     """
     factors = increasing("spins", spins, np.linspace(0.2, 1.8, 101))
-    K = state_arrays(controller, "root_locus_over_spin (controller)")
+    controller = _linear("root_locus_over_spin: controller", controller)
+    K = state_arrays(controller, "root_locus_over_spin: controller")
     dt = 0.0 if period is None else positive("period", period)
     late = positive("delay", delay, zero=True)
     if period is None and late:
@@ -204,7 +218,7 @@ def increasing(name: str, given: ArrayLike | None, default: FloatArray) -> Float
         return default
     out = real_numbers(name, given)
     if out.ndim != 1 or out.size < 2 or not np.isfinite(out).all() or np.any(np.diff(out) <= 0.0):
-        raise ArgumentError(f"{name}: given shape {out.shape}; expected at least two finite increasing numbers")
+        raise ArgumentError(f"{name}: given {short(given)}; expected at least two finite increasing numbers")
     return out
 
 
@@ -212,17 +226,17 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
     """Follow the poles through `values`, finer where they run, and find where stability begins and ends."""
     nominal = poles(np.ones(1))[0]
     nyquist = np.pi / dt if dt else np.inf
-    ends = continuous_poles(np.concatenate([poles(values[[0, -1]]).ravel(), nominal]), dt)
-    reach = reach_of(ends, nyquist)
-    fine = np.union1d(values, np.linspace(values[0], values[-1], 61))
-    fine = np.union1d(fine, [1.0]) if values[0] <= 1.0 <= values[-1] else fine
+    coarse = np.union1d(values, np.linspace(values[0], values[-1], 61))
+    coarse = np.union1d(coarse, [1.0]) if values[0] <= 1.0 <= values[-1] else coarse
+    ends = np.concatenate([poles(values[[0, -1]]).ravel(), nominal])
+    view = view_of(continuous_poles(ends, dt), continuous_poles(poles(coarse).ravel(), dt), nyquist)
 
     def shown(z: ComplexArray) -> ComplexArray:
         s = continuous_poles(z, dt)
-        outside = ~(np.abs(s) < 2.0 * reach)
+        outside = ~(np.abs(s) < 3.0 * view.reach)
         return np.where(outside, np.nan, s)
 
-    fine = traced(fine, poles, shown, _STEP * reach)
+    fine = traced(coarse, poles, shown, _STEP * view.reach)
     z = poles(fine)
     stable = _stable(z, dt)
     at = np.flatnonzero(stable[1:] != stable[:-1])
@@ -240,7 +254,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
         dt=dt,
         stable=stable,
         edges=np.array(edges),
-        reach=reach,
+        view=view,
     )
 
 

@@ -6,14 +6,32 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8)
 _HZ = 1.0 / (2.0 * np.pi)
-_BELOW, _RIGHT = 0.05, 0.17
+_BELOW, _RIGHT, _MOST_RIGHT = 0.05, 0.17, 0.75
+# Width of a panel over the height above the real axis, about; room beyond the outermost pole; a gap between poles.
+_ASPECT, _BEYOND, _GAP = 1.95, 1.2, 8.0
 _DASHES = (0, (1.2, 1.8))
+
+
+@value
+class View:
+    """How much of the s-plane is shown.
+
+    Attributes
+    ----------
+    reach
+        Up to which imaginary part, rad/s.
+    right
+        Share of the panel to the right of the imaginary axis.
+    """
+
+    reach: float
+    right: float = _RIGHT
 
 
 def round_steps(top: float, number: int = 4) -> FloatArray:
@@ -24,16 +42,17 @@ def round_steps(top: float, number: int = 4) -> FloatArray:
     return np.asarray(np.arange(1, int(top / step + 1e-9) + 1) * step)
 
 
-def s_plane(axes: Axes, reach: float) -> Places:
-    """Make `axes` the upper half of the s-plane up to `reach` rad/s, with damping rays and frequency arcs.
+def s_plane(axes: Axes, view: View) -> Places:
+    """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
 
     Both axes have the same scale, so that a ray's direction is the damping ratio.
     """
+    reach = view.reach
     whole = axes.get_window_extent()
     width, height = whole.width, whole.height
     span = (1.0 + _BELOW) * reach
     across = span * width / height
-    left, right = -(1.0 - _RIGHT) * across, _RIGHT * across
+    left, right = -(1.0 - view.right) * across, view.right * across
     axes.set_xlim(left, right)
     axes.set_ylim(-_BELOW * reach, reach)
     axes.grid(False)
@@ -64,7 +83,7 @@ def s_plane(axes: Axes, reach: float) -> Places:
 def z_plane(axes: Axes, period: float) -> Places:
     """Make `axes` the upper half of the z-plane with the unit circle, damping spirals and frequency rays."""
     axes.set_aspect("equal")
-    axes.set_xlim(-1.55, 1.55)
+    axes.set_xlim(-1.25, 1.25)
     axes.set_ylim(-0.06, 1.12)
     axes.grid(False)
     turn = np.linspace(0.0, np.pi, 361)
@@ -94,28 +113,44 @@ def z_plane(axes: Axes, period: float) -> Places:
     return places
 
 
-def reach_of(poles: ComplexArray, nyquist: float) -> float:
-    """Return how far, rad/s, a view of the s-plane has to go to show `poles`, the very fast ones left out.
+def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float, reach: float | None = None) -> View:
+    """Return a view of the s-plane that shows poles, the very fast ones left out.
 
     Parameters
     ----------
-    poles
-        In the s-plane.
+    ends
+        Poles that are to be seen, 1/s.
+    between
+        Others that are taken in as long as they are no faster.
     nyquist
         Nyquist frequency of a sampled system, infinite otherwise: what lies beyond its half is delay and roll-off.
+    reach
+        Given: as far as this.
     """
+    bound = _bound(ends, nyquist)
+    every = np.concatenate([ends, between])
+    s = every[np.isfinite(every) & (np.abs(every) <= bound)]
+    up, left, right = (_BEYOND * float(np.max(x, initial=0.0)) for x in (np.abs(s.imag), -s.real, s.real))
+    if reach is None:
+        reach = max(up, (left + right) / _ASPECT) or 1.0
+        share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
+        reach = max(reach, left / ((1.0 - share) * _ASPECT))
+    share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
+    return View(reach=reach, right=share)
+
+
+def _bound(poles: ComplexArray, nyquist: float) -> float:
+    """Return the largest |s| that is worth showing."""
     size = np.abs(poles[np.isfinite(poles)])
     size = size[size > 0.0]
     if not size.size:
         return 1.0
     slow = size[size <= 0.5 * nyquist]
-    slow = slow if slow.size else size
-    # Where a gap of a decade parts the poles, the fast side is left out.
-    ordered = np.sort(slow)
-    turning = poles[np.isfinite(poles) & (np.abs(poles.imag) > 0.1 * np.abs(poles)) & (np.abs(poles) <= ordered[-1])]
-    least = float(np.abs(turning).max(initial=0.0))
-    gaps = np.flatnonzero(ordered[1:] > 8.0 * ordered[:-1])
-    for gap in gaps[::-1]:
-        if ordered[gap] >= least and ordered[gap] > 0.0 and least > 0.0:
-            return 1.3 * float(max(ordered[gap], least))
-    return 1.3 * float(ordered[-1])
+    ordered = np.sort(slow if slow.size else size)
+    turning = np.isfinite(poles) & (np.abs(poles.imag) > 0.1 * np.abs(poles)) & (np.abs(poles) <= ordered[-1])
+    least = float(np.abs(poles[turning]).max(initial=0.0))
+    # Where most of a decade parts the poles and nothing swings beyond, the fast side is left out.
+    for gap in np.flatnonzero(ordered[1:] > _GAP * ordered[:-1])[::-1]:
+        if ordered[gap] >= least > 0.0:
+            return float(ordered[gap]) * (1.0 + 1e-9)
+    return float(ordered[-1]) * (1.0 + 1e-9)

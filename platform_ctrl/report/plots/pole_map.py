@@ -15,7 +15,7 @@ from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.planes import reach_of, s_plane, z_plane
+from platform_ctrl.report.plots.planes import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import count
 from platform_ctrl.report.quantities import plain as number
@@ -88,7 +88,8 @@ def pole_map(
     poles = [_poles(system) for system in drawn]
     every = np.concatenate(poles)
     nyquist = max((system.nyquist for system in drawn if system.dt), default=np.inf)
-    view = reach_of(every, nyquist) if reach is None else positive("pole_map: reach", reach)
+    nothing = np.zeros(0, dtype=np.complex128)
+    view = view_of(every, nothing, nyquist, None if reach is None else positive("pole_map: reach", reach))
     names = [system.label or "poles" for system in drawn] + (["zeros of the same colour"] if zeros else [])
     rows = legend_rows(names)
     figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, legend=rows, titles=False)

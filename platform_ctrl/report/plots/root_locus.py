@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.description import Platform
+    from platform_ctrl.report.plots.systems import LinearSystem
 
 Plane = Literal["s", "z"]
 
@@ -38,8 +40,8 @@ _SHORTEST = 24.0
 
 @standalone
 def root_locus(
-    plant: control.StateSpace,
-    controller: control.StateSpace,
+    plant: LinearSystem,
+    controller: LinearSystem,
     *,
     gains: ArrayLike | None = None,
     plane: Plane = "s",
@@ -80,7 +82,7 @@ def root_locus(
 def root_locus_over_spin(
     platform: Platform,
     gimbals: Sequence[str] | None,
-    controller: control.StateSpace,
+    controller: LinearSystem,
     *,
     rotors: Sequence[str] | None = None,
     spins: ArrayLike | None = None,
@@ -135,7 +137,7 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
     one_of("plane", plane, ("s", "z"))
     if plane == "z" and not locus.dt:
         raise ArgumentError("plane: given 'z' for a continuous loop; expected 's', or a sampled plant and controller")
-    view = locus.reach if reach is None else positive("reach", reach)
+    view = locus.view if reach is None else dataclasses.replace(locus.view, reach=positive("reach", reach))
     figure, [[axes]] = panels(1, 1, _HEIGHT, legend=1)
     places = z_plane(axes, locus.dt) if plane == "z" else s_plane(axes, view)
     points = locus.branches if plane == "z" else locus.s
