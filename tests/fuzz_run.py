@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 
 from platform_ctrl.cli import main
 
-# Seconds that a command on a mutated file may take; and those after which compiled code that never returns to Python,
-# where no signal is heeded, ends the process with a traceback.
+# Seconds of work that a command on a mutated file may take, and of waiting: a busy machine is no hang. Compiled code
+# that never returns to Python heeds no signal: then the process ends with a traceback.
 LONGEST = 5.0
-NEVER = 60.0
+WAITING = 60.0
 
 # A night's run: so many times the cases, each time others. Without it the cases are the same everywhere.
 TIMES = int(os.environ.get("FUZZ_TIMES", "0"))
@@ -101,15 +101,18 @@ def _watched(arguments: tuple[str | Path, ...], seconds: float) -> Iterator[None
     if not hasattr(signal, "setitimer"):
         yield
         return
-    heeded = signal.signal(signal.SIGALRM, hung)
-    faulthandler.dump_traceback_later(seconds + NEVER, exit=True, file=sys.__stderr__)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    timers = ((signal.ITIMER_PROF, signal.SIGPROF, seconds), (signal.ITIMER_REAL, signal.SIGALRM, WAITING))
+    heeded = [signal.signal(number, hung) for _, number, _ in timers]
+    faulthandler.dump_traceback_later(2.0 * WAITING, exit=True, file=sys.__stderr__)
+    for timer, _, after in timers:
+        signal.setitimer(timer, after)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for (timer, number, _), before in zip(timers, heeded, strict=True):
+            signal.setitimer(timer, 0.0)
+            signal.signal(number, before)
         faulthandler.cancel_dump_traceback_later()
-        signal.signal(signal.SIGALRM, heeded)
 
 
 # The commands are the same every time: to gather them takes longer than to read a small file.

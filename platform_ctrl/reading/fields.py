@@ -17,6 +17,9 @@ from platform_ctrl.reading.mistakes import given
 # Relative rounding that a printed number may carry: symmetry, the triangle inequality, C = 2 A.
 ROUNDING = 1e-9
 
+# No platform has numbers beyond these, and products of a few of them neither overflow nor vanish.
+SMALLEST, LARGEST = 1e-50, 1e50
+
 
 class Unfit(Exception):
     """A value is refused; the text says what is wrong with it beyond not being what was expected."""
@@ -42,6 +45,16 @@ class Expected:
 
 
 def number(item: object) -> float:
+    """Return a float that is 0 or of a magnitude that something can have."""
+    out = finite(item)
+    if abs(out) > LARGEST:
+        raise Unfit(f"larger than {LARGEST:g}")
+    if 0.0 < abs(out) < SMALLEST:
+        raise Unfit(f"smaller than {SMALLEST:g} and not 0")
+    return out
+
+
+def finite(item: object) -> float:
     """Return a finite float."""
     if isinstance(item, bool) or not isinstance(item, int | float):
         raise Unfit
@@ -75,8 +88,8 @@ def integer(lowest: int, highest: int) -> Callable[[object], int]:
     return judge
 
 
-def numbers(item: object, count: int) -> list[float]:
-    """Return `count` finite floats."""
+def numbers(item: object, count: int, judge: Callable[[object], float] = number) -> list[float]:
+    """Return `count` floats that a judge accepts."""
     if not isinstance(item, list):
         raise Unfit
     if len(item) != count:
@@ -84,7 +97,7 @@ def numbers(item: object, count: int) -> list[float]:
     out = []
     for k, entry in enumerate(item):
         try:
-            out.append(number(entry))
+            out.append(judge(entry))
         except Unfit as error:
             raise Unfit(f"element {k + 1}, {given(entry)}, is {str(error) or 'not a number'}") from None
     return out
@@ -159,7 +172,7 @@ def coulomb(item: object) -> tuple[float, float]:
 
 def axis(item: object) -> FloatArray:
     """Return a unit vector."""
-    given_axis = numbers(item, 3)
+    given_axis = numbers(item, 3, finite)
     largest = max(map(abs, given_axis))
     if largest == 0:
         raise Unfit("of length zero")
@@ -250,7 +263,7 @@ Coulomb = Annotated[
 Inertia = Annotated[FloatArray, Expected("three principal moments > 0 or a symmetric 3 x 3 matrix, kg m2", inertia)]
 Stops = Annotated[tuple[float, float], Expected("[lower, upper] with 0 between them", stops)]
 NotZero = Annotated[float, Expected("a number other than 0", _number(lambda x: x != 0))]
-Frequency = Annotated[float, Expected("a number > 0, Hz", _number(lambda x: x > 0 and math.isfinite(1 / x)))]
+Frequency = Annotated[float, Expected("a number > 0, Hz", _number(lambda x: x > 0))]
 Share = Annotated[float, Expected("a number from 0 to 0.9", _number(lambda x: 0 <= x <= 0.9))]
 Part = Annotated[float, Expected("a share from 0 to 1", _number(lambda x: 0 <= x <= 1))]
 SomePart = Annotated[float, Expected("a share > 0, up to 1", _number(lambda x: 0 < x <= 1))]

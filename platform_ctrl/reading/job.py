@@ -17,7 +17,7 @@ from platform_ctrl.reading.job_tables import JobFile, LoopTable
 from platform_ctrl.reading.mistakes import Mistake, report
 from platform_ctrl.reading.plant import judge_plant, open_plant
 from platform_ctrl.reading.source import Document, open_file, open_mapping, path_of
-from platform_ctrl.reading.structure import structure
+from platform_ctrl.reading.structure import overfull, structure
 
 # What the weights of a full-order design are made of.
 _WEIGHTS = frozenset(
@@ -94,6 +94,8 @@ def read_job(
         document = open_mapping(source, "job given as a dict", start or Path())
     else:
         document = open_file(path_of(source, "the path of a job file or a dict"))
+    if crowd := list(overfull(JobFile, document.data)):
+        raise report(document.label, document.data, crowd)
     platform, plant_wrong = _plant(document, start or document.folder)
     file, wrong = structure(JobFile, document.data)
     mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform, OPTIONS), *wrong]

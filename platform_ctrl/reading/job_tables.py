@@ -12,6 +12,10 @@ from platform_ctrl.reading.structure import Table
 from platform_ctrl.scenario import FaultKind, VibrationKind
 from platform_ctrl.variation import Distribution
 
+# Tables of a kind in one array.
+MOST = 1000
+MOST_LOOPS, MOST_VIBRATIONS = 100, 20
+
 
 class OperationTable(Table):
     """``[operation]``."""
@@ -90,7 +94,7 @@ class LoopTable(Table):
     use: fields.Text
     limits: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
     soft: LoopLimitsTable = Field(default_factory=LoopLimitsTable)
-    design: list[DesignTable] = Field(min_length=1)
+    design: list[DesignTable] = Field(min_length=1, max_length=MOST_LOOPS)
 
 
 class CoupledTable(Table):
@@ -160,7 +164,7 @@ class ManoeuvreTable(Table):
     torque_table: TorqueTable | None = None
     initial: InitialTable = Field(default_factory=InitialTable)
     faults: fields.Names = ()
-    vibration: list[VibrationTable] = Field(default_factory=list)
+    vibration: list[VibrationTable] = Field(default_factory=list, max_length=MOST_VIBRATIONS)
     limits: ManoeuvreLimitsTable = Field(default_factory=ManoeuvreLimitsTable)
 
 
@@ -218,9 +222,9 @@ class CampaignTable(Table):
     seed: fields.Seed | None = None
     sampling: Annotated[Points, fields.one_of(get_args(Points))] = "sobol"
     step: fields.Positive = 1e-4
-    manoeuvre: list[CampaignManoeuvreTable] = Field(default_factory=list)
-    vary: list[VaryTable] = Field(default_factory=list)
-    fault: list[CampaignFaultTable] = Field(default_factory=list)
+    manoeuvre: list[CampaignManoeuvreTable] = Field(default_factory=list, max_length=MOST)
+    vary: list[VaryTable] = Field(default_factory=list, max_length=MOST)
+    fault: list[CampaignFaultTable] = Field(default_factory=list, max_length=MOST)
 
 
 class JobFile(Table):
@@ -233,8 +237,8 @@ class JobFile(Table):
     spread: SpreadTable = Field(default_factory=SpreadTable)
     faults: FaultsTable = Field(default_factory=FaultsTable)
     sampling: SamplingTable
-    loop: list[LoopTable] = Field(min_length=1)
+    loop: list[LoopTable] = Field(min_length=1, max_length=MOST_LOOPS)
     coupled: CoupledTable = Field(default_factory=CoupledTable)
-    manoeuvre: list[ManoeuvreTable] = Field(default_factory=list)
-    fault: list[FaultTable] = Field(default_factory=list)
+    manoeuvre: list[ManoeuvreTable] = Field(default_factory=list, max_length=MOST)
+    fault: list[FaultTable] = Field(default_factory=list, max_length=MOST)
     campaign: CampaignTable | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,24 @@ from platform_ctrl.errors import InputError
 Path = tuple[str | int, ...]
 
 LONGEST = 60
+# Known names that a message lists.
+LISTED = 20
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong (`text`), and where in the nested tables (`path`: keys, and indices of arrays)."""
+    """What is wrong (`text`), and where in the nested tables (`path`: keys, and indices of arrays).
+
+    A text that takes long to find may be a function: of many mistakes one is told.
+    """
 
     path: Path
-    text: str
+    text: str | Callable[[], str]
+
+    @property
+    def words(self) -> str:
+        """The text, found."""
+        return self.text if isinstance(self.text, str) else self.text()
 
 
 def given(item: object, depth: int = 0) -> str:
@@ -62,7 +72,10 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     close = nearest(word, known)
     if close is not None:
         return f'did you mean "{close}"?'
-    return "known: " + ", ".join(f'"{name}"' for name in known) if known else "none is known"
+    if not known:
+        return "none is known"
+    more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
+    return "known: " + ", ".join(given(name) for name in known[:LISTED]) + more
 
 
 def tables(data: Any, key: str) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -97,20 +110,26 @@ def report(label: str, data: dict[str, Any], mistakes: Iterable[Mistake]) -> Inp
     first_at: dict[Path, Mistake] = {}
     for mistake in mistakes:
         first_at.setdefault(mistake.path, mistake)
-    first, *others = sorted(first_at.values(), key=lambda mistake: _position(data, mistake.path))
-    parts = [label, *_headers(data, first.path), first.text]
-    more = f" (and {len(others)} more)" if others else ""
+    places: dict[int, dict[str, int]] = {}
+    first = min(first_at.values(), key=lambda mistake: _position(data, mistake.path, places))
+    parts = [label, *_headers(data, first.path), first.words]
+    more = f" (and {len(first_at) - 1} more)" if len(first_at) > 1 else ""
     return InputError(one_line(": ".join(parts)) + more)
 
 
-def _position(data: Any, path: Path) -> tuple[int, ...]:
-    """Return where `path` stands in the file; a key that is missing stands at the head of its table."""
+def _position(data: Any, path: Path, places: dict[int, dict[str, int]]) -> tuple[int, ...]:
+    """Return where `path` stands in the file; a key that is missing stands at the head of its table.
+
+    `places` keeps where the keys of each table stand, for the next mistake.
+    """
     position = []
     for step in path:
         if isinstance(step, int):
             position.append(step)
         elif isinstance(data, dict) and step in data:
-            position.append(list(data).index(step))
+            if id(data) not in places:
+                places[id(data)] = {key: number for number, key in enumerate(data)}
+            position.append(places[id(data)][step])
         else:
             return (*position, -1)
         data = _entry(data, step)

@@ -17,7 +17,10 @@ from platform_ctrl.reading import fields
 from platform_ctrl.reading.mistakes import Mistake, given, report
 from platform_ctrl.reading.plant_checks import default_angle, default_torquer, measured_rate, plant_mistakes
 from platform_ctrl.reading.source import Document, is_shipped_name, open_file, open_mapping, open_shipped, path_of
-from platform_ctrl.reading.structure import Table, structure
+from platform_ctrl.reading.structure import Table, overfull, structure
+
+# Gimbals of a plant, and of each other part: their equations and matrices are worked out in full.
+MOST_GIMBALS, MOST_PARTS = 100, 200
 
 
 class RootTable(Table):
@@ -140,16 +143,16 @@ class PlantFile(Table):
     name: fields.Text
     source: fields.AnyText = ""
     root: RootTable
-    gimbal: list[GimbalTable] = Field(default_factory=list)
-    rotor: list[RotorTable] = Field(default_factory=list)
-    torquer: list[TorquerTable] = Field(default_factory=list)
-    pickoff: list[PickOffTable] = Field(default_factory=list)
-    rate_sensor: list[RateSensorTable] = Field(default_factory=list)
-    spring: list[SpringTable] = Field(default_factory=list)
-    friction: list[FrictionTable] = Field(default_factory=list)
-    cage: list[CageTable] = Field(default_factory=list)
-    unbalance: list[UnbalanceTable] = Field(default_factory=list)
-    erection: list[ErectionTable] = Field(default_factory=list)
+    gimbal: list[GimbalTable] = Field(default_factory=list, max_length=MOST_GIMBALS)
+    rotor: list[RotorTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    torquer: list[TorquerTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    pickoff: list[PickOffTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    rate_sensor: list[RateSensorTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    spring: list[SpringTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    friction: list[FrictionTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    cage: list[CageTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    unbalance: list[UnbalanceTable] = Field(default_factory=list, max_length=MOST_PARTS)
+    erection: list[ErectionTable] = Field(default_factory=list, max_length=MOST_PARTS)
 
 
 def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platform:
@@ -174,6 +177,13 @@ def read_platform(source: str | os.PathLike[str] | Mapping[str, Any]) -> Platfor
     References
     ----------
     See docs/plant-file.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> platform = pc.read_platform("three_gyro_platform")
+    >>> platform.angle_names
+    ('alpha4', 'beta5', 'beta7', 'alpha9', 'beta10')
     """
     document = open_plant(source, Path())
     platform, mistakes = judge_plant(document)
@@ -203,6 +213,8 @@ def judge_plant(document: Document) -> tuple[Platform | None, list[Mistake]]:
     if "root" not in document.data and {"plant", "loop"} <= set(document.data):
         its_plant = given(document.data["plant"])
         return None, [Mistake(("plant",), f"is a job file; expected a plant: its own is {its_plant}")]
+    if crowd := list(overfull(PlantFile, document.data)):
+        return None, crowd
     file, wrong = structure(PlantFile, document.data)
     mistakes = [*document.mistakes, *plant_mistakes(document.data), *wrong]
     return (None, mistakes) if mistakes or file is None else (_platform(file), [])

@@ -6,7 +6,6 @@ mistakes of a file are known at once and the first can be reported.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -149,9 +148,6 @@ def _rotor_inertias(data: Data) -> Iterator[Mistake]:
                 f"transverse_inertia = {given(transverse)}: no body has it with axial_inertia = {given(axial)}; "
                 f"expected at least half the axial inertia",
             )
-        spin = number_of(table, "spin")
-        if spin is not None and not math.isfinite(axial * spin):
-            yield Mistake(("rotor", k, "spin"), f"spin = {given(spin)}: the angular momentum is not finite")
 
 
 def _actuators_and_sensors(data: Data) -> Iterator[Mistake]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from platform_ctrl.description import OMEGA_NAMES, Platform
@@ -30,7 +31,7 @@ _PART_WORDS = {
 
 def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
     """Walk what does not fit together; without a platform, what can be said without it."""
-    faults = [name for _, table in tables(data, "fault") if (name := text_of(table, "name")) is not None]
+    faults = dict.fromkeys(name for _, table in tables(data, "fault") if (name := text_of(table, "name")) is not None)
     for k, table in tables(data, "manoeuvre"):
         path: Path = ("manoeuvre", k)
         mode = text_of(table, "mode")
@@ -95,16 +96,20 @@ def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
         yield from _of_length(vibration, "densities", "frequencies_hz", own)
 
 
-def _names_of_faults(table: Data, path: Path, known: list[str]) -> Iterator[Mistake]:
+def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterator[Mistake]:
     names = table.get("faults")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return
-    for name in names:
+    taken = Counter(names)
+    for name in taken:
+        if name in known and taken[name] == 1:
+            continue
         wrong = f"faults = {given(names)}: {given(name)}"
         if name not in known:
             yield Mistake((*path, "faults"), f"{wrong} is no [[fault]] of the job; {suggestion(name, known)}")
-        elif names.count(name) > 1:
+        else:
             yield Mistake((*path, "faults"), f"{wrong} stands there twice; expected it once")
+        return
 
 
 def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> Iterator[Mistake]:

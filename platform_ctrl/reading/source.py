@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import stat
+import time
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +17,13 @@ from typing import Any
 from platform_ctrl.errors import InputError
 from platform_ctrl.reading.mistakes import Mistake, given, one_line, suggestion
 from platform_ctrl.reading.plain import plain
+
+# Bytes of a file at most; TOML takes seconds to read and to judge where it has more.
+MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
+# A key of so many parts: what tomllib does with it takes time by the square of their number.
+_LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=\[\]{}\n]++\.){200}", re.MULTILINE)
+# Seconds to wait for who writes to a pipe.
+PATIENCE = 2.0
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 
@@ -99,21 +109,24 @@ def open_file(path: Path) -> Document:
     InputError
         It cannot be read, or is not TOML in UTF-8.
     """
-    return _document(one_line(str(path)), read_text(path, "a TOML file"), path.parent)
+    return _document(one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML), path.parent)
 
 
-def read_text(path: Path, expected: str) -> str:
-    """Return the text of the file at `path`, which should be `expected`.
+def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
+    """Return the text of the file at `path`, which should be `expected` of at most `most` bytes.
 
     Raises
     ------
     InputError
-        It cannot be read, or is not UTF-8.
+        It cannot be read, has more bytes, or is not UTF-8.
     """
     label = one_line(str(path))
     try:
+        data = _bytes(path, most + 1)
+        if len(data) > most:
+            raise InputError(f"{label}: is larger than {most // 2**20} MiB; expected {expected} of at most that")
         # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
-        return path.read_bytes().decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{label}: there is no such file") from None
     except IsADirectoryError:
@@ -122,8 +135,36 @@ def read_text(path: Path, expected: str) -> str:
         raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected {expected}") from None
     except OSError as error:
         raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
+    except InputError:
+        raise
     except ValueError as error:  # a path that no file can have
         raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+
+
+def _bytes(path: Path, most: int) -> bytes:
+    """Return the first `most` bytes of a file; of a pipe only if somebody writes to it: else that would take for ever.
+
+    Raises
+    ------
+    InputError
+        Nobody writes to the pipe.
+    """
+    if not hasattr(os, "O_NONBLOCK") or not stat.S_ISFIFO(os.stat(path).st_mode):
+        with path.open("rb") as file:  # or a device, which may never end
+            return file.read(most)
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as pipe:
+        until, begun = time.monotonic() + PATIENCE, b""
+        # At the end of the file as long as nobody holds the other end; None while he has not written yet.
+        while begun == b"":
+            if time.monotonic() > until:
+                raise InputError(f"{one_line(str(path))}: is a pipe that nobody writes to")
+            time.sleep(0.01)
+            begun = pipe.read(1)
+        os.set_blocking(pipe.fileno(), True)
+        found = begun or b""
+        while len(found) < most and (more := pipe.read(most - len(found))):
+            found += more
+        return found
 
 
 def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
@@ -146,6 +187,8 @@ def path_of(source: object, expected: str) -> Path:
 
 
 def _document(label: str, text: str, folder: Path) -> Document:
+    if _LONG_KEY.search(text):
+        raise InputError(f"{label}: is not TOML that can be read: a key has hundreds of parts")
     try:
         parsed = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from functools import cache, partial
 from typing import Any, TypeVar, get_args
 
+from annotated_types import MaxLen
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from platform_ctrl.arguments import nearest
 from platform_ctrl.reading.fields import Expected
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion
+
+# Keys of a table at most: no format has half as many.
+MOST_KEYS = 500
 
 
 class Table(BaseModel):
@@ -22,6 +28,27 @@ class Table(BaseModel):
 AnyTable = TypeVar("AnyTable", bound=Table)
 
 
+def overfull(model: type[BaseModel], data: object, path: Path = ()) -> Iterator[Mistake]:
+    """Walk the tables that have more keys, and the arrays of tables that have more of them, than may be judged."""
+    if not isinstance(data, dict):
+        return
+    if len(data) > MOST_KEYS:
+        yield Mistake((*path, next(iter(data))), f"has {len(data)} keys; expected at most {MOST_KEYS}")
+        return
+    for key, field in _fields(model).items():
+        item, kinds = data.get(key), _tables_in(field)
+        if not kinds:
+            continue
+        most = next((mark.max_length for mark in field.metadata if isinstance(mark, MaxLen)), None)
+        if most is not None and isinstance(item, list) and len(item) > most:
+            yield Mistake((*path, key), f"{key}: has {len(item)} elements; expected at most {most}")
+        elif isinstance(item, list):
+            for k, entry in enumerate(item):
+                yield from overfull(kinds[0], entry, (*path, key, k))
+        else:
+            yield from overfull(kinds[0], item, (*path, key))
+
+
 def structure(model: type[AnyTable], data: dict[str, Any]) -> tuple[AnyTable | None, list[Mistake]]:
     """Return `data` as `model`, or None and what is wrong with its keys and values."""
     try:
@@ -29,16 +56,18 @@ def structure(model: type[AnyTable], data: dict[str, Any]) -> tuple[AnyTable | N
     except ValidationError as error:
         found = error.errors(include_url=False)
     missing = dict.fromkeys(tuple(e["loc"]) for e in found if e["type"] == "missing")
+    unknown = Counter(tuple(e["loc"][:-1]) for e in found if e["type"] == "extra_forbidden")
     mistakes = []
     for e in found:
         path: Path = tuple(e["loc"])
         if e["type"] == "extra_forbidden":
             known = keys_of(_model_at(model, path[:-1]))
             # A misspelt key is one mistake, not an unknown one and a missing one.
-            missing.pop((*path[:-1], nearest(str(path[-1]), known) or ""), None)
+            if unknown[path[:-1]] <= len(known):
+                missing.pop((*path[:-1], nearest(str(path[-1]), known) or ""), None)
             mistakes.append(unknown_key(path, e["input"], known))
         elif e["type"] != "missing":
-            mistakes.append(Mistake(path, _wrong_value(path, e["input"], e["type"], e.get("ctx", {}))))
+            mistakes.append(Mistake(path, partial(_wrong_value, path, e["input"], e["type"], e.get("ctx", {}))))
     for path in missing:
         field = _fields(_model_at(model, path[:-1]))[str(path[-1])]
         mistakes.append(Mistake(path, _missing(path, field)))
@@ -47,9 +76,13 @@ def structure(model: type[AnyTable], data: dict[str, Any]) -> tuple[AnyTable | N
 
 def unknown_key(path: Path, item: object, known: list[str]) -> Mistake:
     """Return the mistake of a key or table that nobody knows."""
-    is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
-    what = "table" if is_table else "key"
-    return Mistake(path, f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}")
+
+    def words() -> str:
+        is_table = isinstance(item, Mapping) or (isinstance(item, list) and any(isinstance(x, Mapping) for x in item))
+        what = "table" if is_table else "key"
+        return f"unknown {what} {given(path[-1])}; {suggestion(str(path[-1]), known)}"
+
+    return Mistake(path, words)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:
@@ -57,6 +90,7 @@ def keys_of(model: type[BaseModel]) -> list[str]:
     return list(_fields(model))
 
 
+@cache
 def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     return {field.alias or name: field for name, field in model.model_fields.items()}
 
