@@ -13,7 +13,17 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from platform_ctrl import analysis, check, design, report, requirements, simulation
+    from platform_ctrl import (
+        analysis,
+        baselines,
+        campaign,
+        certificates,
+        check,
+        design,
+        report,
+        requirements,
+        simulation,
+    )
     from platform_ctrl.description import Gimbal, PickOff, Platform, RateSensor, Rotor, Torquer
     from platform_ctrl.errors import PlatformCtrlError
     from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
@@ -57,6 +67,9 @@ __all__ = [
     "Torquer",
     "Unbalance",
     "analysis",
+    "baselines",
+    "campaign",
+    "certificates",
     "check",
     "design",
     "element_forces",
@@ -81,7 +94,9 @@ __all__ = [
     "with_rotors_as_gimbals",
 ]
 
-_SUBMODULES = frozenset({"analysis", "check", "design", "report", "requirements", "simulation"})
+_SUBMODULES = frozenset(
+    {"analysis", "baselines", "campaign", "certificates", "check", "design", "report", "requirements", "simulation"}
+)
 
 _HOME = {
     "Cage": "force_elements",
