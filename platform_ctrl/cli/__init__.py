@@ -10,6 +10,7 @@ import errno
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from platform_ctrl.errors import DesignError, PlatformCtrlError, SimulationError
 
@@ -68,7 +69,7 @@ def _run(arguments: list[str]) -> int:
 
     command = typer.main.get_command(app)
     try:
-        return int(command.main(arguments or ["--help"], prog_name="platform-ctrl", standalone_mode=False) or 0)
+        return int(command.main(_asked(arguments), prog_name="platform-ctrl", standalone_mode=False) or 0)
     except typer.Abort:
         return INTERRUPTED
     except PlatformCtrlError as error:
@@ -79,7 +80,24 @@ def _run(arguments: list[str]) -> int:
         # What typer raises for a wrong command line: its class has moved between modules, this method has not.
         if not hasattr(error, "format_message"):
             raise
-        return _failed(f"{error.format_message()} (see platform-ctrl --help)", 2)
+        return _failed(_told(error), 2)
+
+
+def _asked(arguments: list[str]) -> list[str]:
+    """Return the arguments with ``help COMMAND`` as ``COMMAND --help``; without any, the help is asked for."""
+    if not arguments or arguments[0] == "help":
+        return [*arguments[1:2], "--help"]
+    return arguments
+
+
+def _told(error: Any) -> str:
+    """Say what is wrong with a command line, what is expected where something is missing, and where help is."""
+    message: str = error.format_message()
+    param, context = getattr(error, "param", None), getattr(error, "ctx", None)
+    wanted = getattr(param, "help", None)
+    if message.startswith("Missing") and wanted:
+        message = f"{message.rstrip('.')}: {wanted}"
+    return f"{message} (see {getattr(context, 'command_path', 'platform-ctrl')} --help)"
 
 
 def _failed(message: str, code: int) -> int:

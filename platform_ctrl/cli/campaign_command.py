@@ -23,11 +23,17 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.engine import Campaigned
     from platform_ctrl.job import Points
 
+# Groups of options in the help.
+WHAT, WHERE, RARE = "What is flown", "Where it is flown", "Rare events"
+
 
 def campaign(
     job: JobFile,
     runs: Annotated[
-        int | None, typer.Option("--runs", metavar="N", help="How many. Default: as in the job.", show_default=False)
+        int | None,
+        typer.Option(
+            "--runs", rich_help_panel=WHAT, metavar="N", help="How many. Default: as in the job.", show_default=False
+        ),
     ] = None,
     out: Annotated[
         Path,
@@ -44,6 +50,7 @@ def campaign(
         int | None,
         typer.Option(
             "--workers",
+            rich_help_panel=WHERE,
             metavar="N",
             help="Processes. Default: as many as there are processors. The results do not depend on it.",
             show_default=False,
@@ -51,12 +58,19 @@ def campaign(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option("--seed", metavar="N", help="Of everything random. Default: as in the job.", show_default=False),
+        typer.Option(
+            "--seed",
+            rich_help_panel=WHAT,
+            metavar="N",
+            help="Of everything random. Default: as in the job.",
+            show_default=False,
+        ),
     ] = None,
     sampling: Annotated[
         str | None,
         typer.Option(
             "--sampling",
+            rich_help_panel=WHAT,
             metavar="sobol|latin-hypercube|random",
             help="How the runs fill the space of what varies. Default: as in the job.",
             show_default=False,
@@ -67,6 +81,7 @@ def campaign(
         str,
         typer.Option(
             "--device",
+            rich_help_panel=WHERE,
             metavar="cpu|cuda",
             help="What flies the runs.",
             autocompletion=completion.words("cpu", "cuda"),
@@ -76,6 +91,7 @@ def campaign(
         str | None,
         typer.Option(
             "--scheduler",
+            rich_help_panel=WHERE,
             metavar="ADDRESS",
             help="A Dask scheduler (tcp://host:8786), whose workers fly the runs.",
             show_default=False,
@@ -86,6 +102,7 @@ def campaign(
         str | None,
         typer.Option(
             "--rare",
+            rich_help_panel=RARE,
             metavar="any|angle|attitude|torque_share",
             help="After the campaign's runs, fly those that a probability too small to be counted needs: that this "
             "requirement is violated, or any.",
@@ -94,12 +111,19 @@ def campaign(
         ),
     ] = None,
     runs_per_level: Annotated[
-        int, typer.Option("--runs-per-level", metavar="N", help="Of --rare: a level takes a tenth of the probability.")
+        int,
+        typer.Option(
+            "--runs-per-level",
+            rich_help_panel=RARE,
+            metavar="N",
+            help="Of --rare: a level takes a tenth of the probability.",
+        ),
     ] = 1000,
     rare_method: Annotated[
         str,
         typer.Option(
             "--rare-method",
+            rich_help_panel=RARE,
             metavar="splitting|cross-entropy",
             help="cross-entropy: splitting, then weighted runs; surer where ten inputs or fewer vary.",
             autocompletion=completion.words("splitting", "cross-entropy"),
@@ -116,11 +140,11 @@ def campaign(
     done is made longer. A run that diverges or cannot be flown has a row that says so.
 
     \b
-    platform-ctrl campaign job.toml --runs 10000
-    platform-ctrl campaign job.toml --runs 10000 -o night --controllers mine.json
-    platform-ctrl campaign job.toml --scheduler tcp://big-machine:8786
-    platform-ctrl campaign job.toml --rare angle               a probability too small to be counted
-    platform-ctrl simulate job.toml --run 4711                 one of its runs again, with a figure
+    platform-ctrl campaign job.toml --runs 10000                with the controllers of out/result.json
+    platform-ctrl campaign job.toml -o night --controllers mine.json  with others, into a folder of its own
+    platform-ctrl campaign job.toml --rare angle                a probability too small to be counted
+    platform-ctrl campaign job.toml --scheduler tcp://big:8786  on other machines
+    platform-ctrl simulate job.toml --run 4711                  one of its runs again, with a figure
 
     Exit code 1 if a run did not meet its limits, diverged or was not flown.
     """  # noqa: D301

@@ -67,11 +67,11 @@ def check(
     spread or a limit has changed, or for controllers that were made elsewhere.
 
     \b
-    platform-ctrl check job.toml                              those of out/result.json
-    platform-ctrl check job.toml --controllers mine.json -o mine
-    platform-ctrl check job.toml --baseline gyros.json --update-baseline
-    platform-ctrl check job.toml --baseline gyros.json --junit check.xml
-    platform-ctrl check job.toml --quiet && deploy
+    platform-ctrl check job.toml                                          the controllers of out/result.json
+    platform-ctrl check job.toml --controllers mine.json -o mine          others, reported elsewhere
+    platform-ctrl check job.toml --baseline gyros.json --update-baseline  accept the figures as they are
+    platform-ctrl check job.toml --baseline gyros.json --junit check.xml  in CI: none is worse than accepted
+    platform-ctrl check job.toml --quiet && deploy                        go on only if all is met
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 

@@ -15,6 +15,7 @@ from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
 from platform_ctrl.cli.held_baseline import writable
+from platform_ctrl.cli.help_layout import Teaching, TeachingGroup
 from platform_ctrl.cli.inputs import (
     DESIGNED,
     REPORT,
@@ -33,11 +34,14 @@ from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.simulate_command import simulate
 
 app = typer.Typer(
+    cls=TeachingGroup,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met; 2 the input is wrong.",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+    epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
+    "input is wrong; 130 interrupted. platform-ctrl COMMAND --help tells more, with examples.",
 )
+BEGIN, DESIGN, FLY = "To begin with", "Design and check", "Fly on the non-linear plant"
 
 
 def _print_version(wanted: bool) -> None:
@@ -57,22 +61,24 @@ def platform_ctrl(
     """Design the control loops of gimballed platforms with fast rotors, and check them on the coupled non-linear plant.
 
     \b
-    platform-ctrl models                              which plants come with it
-    platform-ctrl equations three_gyro_platform       its equations in symbols, by the paper's numbers
-    platform-ctrl design job.toml -o out              design, check, report: out/report.html
-    platform-ctrl check job.toml                      the same verdicts for out/result.json, after the job has changed
-    platform-ctrl simulate job.toml --manoeuvre turn  one manoeuvre of the job, with the same controllers
-    platform-ctrl campaign job.toml --runs 10000      many runs with everything that may vary
+    platform-ctrl new gyro                             a plant and a job to start from
+    platform-ctrl design gyro.toml                     design, check, report: out/report.html
+    platform-ctrl check gyro.toml                      the same verdicts after a change
+    platform-ctrl simulate gyro.toml --manoeuvre turn  one run with these controllers
+    platform-ctrl campaign gyro.toml --runs 1000       many runs with what may vary
     """  # noqa: D301
 
 
-@app.command()
+app.command(cls=Teaching, rich_help_panel=BEGIN)(new)
+
+
+@app.command(cls=Teaching, rich_help_panel=BEGIN)
 def models(as_json: Json = False) -> None:
     """List the plants that come with the package.
 
     \b
-    platform-ctrl models
-    platform-ctrl models --json
+    platform-ctrl models                            to read
+    platform-ctrl models --json | jq -r '.[].name'  the names alone
     """  # noqa: D301
     import tomllib
 
@@ -93,11 +99,10 @@ def models(as_json: Json = False) -> None:
         typer.echo(f"{model['name']:<{width}}  {model['title']}: {bodies}")
 
 
-app.command()(new)
-app.command()(equations)
+app.command(cls=Teaching, rich_help_panel=BEGIN)(equations)
 
 
-@app.command()
+@app.command(cls=Teaching, rich_help_panel=DESIGN)
 def design(
     job: JobFile,
     out: Annotated[
@@ -115,10 +120,10 @@ def design(
     model and flown on the non-linear plant. Writes result.json and report.html, whole or not at all.
 
     \b
-    platform-ctrl design examples/three_gyro_platform.toml
-    platform-ctrl design job.toml -o run7 --pdf
-    platform-ctrl design job.toml --campaign campaign --pdf
-    platform-ctrl design job.toml --json | jq '.requirements[] | select(.passed | not)'
+    platform-ctrl design job.toml                            report: out/report.html
+    platform-ctrl design job.toml -o run7 --pdf              run7/report.html and run7/report.pdf
+    platform-ctrl design job.toml --campaign campaign --pdf  with a section about the campaign that was flown
+    platform-ctrl design job.toml --json | jq .requirements  the verdicts, to compute with
 
     Exit code 1 if a requirement is not met, or if a method finds no controller (one line on standard error says which).
     """  # noqa: D301
@@ -145,6 +150,6 @@ def design(
     return show()
 
 
-app.command()(check)
-app.command()(simulate)
-app.command()(campaign)
+app.command(cls=Teaching, rich_help_panel=DESIGN)(check)
+app.command(cls=Teaching, rich_help_panel=FLY)(simulate)
+app.command(cls=Teaching, rich_help_panel=FLY)(campaign)

@@ -21,7 +21,7 @@ def equations(
         str,
         typer.Argument(
             metavar="PLANT",
-            help="A shipped plant's name, or a plant file (TOML).",
+            help="A shipped plant's name (see platform-ctrl models), or a plant file (TOML).",
             show_default=False,
             autocompletion=completion.plants,
         ),
@@ -31,7 +31,7 @@ def equations(
         typer.Option(
             "--format",
             metavar="|".join(WRITTEN),
-            help="latex: a fragment that needs amsmath.",
+            help="How they are written; latex is to be put into a document that loads amsmath.",
             autocompletion=completion.words(*WRITTEN),
         ),
     ] = "text",
@@ -60,9 +60,9 @@ def equations(
     (26), and the gimbal equations (27), (19) and (15), with every symbol's meaning, unit and number.
 
     \b
-    platform-ctrl equations three_gyro_platform
-    platform-ctrl equations plant.toml --format latex > equations.tex
-    platform-ctrl equations plant.toml --terms exact --order 2 --json
+    platform-ctrl equations three_gyro_platform                        to read
+    platform-ctrl equations plant.toml --format latex > equations.tex  to print
+    platform-ctrl equations plant.toml --terms exact --order 2 --json  all terms to second order, to compute with
     """  # noqa: D301
     chosen_form, chosen_terms = _one_of("--format", form, WRITTEN), _one_of("--terms", terms, TERMS)
     if as_json and chosen_form == "latex":

@@ -23,16 +23,22 @@ PDF = "report.pdf"
 
 JobFile = Annotated[
     Path,
-    typer.Argument(metavar="JOB", help="Job file (TOML).", show_default=False, autocompletion=completion.jobs),
+    typer.Argument(
+        metavar="JOB",
+        help="Job file (TOML); platform-ctrl new writes one.",
+        show_default=False,
+        autocompletion=completion.jobs,
+    ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output, and no progress.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON alone on standard output; no progress.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 Controllers = Annotated[
     Path | None,
     typer.Option(
         "--controllers",
         metavar="FILE",
-        help=f"A {RESULT}, or a JSON file with its keys schema and controllers alone. Default: {DESIGNED / RESULT}.",
+        help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: "
+        f"{DESIGNED / RESULT}.",
         show_default=False,
         autocompletion=completion.controller_files,
     ),

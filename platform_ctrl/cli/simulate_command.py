@@ -70,10 +70,10 @@ def simulate(
     comes to the figures that stand in the campaign's table. Exit code 1 if a limit is not met.
 
     \b
-    platform-ctrl simulate job.toml --manoeuvre 1
-    platform-ctrl simulate job.toml --manoeuvre "1 rad/s about axis 2" --controllers mine.json
-    platform-ctrl simulate job.toml --run 4711                 the campaign's run 4711: campaign/run-4711.svg
-    platform-ctrl simulate job.toml --run 4711 -o night        of the campaign that was flown with -o night
+    platform-ctrl simulate job.toml --manoeuvre turn -o runs  by name, with a figure
+    platform-ctrl simulate job.toml --manoeuvre 1 --json      by number, the figures as JSON
+    platform-ctrl simulate job.toml --run 4711                the campaign's run 4711: campaign/run-4711.svg
+    platform-ctrl simulate job.toml --run 4711 -o night       of the campaign that was flown with -o night
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
 
