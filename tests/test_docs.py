@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import shlex
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,19 +15,28 @@ import pytest
 from pydantic import BaseModel
 
 from platform_ctrl import read_job, read_platform
+from platform_ctrl.cli import main
 from platform_ctrl.reading import job_tables
 from platform_ctrl.reading import plant as plant_tables
 from platform_ctrl.reading.job import OPTIONS
 from platform_ctrl.reading.structure import Table, keys_of
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FORMATS = {"plant-file.md": plant_tables, "job-file.md": job_tables}
-PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+# Commands of a page's console that are not ours: they install, or stay until they are stopped.
+NOT_RUN = ("python3 -m venv", ".venv/bin/pip install", "pip install", "dask ", "marimo ", "mkdocs ", "pytest")
+
+spec = importlib.util.spec_from_file_location("blocks", ROOT / "docs" / "site" / "blocks.py")
+assert spec is not None
+assert spec.loader is not None
+site_blocks = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(site_blocks)
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return list(site_blocks.blocks(page.read_text(encoding="utf-8"), language))
 
 
 def tables(module: Any) -> Iterator[type[BaseModel]]:
@@ -44,12 +56,45 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
+def run_console(text: str) -> None:
+    """Run a console block: our own commands, and nothing may stand there that is neither run nor known."""
+    for line in text.splitlines():
+        if line.startswith("$ platform-ctrl "):
+            command, _, expected = line[2:].partition("  # exit code ")
+            assert main(shlex.split(command)[1:]) == int(expected or 0), line
+        elif line.startswith("$ "):
+            assert line[2:].startswith(NOT_RUN), line
+
+
 @PAGE
-def test_python_on_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_on_a_page_runs_and_prints_what_the_page_says(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["page"])
     namespace: dict[str, Any] = {"__name__": "__page__"}
-    for number, block in enumerate(blocks(page, "python"), 1):
-        exec(compile(block, f"{page.name}, python block {number}", "exec"), namespace)
+    printed = ""
+    for number, piece in enumerate(site_blocks.pieces(page.read_text(encoding="utf-8")), 1):
+        if isinstance(piece, site_blocks.Picture):
+            assert hasattr(getattr(namespace[piece.name], "figure", None) or namespace[piece.name], "savefig")
+        elif piece.title:
+            (tmp_path / piece.title).write_text(piece.text, encoding="utf-8")
+        elif piece.language == "python":
+            capsys.readouterr()
+            exec(compile(piece.text, f"{page.name}, block {number}", "exec"), namespace)
+            printed = capsys.readouterr().out
+        elif piece.language == "text" and piece.follows:
+            assert printed == piece.text
+        elif piece.language == "console":
+            run_console(piece.text)
+
+
+@PAGE
+def test_every_fence_of_a_page_is_one_that_the_tests_see(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    seen = [piece for piece in site_blocks.pieces(text) if isinstance(piece, site_blocks.Block)]
+    assert 2 * len(seen) == len(re.findall(r"^ *```", text, re.MULTILINE))
+    assert len(re.findall(r"^ *<!-- picture:", text, re.MULTILINE)) == len(site_blocks.pictures(text))
 
 
 @PAGE
@@ -130,6 +175,6 @@ def test_relative_links_lead_somewhere(page: Path) -> None:
         path, _, anchor = target.partition("#")
         linked = page.parent / path if path else page
         assert linked.exists(), target
-        if anchor:
+        if anchor and linked.suffix == ".md":
             headings = re.findall(r"^#+ (.*)$", linked.read_text(encoding="utf-8"), re.MULTILINE)
             assert anchor in {slug(heading) for heading in headings}, target

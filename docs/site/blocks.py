@@ -1,8 +1,8 @@
-"""What of a page is code: its blocks one after another, for the site that draws their pictures and the tests that run them.
+"""What of a page is code, piece by piece: for the site that draws its pictures, and the tests that run it.
 
-A page is run from top to bottom in one namespace and one empty folder. ``python`` blocks are executed; a ``text`` block
-right below one is what it prints. A block with ``title="FILE"`` is that file. In ``console`` blocks the lines that begin
-with ``$ platform-ctrl`` are run. Blocks within an HTML comment are run too, and not shown. The comment
+A page is run from top to bottom in one namespace and one empty folder. ``python`` blocks are executed; a ``text``
+block right below one is what it prints. A block with ``title="FILE"`` is that file. In ``console`` blocks lines that
+begin with ``$ platform-ctrl`` are run. Blocks within an HTML comment are run too, and not shown. The comment
 ``<!-- picture: NAME | description -->`` shows the figure that is called NAME at that point.
 """
 

@@ -44,7 +44,8 @@ def figure(name: str, description: str, caption: bool = False) -> str:
     """Return a picture of the site as HTML, one file for light and one for dark pages."""
     told = html.escape(description, quote=True)
     images = "".join(
-        f'<a class="only-{theme}" href="{name}-{theme}.svg"><img src="{name}-{theme}.svg" alt="{told}" loading="lazy"></a>'
+        f'<a class="only-{theme}" href="{name}-{theme}.svg">'
+        f'<img src="{name}-{theme}.svg" alt="{told}" loading="lazy"></a>'
         for theme in ("light", "dark")
     )
     below = f"<figcaption>{html.escape(description)}</figcaption>" if caption else ""

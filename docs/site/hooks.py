@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import formulas
 import gallery
 import names
 import pictures as drawn
@@ -57,8 +58,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
-    """Lead names of the package to the reference."""
-    return names.linked(html)
+    """Make formulas fit to be shown, and lead names of the package to the reference."""
+    return names.linked(formulas.shown(html))
 
 
 def _shown(folder: str) -> list[Path]:

@@ -1,7 +1,7 @@
 """Public names: tables of them, the reference's entries, and links to these from wherever a name is set as code.
 
-A module's names are those of its `__all__`, or all that it defines itself. Every class and function has one entry, on the
-page of the module that is nearest to where it is defined; other modules that give it too have a row that leads there.
+A module's names are those of its `__all__`, or all that it defines itself. Every class and function has one entry, on
+the page of the module nearest to where it is defined; other modules that give it too have a row that leads there.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _nearness(module: str, item: Any) -> int:
 
 
 def entries(module: str) -> str:
-    """Return what stands in the reference for a module: the table of its names, then the entries that are at home here."""
+    """Return what the reference has of a module: the table of its names, and the entries that are at home here."""
     rows, own = [], []
     for name, item in sorted(names(module).items(), key=lambda pair: pair[0].lower()):
         rows.append(f"| {_led(name, item)} | {_told(item)} |")

@@ -1,4 +1,4 @@
-"""Pictures of the site, drawn by the code that stands beside them; kept in build/ until the code or the package changes."""
+"""Pictures of the site, drawn by the code beside them; kept in build/ until that code or the package changes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import json
 import os
 import re
 import tempfile
-from contextlib import chdir
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from blocks import Block, Picture, pieces, pictures
+from blocks import Picture, pictures, pieces
 
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "build" / "site-pictures"
@@ -58,7 +58,7 @@ def of_page(page: str, name: str, digest: str) -> list[str]:
 def _draw(page: str, name: str) -> list[str]:
     out: list[str] = []
     namespace: dict[str, Any] = {"__name__": "__page__"}
-    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(None):
         for piece in pieces(page):
             if isinstance(piece, Picture):
                 out.append(_svg(namespace[piece.name], piece.description))
@@ -93,6 +93,3 @@ def _kept(key: list[str], make: Any) -> list[str]:
     whole.write_text(json.dumps(made), encoding="utf-8")
     whole.replace(path)
     return list(made)
-
-
-__all__ = ["Block", "as_file", "of_page", "of_script", "package_digest", "themes"]

@@ -1,0 +1,148 @@
+"""A caged gyro under one's hands: sliders for the loop and the plant, with Bode, Nichols, step and poles beside them.
+
+marimo edit examples/apps/first_loop.py     with the code
+marimo run examples/apps/first_loop.py      the sliders alone
+python examples/apps/first_loop.py          runs it once, as the tests do
+"""
+
+import marimo
+
+app = marimo.App(width="medium", app_title="A caged gyro")
+
+
+@app.cell
+def _():
+    import tomllib
+
+    import marimo as mo
+    import numpy as np
+
+    import platform_ctrl as pc
+    from platform_ctrl.reading import platform_source
+    from platform_ctrl.report import figures
+    from platform_ctrl.requirements import requirement
+
+    return figures, mo, np, pc, platform_source, requirement, tomllib
+
+
+@app.cell
+def _(mo):
+    mo.md(
+        """
+        # A caged gyro
+
+        Gimbals 9 and 10 of the three-gyro platform. The loop acts across: the angle of one axis drives the torquer of
+        the other. A lead from each angle to its own torquer damps nutation. Try what is bought from what: push the
+        crossover up until damping is lost, get it back with the lead, and see what the delay leaves of the margin.
+        """
+    )
+    return
+
+
+@app.cell
+def _(mo):
+    crossover = mo.ui.slider(10, 120, step=1, value=40, label="crossover, Hz", show_value=True)
+    lead = mo.ui.slider(0, 150, step=1, value=48, label="direct-axis lead, Hz", show_value=True)
+    spin = mo.ui.slider(0.3, 1.7, step=0.05, value=1.0, label="rotor speed / nominal", show_value=True)
+    delay = mo.ui.slider(0.0, 2.0, step=0.05, value=0.5, label="delay, ms", show_value=True)
+    rate = mo.ui.slider(1000, 8000, step=250, value=2000, label="sample rate, Hz", show_value=True)
+    mo.hstack([mo.vstack([crossover, lead]), mo.vstack([spin]), mo.vstack([delay, rate])], gap=2)
+    return crossover, delay, lead, rate, spin
+
+
+@app.cell
+def _(pc, platform_source, tomllib):
+    def gyro_with(speed):
+        """Return the platform with rotor 11 at another speed: a plant is a dict as well."""
+        plant = tomllib.loads(platform_source("three_gyro_platform"))
+        for rotor in plant["rotor"]:
+            if rotor["name"] == "11":
+                rotor["angular_momentum"] *= speed
+        return pc.read_platform(plant)
+
+    def loop_with(crossover_hz, lead_hz, rate_hz, delay_s):
+        """Return the classical controller with these numbers, torque = K(angle); designed for the nominal speed."""
+        job = pc.read_job(
+            {
+                "schema": 1,
+                "name": "gyro 9-10",
+                "plant": "three_gyro_platform",
+                "operation": {"Omega": [0.0, 0.0, 0.0]},
+                "sampling": {"rate_hz": rate_hz, "delay": delay_s},
+                "loop": [
+                    {
+                        "name": "caging 9-10",
+                        "kind": "caging",
+                        "gimbals": ["9", "10"],
+                        "use": "classical",
+                        "design": [
+                            {
+                                "name": "classical",
+                                "method": "classical",
+                                "crossover_hz": crossover_hz,
+                                "integral_hz": 2,
+                                "damping_hz": max(lead_hz, 0.01),
+                                "damping2_hz": 1.2 * max(lead_hz, 0.01),
+                                "lead_hz": 7,
+                            }
+                        ],
+                    }
+                ],
+            }
+        )
+        return pc.design.loops(job)[0].closed.controller
+
+    return gyro_with, loop_with
+
+
+@app.cell
+def _(crossover, delay, gyro_with, lead, loop_with, pc, rate, spin):
+    period = 1.0 / rate.value
+    controller = loop_with(crossover.value, lead.value, rate.value, 1e-3 * delay.value)
+    platform = gyro_with(spin.value)
+    gyro = pc.state_space(pc.linearise(platform), gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
+    plant = pc.analysis.sampled(gyro, period, 1e-3 * delay.value, [2e-4, 2e-4])
+    closed = pc.analysis.closed_loop(plant, controller)
+    loop = pc.analysis.loop_transfer(plant, controller)
+    stable = pc.analysis.is_stable(closed)
+    return closed, controller, loop, period, plant, stable
+
+
+@app.cell
+def _(closed, controller, loop, np, pc, period, plant, requirement, stable):
+    limits = {"disk margin": 0.5, "damping": 0.1, "bandwidth": 25.0}
+    measured = {
+        "disk margin": float(pc.analysis.disk_margin(loop)) if stable else 0.0,
+        "damping": float(pc.analysis.minimum_damping(pc.analysis.poles(closed), above=50.0, dt=period)),
+        "bandwidth": pc.analysis.bandwidth(plant, controller) / (2 * np.pi) if stable else 0.0,
+    }
+    verdict = [
+        requirement(kind, limit).judge(measured[kind], subject="gyro 9-10", stage="decoupled", evidence="this page")
+        for kind, limit in limits.items()
+    ]
+    return (verdict,)
+
+
+@app.cell
+def _(mo, stable, verdict):
+    rows = "\n".join(
+        f"| {one.name} | {one.value:.3g} {one.unit} | ≥ {one.limit:g} {one.unit} | {'✓' if one.passed else '✗'} |"
+        for one in verdict
+    )
+    told = "" if stable else "\n\n**The closed loop is not stable.**"
+    mo.md(f"| figure | value | asked | met |\n| --- | --- | --- | --- |\n{rows}{told}")
+    return
+
+
+@app.cell
+def _(closed, figures, loop, mo, stable):
+    plots = {"Bode": figures.bode(loop).figure, "Nichols": figures.nichols(loop).figure}
+    if stable:
+        plots["Step"] = figures.step_response(closed).figure
+    plots["Poles"] = figures.pole_map(closed).figure
+    mo.ui.tabs(plots)
+    return (plots,)
+
+
+if __name__ == "__main__":
+    app.run()

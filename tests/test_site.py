@@ -1,0 +1,273 @@
+"""The documentation site: built strictly, read without network, with every public name and every plot."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+import zlib
+from collections.abc import Iterator
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from platform_ctrl.report import figures
+
+ROOT = Path(__file__).parents[1]
+# The modules that users import from, as tests/test_public_docstrings.py has them, and those that show and test.
+MODULES = (
+    "platform_ctrl",
+    *(
+        f"platform_ctrl.{module}"
+        for module in (
+            "analysis",
+            "baselines",
+            "campaign",
+            "certificates",
+            "check",
+            "description",
+            "design",
+            "design.measured",
+            "errors",
+            "force_elements",
+            "job",
+            "linearisation",
+            "mechanics",
+            "parameter_varying",
+            "parameters",
+            "precession",
+            "reading",
+            "report",
+            "report.figures",
+            "requirements",
+            "scenario",
+            "simulation",
+            "state_space",
+            "symbolic",
+            "terms",
+            "testing",
+            "variation",
+        )
+    ),
+)
+# Drawn for the report, from its values; `show` draws nothing.
+OF_THE_REPORT = re.compile(r"_figure$|^show$")
+
+
+class Page(HTMLParser):
+    """What a page loads, where it leads, and what can be led to."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(convert_charrefs=True)
+        self.loaded: list[str] = []
+        self.links: list[str] = []
+        self.anchors: set[str] = set()
+        self.styles: list[str] = []
+        self._style = False
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.anchors |= {given[name] for name in ("id", "name") if name in given}
+        self.styles += [given["style"]] if "style" in given else []
+        self._style = tag == "style"
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        elif tag == "link" and given.get("rel") not in ("canonical", "prev", "next"):
+            self.loaded.append(given["href"])
+        self.loaded += [given[name] for name in ("src", "data", "poster") if name in given and tag != "a"]
+        self.loaded += [part.split()[0] for part in given.get("srcset", "").split(",") if part.strip()]
+        if tag in ("image", "use") and ("href" in given or "xlink:href" in given):
+            self.loaded.append(given.get("href") or given["xlink:href"])
+
+    def handle_data(self, data: str) -> None:
+        if self._style:
+            self.styles.append(data)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the site as CI does."""
+    folder = tmp_path_factory.mktemp("site")
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": path, "NO_MKDOCS_2_WARNING": "true", "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    # A server shows 404.html at any depth: its addresses begin at the server's root.
+    return {path: Page(path) for path in sorted(site.rglob("*.html")) if path.name != "404.html"}
+
+
+@cache
+def public(module: str) -> dict[str, Any]:
+    importlib.import_module(module)
+    found = sys.modules[module]
+    own = [name for name, item in vars(found).items() if name[0] != "_" and getattr(item, "__module__", "") == module]
+    return {name: getattr(found, name) for name in getattr(found, "__all__", own)}
+
+
+def inventory(site: Path) -> set[str]:
+    """Return the names that the site's object inventory, for the links of other sites, has of our Python."""
+    packed = (site / "objects.inv").read_bytes().split(b"\n", 4)[4]
+    lines = zlib.decompress(packed).decode("utf-8").splitlines()
+    return {line.split(" py:")[0] for line in lines if " py:" in line}
+
+
+def outside(address: str) -> bool:
+    return re.match(r"(?i)(https?:)?//", address.strip()) is not None
+
+
+def addresses(css: str) -> Iterator[str]:
+    yield from re.findall(r"url\(\s*['\"]?([^)'\"]+)", css)
+    yield from re.findall(r"@import\s+['\"]([^'\"]+)", css)
+
+
+def test_nothing_that_a_page_needs_comes_from_elsewhere(site: Path, pages: dict[Path, Page]) -> None:
+    assert len(pages) > 40
+    for path, page in pages.items():
+        for address in [*page.loaded, *(found for style in page.styles for found in addresses(style))]:
+            assert not outside(address), (path.name, address)
+            if not address.startswith(("data:", "#")):
+                assert (path.parent / address.partition("#")[0].partition("?")[0]).exists(), (path.name, address)
+    for sheet in site.rglob("*.css"):
+        assert not [found for found in addresses(sheet.read_text(encoding="utf-8")) if outside(found)], sheet.name
+    for picture in site.rglob("*.svg"):
+        text = picture.read_text(encoding="utf-8")
+        loaded = re.findall(r"(?:xlink:)?href=\"([^\"#][^\"]*)", text) + list(addresses(text))
+        assert not [found for found in loaded if outside(found)], picture.name
+
+
+def test_every_link_within_the_site_leads_somewhere(site: Path, pages: dict[Path, Page]) -> None:
+    known = {path.resolve(): page for path, page in pages.items()}
+    for path, page in pages.items():
+        for link in page.links:
+            if outside(link) or link.startswith(("mailto:", "javascript:")):
+                continue
+            target, _, anchor = link.partition("#")
+            found = (path.parent / target).resolve() if target else path.resolve()
+            assert found.exists(), (path.name, link)
+            if anchor and found in known:
+                assert anchor in known[found].anchors, (path.name, link)
+
+
+def test_every_page_is_reached_from_the_first(site: Path, pages: dict[Path, Page]) -> None:
+    known = {path.resolve(): page for path, page in pages.items()}
+    reached, waiting = set(), [(site / "index.html").resolve()]
+    while waiting:
+        path = waiting.pop()
+        if path in known and path not in reached:
+            reached.add(path)
+            links = [link.partition("#")[0] for link in known[path].links if not outside(link)]
+            waiting += [(path.parent / link).resolve() for link in links if link.endswith(".html")]
+    assert not set(known) - reached
+
+
+def test_every_page_of_docs_is_in_the_site(site: Path) -> None:
+    for path in (ROOT / "docs").rglob("*.md"):
+        assert (site / path.relative_to(ROOT / "docs").with_suffix(".html")).exists(), path.name
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_public_name_is_in_the_reference(site: Path, module: str) -> None:
+    reference = "".join(path.read_text(encoding="utf-8") for path in (site / "reference").glob("*.html"))
+    listed = inventory(site)
+    for name, item in public(module).items():
+        assert f"<code>{name}</code>" in reference, name
+        if (inspect.isclass(item) or inspect.isroutine(item)) and item.__module__.startswith("platform_ctrl"):
+            entry = f"{item.__module__}.{item.__qualname__}"
+            assert f'id="{entry}"' in reference, entry
+            assert entry in listed, entry
+
+
+def test_every_package_that_has_public_names_is_asked_for() -> None:
+    found = {
+        ".".join(path.parent.relative_to(ROOT).parts)
+        for path in (ROOT / "platform_ctrl").rglob("__init__.py")
+        if "__all__" in path.read_text(encoding="utf-8")
+    }
+    assert found - {"platform_ctrl.cli"} <= set(MODULES)
+
+
+def test_every_plot_for_scripts_is_in_the_gallery(site: Path) -> None:
+    page = (site / "gallery.html").read_text(encoding="utf-8")
+    scripts = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "examples" / "gallery").glob("*.py")}
+    drawn = set()
+    for name, text in scripts.items():
+        assert f'id="{name}"' in page
+        for theme in ("light", "dark"):
+            picture = site / "pictures" / "gallery" / f"{name}-{theme}.svg"
+            assert len(picture.read_bytes()) > 2000
+            assert page.count(f'src="pictures/gallery/{picture.name}"') == 2  # in the overview and above its code
+        drawn |= {node.attr for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Attribute)}
+    plots = {name for name in figures.__all__ if not OF_THE_REPORT.search(name)}
+    assert len(plots) > 5
+    assert not plots - drawn
+
+
+def test_pictures_have_the_colours_of_their_theme(site: Path) -> None:
+    light = (site / "pictures" / "gallery" / "root_locus-light.svg").read_text(encoding="utf-8")
+    dark = (site / "pictures" / "gallery" / "root_locus-dark.svg").read_text(encoding="utf-8")
+    ink = re.compile(r"--ink: ?(#[0-9a-f]{6})")
+    assert int(ink.findall(light)[0][1:3], 16) < 0x60 < 0xA0 < int(ink.findall(dark)[0][1:3], 16)
+    assert light.count("var(--ink") == dark.count("var(--ink") > 0
+
+
+def test_the_site_is_light_and_dark(site: Path) -> None:
+    page = (site / "index.html").read_text(encoding="utf-8")
+    schemes = set(re.findall(r'data-md-color-scheme="(\w+)"', page))
+    assert {"default", "slate"} <= schemes
+    assert "(prefers-color-scheme: dark)" in page
+    sheet = (site / "assets" / "site.css").read_text(encoding="utf-8")
+    assert '[data-md-color-scheme="slate"]' in sheet
+    assert '[data-md-color-scheme="default"]' in sheet
+
+
+def test_formulas_are_mathml_and_none_is_left_in_tex(site: Path) -> None:
+    page = (site / "corrected-paper.html").read_text(encoding="utf-8")
+    assert page.count("<math") > 50
+    article = page[page.index("<article") : page.index("</article")]
+    assert "$" not in article
+    assert not re.search(r"\\(?:frac|dot|mathbf|begin)", article)
+
+
+def test_the_search_has_its_index_as_a_script_too(site: Path) -> None:
+    assert (site / "search" / "search_index.js").read_text(encoding="utf-8").startswith("var __index = ")
+    assert "linearise" in (site / "search" / "search_index.json").read_text(encoding="utf-8")
+
+
+def test_the_app_runs_as_a_script() -> None:
+    marimo = pytest.importorskip("marimo", reason="no wheels of marimo for this Python")
+    assert marimo.__version__
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    code = (
+        "import runpy; app = runpy.run_path('examples/apps/first_loop.py')['app']; _, names = app.run(); "
+        "print(all(one.passed for one in names['verdict']), *names['plots'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.stdout.split() == ["True", "Bode", "Nichols", "Step", "Poles"], done.stderr
