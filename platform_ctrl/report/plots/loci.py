@@ -244,7 +244,9 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
     # Undamped at an end of the range: on the boundary there, stable or not as soon as it moves.
     beside = _BESIDE * float(fine[-1] - fine[0])
     edges = [edge for edge in found if fine[0] + beside < edge < fine[-1] - beside]
-    stable = stable.copy()
+    fine = np.union1d(fine, edges)
+    z = poles(fine)
+    stable = _stable(z, dt)
     stable[fine <= fine[0] + beside] = _stable(poles(np.array([fine[0] + 2.0 * beside])), dt)[0]
     stable[fine >= fine[-1] - beside] = _stable(poles(np.array([fine[-1] - 2.0 * beside])), dt)[0]
     return Locus(
