@@ -435,3 +435,17 @@ def test_a_marker_is_known_where_markers_are_strict(runs: pytest.Pytester) -> No
     write(runs, "gyro.json", "{}")
     runs.makepyfile(MARKED)
     assert run(runs, "--strict-markers", "--collect-only").ret == 0
+
+
+def test_the_page_on_regression_tests_says_what_happens(runs: pytest.Pytester) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "regression-tests.md").read_text(encoding="utf-8")
+    for name, text in re.findall(r'^```\w+ title="(.+?)"\n(.*?)^```$', page, re.MULTILINE | re.DOTALL):
+        write(runs, name, text)
+    run(runs, "--update-baselines").assert_outcomes(passed=2 + 1 + ITEMS + 1)
+    job = (runs.path / "gyro.toml").read_text(encoding="utf-8")
+    write(runs, "gyro.toml", job.replace("bandwidth_hz = 20", "bandwidth_hz = 30").replace("hz = 40", "hz = 35"))
+    shown = run(runs).stdout.str()
+    said = [text.splitlines() for text in re.findall(r"^```text\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)]
+    # The page's first failure asks for 30 Hz, its second for 20 Hz as the file does.
+    for line in (*said[0], *(one.replace("at least 20 Hz", "at least 30 Hz") for one in said[1])):
+        assert line.strip() in shown
