@@ -70,7 +70,7 @@ def test_wrong_input_is_one_line_and_exit_code_2(
 
 def test_help_of_the_program_names_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
-    assert "platform-ctrl equations" in capsys.readouterr().out
+    assert "  equations  " in capsys.readouterr().out
     assert main(["equations", "--help"]) == 0
     assert "--order" in capsys.readouterr().out
 
