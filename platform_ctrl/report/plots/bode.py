@@ -165,7 +165,7 @@ def _margins(one: Curve) -> Margins:
 def _loop_blocks(drawn: Sequence[DrawnSystem], frequency: ArrayLike | None) -> list[list[_Block]]:
     if len({one.shape for one in drawn}) != 1:
         raise ArgumentError(f"bode: loops of {sorted({len(one.inputs) for one in drawn})} channels; expected the same")
-    own = [channels(one) for one in drawn]
+    own = [channels("bode", one) for one in drawn]
     every = grid([one for part in own for one in part], frequency, name="bode", loops=True)
     names = [drawable(greek(name)) for name in drawn[0].inputs]
     if len(names) == 1:

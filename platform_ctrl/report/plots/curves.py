@@ -100,11 +100,13 @@ class Margins:
         return float(self.gain_margins[k]), float(self.phase_crossovers[k])
 
 
-def channels(loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
+def channels(name: str, loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
     """Return the loop transfer of every channel with all others closed, 1/S_ii − 1, each as a system of its own.
 
     Parameters
     ----------
+    name
+        Begins every message: the plot's name.
     loop
         L with negative feedback, square.
 
@@ -115,30 +117,26 @@ def channels(loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
     """
     if loop.shape == (1, 1):
         return (loop,)
-    return tuple(_channel(loop, k) for k in range(len(loop.inputs)))
+    return tuple(_channel(name, loop, k) for k in range(len(loop.inputs)))
 
 
-def _channel(loop: DrawnSystem, k: int) -> DrawnSystem:
+def _channel(plot: str, loop: DrawnSystem, k: int) -> DrawnSystem:
     import control
 
-    name = loop.inputs[k]
+    where, name = f"{plot}: {loop.label}" if loop.label else plot, loop.inputs[k]
     others = [i for i in range(len(loop.inputs)) if i != k]
     if loop.is_data:
         w, L = sorted_data(loop.source)
-        S = _sensitivity(np.moveaxis(L, -1, 0), loop.label)
+        S = _sensitivity(np.moveaxis(L, -1, 0), where)
         with np.errstate(all="ignore"):
             own = 1.0 / S[:, k, k] - 1.0
         return _part(loop, k, k, None, control.frd(own.reshape(1, 1, -1), w, dt=loop.source.dt))
     if loop.arrays is None:
-        raise ArgumentError(
-            f"{loop.label or 'the loop'}: improper; expected a loop transfer with no more zeros than poles"
-        )
+        raise ArgumentError(f"{where}: improper; expected a loop transfer with no more zeros than poles")
     A, B, C, D, dt = loop.arrays
     M = np.eye(len(others)) + D[np.ix_(others, others)]
     if np.linalg.svd(M, compute_uv=False).min(initial=1.0) < 1e-12 * max(1.0, float(np.abs(D).max(initial=0.0))):
-        raise ArgumentError(
-            f"{loop.label or 'the loop'}: I + D of the channels beside {name} is singular; expected a well-posed loop"
-        )
+        raise ArgumentError(f"{where}: I + D of the channels beside {name} is singular; expected a well-posed loop")
     # e_o = -v_o for the others.
     F = np.linalg.inv(M)
     seen, direct = F @ C[others], F @ D[np.ix_(others, [k])]
@@ -152,13 +150,13 @@ def _channel(loop: DrawnSystem, k: int) -> DrawnSystem:
     return _part(loop, k, k, arrays, state_space(arrays, [name], [loop.outputs[k]]))
 
 
-def _sensitivity(L: ComplexArray, label: str) -> ComplexArray:
+def _sensitivity(L: ComplexArray, where: str) -> ComplexArray:
     out = np.full(L.shape, complex(math.nan, math.nan))
     fine = np.all(np.isfinite(L), axis=(-2, -1))
     try:
         out[fine] = np.linalg.inv(np.eye(L.shape[-1]) + L[fine])
     except np.linalg.LinAlgError:
-        raise ArgumentError(f"{label or 'the loop'}: I + L is singular at a frequency of the data") from None
+        raise ArgumentError(f"{where}: I + L is singular at a frequency of the data") from None
     return out
 
 

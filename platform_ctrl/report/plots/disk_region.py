@@ -183,7 +183,7 @@ def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_R
             continue
         [loop] = drawn_systems(name if len(given) == 1 else f"{name}: loop {k + 1}", one, square=True)
         data = loop.is_data
-        found = disk_margin(loop.source if data else as_state_space(loop), skew=skew)
+        found = disk_margin(loop.source if data else as_state_space(name, loop), skew=skew)
         text = label if label is not None else loop.label or ("L" if len(given) == 1 else f"L {k + 1}")
         out.append(_Region(label=text, alpha=found.alpha, loop=loop, margin=found))
     return out
@@ -210,8 +210,9 @@ def _window(regions: Sequence[_Region], skew: float) -> tuple[float, float, floa
             one = disk_to_gain_phase(min(region.alpha, 1e9), skew)
             low = min(low, one[0] / 1.5 if one[0] > 0.0 else 0.0)
             high = max(high, 1.5 * one[1])
-            inside = allowed_phase(np.geomspace(max(low, 1.0 / _WIDEST), min(high, _WIDEST), 400), region.alpha, skew)
-            top = max(top, 1.2 * float(np.nanmax(inside)))
+            gain = np.append(np.geomspace(max(low, 1.0 / _WIDEST), min(high, _WIDEST), 400), 1.0)
+            inside = allowed_phase(gain, min(region.alpha, 1e9), skew)
+            top = max(top, 1.2 * float(inside[np.isfinite(inside)].max(initial=0.0)))
     return max(low, 1.0 / _WIDEST), min(high, _WIDEST), min(top, 180.0)
 
 

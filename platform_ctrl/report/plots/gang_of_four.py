@@ -153,7 +153,7 @@ def _closed(
     every_K = drawn_systems("gang_of_four: controllers", controllers, labels, data=False)
     loops: list[DrawnSystem] = []
     for K in every_K:
-        joined = closed_loop(as_state_space(P), as_state_space(K))
+        joined = closed_loop(as_state_space("gang_of_four: plant", P), as_state_space("gang_of_four: controllers", K))
         loops += drawn_systems("gang_of_four", joined)
     every = grid([P, *every_K, *loops], frequency, name="gang_of_four")
     top = min(one.nyquist for one in loops)
@@ -165,7 +165,7 @@ def _closed(
             label=K.label,
             loop=loop,
             stable=is_stable(loop.source),
-            gang=gang(as_state_space(P), as_state_space(K), every),
+            gang=gang(as_state_space("gang_of_four: plant", P), as_state_space("gang_of_four: controllers", K), every),
         )
         for K, loop in zip(every_K, loops, strict=True)
     ]

@@ -92,7 +92,7 @@ def nichols(
         if peak <= 1.0:
             raise ArgumentError(f"nichols: T_peaks: given {peak:g}; expected more than 1")
     drawn = drawn_systems("nichols", loops, labels, square=True)
-    parts = [channels(one) for one in drawn]
+    parts = [channels("nichols", one) for one in drawn]
     every = grid([one for part in parts for one in part], frequency, name="nichols", loops=True)
     curves = []
     for one, part in zip(drawn, parts, strict=True):

@@ -96,9 +96,10 @@ def Omega_sensitivity(
     given = [] if controllers is None else list(drawn_systems(f"{name}: controllers", controllers, labels, data=False))
     # Among the plant's outputs a rate of the platform itself is no angle.
     outputs = [one for one in P.outputs if not is_rate(one)]
+    whole = as_state_space(f"{name}: plant", P)
     torquers = [one for one in P.inputs if one not in rate_names]
-    loops = [closed_loop(as_state_space(P), _joinable(K, torquers, outputs)) for K in given]
-    systems = [as_state_space(P)[outputs, rate_names], *(loop[outputs, rate_names] for loop in loops)]
+    loops = [closed_loop(whole, _joinable(K, torquers, outputs)) for K in given]
+    systems = [whole[outputs, rate_names], *(loop[outputs, rate_names] for loop in loops)]
     drawn = list(drawn_systems(name, systems, ["without control", *(K.label for K in given)]))
     every = grid(drawn, frequency, name=name)
     rows, columns = chosen(f"{name}: angles", angles, outputs), chosen(f"{name}: rates", rates, rate_names)
@@ -143,5 +144,5 @@ def _joinable(K: DrawnSystem, torquers: Sequence[str], angles: Sequence[str]) ->
     """Return a controller under the plant's names where it has none of them: products of systems lose theirs."""
     known = set(K.outputs) <= set(torquers) and set(K.inputs) <= set(angles)
     if known or K.arrays is None or K.shape != (len(torquers), len(angles)):
-        return as_state_space(K)
+        return as_state_space("Omega_sensitivity: controllers", K)
     return state_space(K.arrays, angles, torquers)

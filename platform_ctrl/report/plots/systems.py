@@ -381,8 +381,8 @@ def near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np
     return np.asarray(distance < within * frequency)
 
 
-def as_state_space(system: DrawnSystem) -> control.StateSpace:
-    """Return a system as a `control.StateSpace` with its names: what was given, if it is one.
+def as_state_space(name: str, system: DrawnSystem) -> control.StateSpace:
+    """Return a system as a `control.StateSpace` with its names: what was given, if it is one; `name` begins messages.
 
     Raises
     ------
@@ -392,7 +392,7 @@ def as_state_space(system: DrawnSystem) -> control.StateSpace:
     import control
 
     if system.arrays is None:
-        raise ArgumentError(f"{system.label or 'the system'}: improper; expected no more zeros than poles")
+        raise ArgumentError(f"{name}: an improper transfer function; expected no more zeros than poles")
     if hasattr(system.source, "A"):
         return system.source
     A, B, C, D, _ = system.arrays
