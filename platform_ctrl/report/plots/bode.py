@@ -196,7 +196,7 @@ def _entry_blocks(
     columns = chosen("bode: inputs", inputs, drawn[0].inputs)
     every = grid(drawn, frequency, name="bode")
     to, of = ([drawable(greek(name)) for name in names] for names in (drawn[0].outputs, drawn[0].inputs))
-    alone = len(rows) * len(columns) == 1
+    alone = len(rows) == 1
     if len(drawn) == 1:
         # One panel an input, one curve an output.
         words = ["" if alone else f"to {name}" for name in to]

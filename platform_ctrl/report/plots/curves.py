@@ -252,12 +252,12 @@ def phase_in_degrees(frequency: FloatArray, response: ComplexArray, *, begun: bo
 
 
 def _begin(angle: float, target: float) -> float:
-    """Return `angle` plus whole turns: close to `target`; of two as close the one closer to 0, −180° before 180°."""
+    """Return `angle` plus whole turns: close to `target`; of a negative gain the one closer to 0, −180° before 180°."""
     nearest = target + (angle - target + 180.0) % 360.0 - 180.0
     other = nearest + math.copysign(360.0, target - nearest)
-    if abs(nearest - target) < 170.0:
+    if abs(nearest - target) < 120.0:
         return nearest
-    return min(nearest, other, key=lambda phase: abs(phase) + (0.5 if phase > 0.0 else 0.0))
+    return min(nearest, other, key=lambda phase: abs(phase) + (60.0 if phase > 0.0 else 0.0))
 
 
 def margins(one: Curve, *, disk: bool = True, skew: float = 0.0) -> Margins:

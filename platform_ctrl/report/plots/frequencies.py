@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, frequencies
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.report.plots.systems import DrawnSystem, sorted_data
+from platform_ctrl.report.plots.systems import ON, DrawnSystem, sorted_data
 
 _NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
 _GROWTH = 1.5
-# Relative distance up to which a pole on the stability boundary is come close to; to a zero nearer is of no use either.
+# Relative distance up to which a pole or zero on the stability boundary is come close to.
 CLOSEST = 1e-6
 # The range without a single pole or zero, Hz.
 _PLAIN = 2.0 * np.pi * np.array([0.01, 100.0])
@@ -86,7 +86,7 @@ def _around(s: ComplexArray, low: float, high: float) -> FloatArray:
     s = np.unique(s[(np.abs(s.imag) > low) & (np.abs(s.imag) < high) & (np.abs(s.real) < 0.5 * np.abs(s.imag))])
     out = [np.zeros(0)]
     for centre, distance in sorted({(abs(one.imag), abs(one.real)) for one in s}):
-        width = max(distance, CLOSEST * centre)
+        width = distance if distance > ON * centre else CLOSEST * centre
         count = math.ceil(math.log(max(0.25 * centre / (4.0 * width), 1.0)) / math.log(_GROWTH))
         offsets = width * np.concatenate([_NEAR, 4.0 * _GROWTH ** np.arange(1, count + 1)])
         out += [centre + offsets, centre - offsets]

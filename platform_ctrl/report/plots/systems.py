@@ -33,7 +33,7 @@ LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | contr
 # sought: beyond that the grid does without.
 _PRECISE, _ENTRIES = 60, 36
 # Relative distance from the stability boundary below which a pole or zero counts as on it.
-_ON = 1e-10
+ON = 1e-10
 _LONGEST = 48
 # What python-control calls a system that nobody named.
 _NAMELESS = re.compile(r"(?:.*\$)?sys\[\d+\]")
@@ -226,7 +226,7 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     zeros = np.concatenate([nothing, *found])
     both = np.concatenate([poles, zeros])
     with np.errstate(invalid="ignore"):
-        on = np.concatenate([on, np.zeros(len(zeros), dtype=np.bool_)]) | (np.abs(both.real) <= _ON * np.abs(both))
+        on = np.concatenate([on, np.zeros(len(zeros), dtype=np.bool_)]) | (np.abs(both.real) <= ON * np.abs(both))
     undamped = np.unique(np.abs(both.imag[on & np.isfinite(both) & (both.imag != 0.0)]))
     return _finite(poles), _finite(zeros), undamped
 
