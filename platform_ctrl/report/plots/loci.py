@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
-from platform_ctrl.analysis.arrays import state_space as state_space_of
 from platform_ctrl.analysis.feedback import closed_loop_arrays, loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
@@ -21,7 +20,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.report.branches import Poles, followed, traced
 from platform_ctrl.report.plots.planes import View, view_of
-from platform_ctrl.report.plots.systems import drawn_systems
+from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
@@ -115,9 +114,7 @@ def gain_locus(plant: LinearSystem, controller: LinearSystem, gains: ArrayLike |
 def _linear(name: str, given: LinearSystem) -> control.StateSpace:
     """Return a system in states: transfer functions are brought to them."""
     [one] = drawn_systems(name, given, data=False)
-    if one.arrays is None:
-        raise ArgumentError(f"{name}: an improper transfer function; expected as many poles as zeros, or more")
-    return given if hasattr(given, "A") else state_space_of(one.arrays, one.inputs, one.outputs)
+    return as_state_space(name, one)
 
 
 def spin_locus(

@@ -12,17 +12,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
 from platform_ctrl.analysis.boundary import boundary_poles
-from platform_ctrl.analysis.margins import disk_to_gain_phase
-from platform_ctrl.analysis.norms import hinf_norm_arrays
+from platform_ctrl.analysis.margins import disk_margin, disk_to_gain_phase
 from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, replaced, value
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, features
+from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
 from platform_ctrl.report.quantities import count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
@@ -131,27 +131,27 @@ def nyquist(
         raise ArgumentError(
             f"nyquist: margin: given {margin!r}; expected less than 2, where the disk becomes a half plane"
         )
-    [channels] = sizes
+    [size] = sizes
     curves = [_channels(system, frequency, radius) for system in systems]
 
-    columns = min(channels, _COLUMNS)
-    rows = -(-channels // columns)
+    columns = min(size, _COLUMNS)
+    rows = -(-size // columns)
     names = [system.label or "L, ω > 0" for system in systems]
-    own = [[one[k].margin for one in curves if np.isfinite(one[k].margin)] for k in range(channels)]
+    own = [[one[k].margin for one in curves if np.isfinite(one[k].margin)] for k in range(size)]
     disks = [asked or min(margins, default=0.0) for margins in own]
     with_disk = any(0.0 < alpha < 2.0 for alpha in disks)
     names += ["ω < 0", "−1", *(["disk of the margin"] if with_disk else []), f"|L| > {radius:g}: on the rim"]
-    width = {1: 6.4, 2: 9.6}.get(columns, 9.6)
+    width = 6.4 if columns == 1 else 9.6
     rowed = legend_rows(names, width)
     cell = (width - 0.76 - (columns - 1) * 0.68) / columns
     height = rows * cell + (rows - 1) * 0.72 + 0.46 + 0.08 + 0.22 * rowed + 0.24
     figure, panel_grid = panels(rows, columns, height, width=width, legend=rowed)
     every = [axes for row in panel_grid for axes in row]
     drawn: list[list[Line2D]] = []
-    for k, axes in enumerate(every[:channels]):
+    for k, axes in enumerate(every[:size]):
         drawn.append(_panel(axes, [one[k] for one in curves], radius, disks[k]))
-        _title(axes, [one[k] for one in curves], drawable(systems[0].inputs[k]) if channels > 1 else "")
-    for axes in every[channels:]:
+        _title(axes, [one[k] for one in curves], drawable(systems[0].inputs[k]) if size > 1 else "")
+    for axes in every[size:]:
         axes.set_axis_off()
     for row in panel_grid:
         row[0].set_ylabel("imaginary part of L")
@@ -163,81 +163,42 @@ def nyquist(
         Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8))),
     ]
     legend_above(figure, handles, names)
-    lines = np.empty(channels, dtype=object)
+    lines = np.empty(size, dtype=object)
     lines[:] = drawn
-    return control.ControlPlot(lines, np.array([every[:channels]]), figure)
+    return control.ControlPlot(lines, np.array([every[:size]]), figure)
 
 
 def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) -> list[ChannelCurve]:
     """Return L of every channel with the others closed."""
-    if system.arrays is None:
-        own, L = system.along(grid([system], frequency, name="nyquist", loops=True))
-        return [
-            ChannelCurve(frequency=own, loop_transfer=one, margin=math.nan, margin_frequency=math.nan, unstable=-1)
-            for one in _one_by_one(np.moveaxis(L, -1, 0))
-        ]
-    A, B, C, D, dt = system.arrays
-    A, B, C = scaled(A, B, C)
-    whole = StateArrays(A, B, C, D, dt)
-    S = _sensitivity(whole)
-    closed = pole_arrays(S.A)
-    growth = np.abs(closed) - 1.0 if dt else closed.real / np.abs(closed).max(initial=1e-300)
-    unstable = int(np.count_nonzero(growth > 1e-9))
     out = []
-    for k in range(len(D)):
-        loop = _others_closed(whole, k)
-        poles, zeros, undamped = features(loop)
-        changes = {"arrays": loop, "poles": poles, "zeros": zeros, "undamped": undamped}
-        own = grid([replaced(system, changes)], frequency, name="nyquist", loops=True)
-        points, curve = _traced(loop, _contour(loop.A, dt, own), reach)
-        margin, at = 0.0, math.nan
-        if not unstable:
-            norm, at = hinf_norm_arrays(S.A, S.B[:, [k]], S.C[[k]], S.D[[k]][:, [k]] - 0.5, dt)
-            margin = 1.0 / norm if np.isfinite(norm) else 0.0
-        w = np.maximum(points.imag, 0.0)
+    for one in channels("nyquist", system):
+        own = grid([one], frequency, name="nyquist", loops=True)
+        if one.arrays is None:
+            w, L = one.along(own)
+            out.append(
+                ChannelCurve(
+                    frequency=w, loop_transfer=L[0, 0], margin=math.nan, margin_frequency=math.nan, unstable=-1
+                )
+            )
+            continue
+        loop = StateArrays(*scaled(*one.arrays[:3]), *one.arrays[3:])
+        direct = 1.0 + loop.D[0, 0]
+        if abs(direct) <= 1e-12:
+            raise ArgumentError("nyquist: 1 + D of a loop is 0: an algebraic loop; add a lag or a delay to it")
+        closed = pole_arrays(loop.A - loop.B @ loop.C / direct)
+        growth = np.abs(closed) - 1.0 if loop.dt else closed.real / np.abs(closed).max(initial=1e-300)
+        margin = disk_margin(state_space(loop, one.inputs, one.outputs))
+        points, curve = _traced(loop, _contour(loop.A, loop.dt, own), reach)
         out.append(
-            ChannelCurve(frequency=w, loop_transfer=curve, margin=margin, margin_frequency=at, unstable=unstable)
+            ChannelCurve(
+                frequency=np.maximum(points.imag, 0.0),
+                loop_transfer=curve,
+                margin=margin.alpha,
+                margin_frequency=margin.frequency if margin.alpha > 0.0 else math.nan,
+                unstable=int(np.count_nonzero(growth > 1e-9)),
+            )
         )
     return out
-
-
-def _one_by_one(L: ComplexArray) -> list[ComplexArray]:
-    """Return the loop transfer of each channel with all others closed from data L (N, m, m): 1/S_ii − 1."""
-    m = L.shape[-1]
-    if m == 1:
-        return [L[:, 0, 0]]
-    with np.errstate(all="ignore"):
-        good = np.isfinite(L).all(axis=(1, 2))
-        S = np.full(L.shape, complex(np.nan, np.nan))
-        S[good] = np.linalg.inv(np.eye(m) + L[good])
-        return [np.asarray(1.0 / S[:, k, k] - 1.0, dtype=np.complex128) for k in range(m)]
-
-
-def _others_closed(L: StateArrays, k: int) -> StateArrays:
-    """Return the loop of channel `k` with all others closed, in all of the states: its poles are its own."""
-    A, B, C, D, dt = L
-    others = [j for j in range(len(D)) if j != k]
-    W = _inverse(np.eye(len(others)) + D[np.ix_(others, others)])
-    back, across = B[:, others] @ W, D[[k]][:, others] @ W
-    return StateArrays(
-        A - back @ C[others],
-        B[:, [k]] - back @ D[others][:, [k]],
-        C[[k]] - across @ C[others],
-        D[[k]][:, [k]] - across @ D[others][:, [k]],
-        dt,
-    )
-
-
-def _inverse(direct: FloatArray) -> FloatArray:
-    if len(direct) and np.linalg.cond(direct) > 1e12:
-        raise ArgumentError("nyquist: I + D of a loop is singular: an algebraic loop; add a lag or a delay to it")
-    return np.asarray(np.linalg.inv(direct), dtype=np.float64)
-
-
-def _sensitivity(L: StateArrays) -> StateArrays:
-    """Return S = (I + L)^-1 in the loop's own states."""
-    inverse = _inverse(np.eye(len(L.D)) + L.D)
-    return StateArrays(L.A - L.B @ inverse @ L.C, L.B @ inverse, -inverse @ L.C, inverse, L.dt)
 
 
 def _contour(A: FloatArray, dt: float, frequency: FloatArray) -> ComplexArray:
