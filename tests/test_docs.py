@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import shlex
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -56,14 +55,12 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
 
 
-def run_console(text: str) -> None:
+def run_console(block: Any) -> None:
     """Run a console block: our own commands, and nothing may stand there that is neither run nor known."""
-    for line in text.splitlines():
-        if line.startswith("$ platform-ctrl "):
-            command, _, expected = line[2:].partition("  # exit code ")
-            assert main(shlex.split(command)[1:]) == int(expected or 0), line
-        elif line.startswith("$ "):
-            assert line[2:].startswith(NOT_RUN), line
+    for arguments, expected in site_blocks.commands(block):
+        assert main(arguments) == expected, arguments
+    for line in block.text.splitlines():
+        assert not line.startswith("$ ") or line[2:].startswith(("platform-ctrl ", *NOT_RUN)), line
 
 
 @PAGE
@@ -86,7 +83,7 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
         elif piece.language == "text" and piece.follows:
             assert printed == piece.text
         elif piece.language == "console":
-            run_console(piece.text)
+            run_console(piece)
 
 
 @PAGE

@@ -9,6 +9,7 @@ begin with ``$ platform-ctrl`` are run. Blocks within an HTML comment are run to
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -54,6 +55,14 @@ def pieces(page: str) -> Iterator[Block | Picture]:
             follows = not page[end : found.start()].strip() and end > 0
             yield Block(found["language"], found["title"] or "", found["text"], follows)
             end = found.end()
+
+
+def commands(block: Block) -> Iterator[tuple[list[str], int]]:
+    """Yield the arguments of our own commands in a console block, and the exit code that each is said to have."""
+    for line in block.text.splitlines():
+        if line.startswith("$ platform-ctrl "):
+            command, _, expected = line[2:].partition("  # exit code ")
+            yield shlex.split(command)[1:], int(expected or 0)
 
 
 def blocks(page: str, language: str) -> list[str]:

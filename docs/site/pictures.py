@@ -8,10 +8,11 @@ import os
 import re
 import tempfile
 from contextlib import chdir, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from blocks import Picture, pictures, pieces
+from blocks import Picture, commands, pictures, pieces
 
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "build" / "site-pictures"
@@ -56,16 +57,26 @@ def of_page(page: str, name: str, digest: str) -> list[str]:
 
 
 def _draw(page: str, name: str) -> list[str]:
+    """Run a page as far as its last picture."""
+    from platform_ctrl.cli import main
+
     out: list[str] = []
+    wanted = len(pictures(page))
     namespace: dict[str, Any] = {"__name__": "__page__"}
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(None):
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(StringIO()):
         for piece in pieces(page):
+            if len(out) == wanted:
+                break
             if isinstance(piece, Picture):
                 out.append(_svg(namespace[piece.name], piece.description))
             elif piece.title:
                 Path(piece.title).write_text(piece.text, encoding="utf-8")
             elif piece.language == "python":
                 exec(compile(piece.text, name, "exec"), namespace)
+            elif piece.language == "console":
+                for arguments, expected in commands(piece):
+                    if main(arguments) != expected:
+                        raise ValueError(f"{name}: {arguments}: expected exit code {expected}")
     return out
 
 
