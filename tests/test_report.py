@@ -274,7 +274,7 @@ def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobR
 
 
 def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str) -> None:
-    [printed] = re.findall(r"<pre>(name = .*?|schema = .*?)</pre>", page, flags=re.DOTALL)
+    [printed] = re.findall(r"<pre[^>]*>(name = .*?|schema = .*?)</pre>", page, flags=re.DOTALL)
     again = pc.read_job(tomllib.loads(html.unescape(printed)))
     assert record.job_data(again) == record.job_data(result.job)
     before, after = pc.matrices(result.job.platform), pc.matrices(again.platform)

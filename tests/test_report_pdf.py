@@ -211,6 +211,27 @@ def test_titles_that_no_font_holds_or_no_line_are_set_all_the_same(prepared: con
     assert report.pdf(short).startswith(b"%PDF-")
 
 
+def test_a_word_as_long_as_a_page_ends_within_it(prepared: content.Document) -> None:
+    word = "w" * 900
+    paragraph = content.Section(name="one", title="one", blocks=(content.Paragraph(text=f"{word}."),))
+    [page] = pypdf.PdfReader(io.BytesIO(report.pdf(dataclasses.replace(prepared, sections=(paragraph,))))).pages
+    lines = [line for line in page.extract_text().splitlines() if "www" in line]
+    assert len(lines) > 3
+    assert "".join(lines).replace("\u200b", "") == f"{word}."
+
+
+def test_runs_that_were_lost_and_loops_that_are_not_there_are_set_too(result: JobResult) -> None:
+    [run] = result.runs
+    cut = {
+        name: getattr(run.trajectory, name)[:0]
+        for name in ("t", "q", "rate", "p", "reading", "command", "torque", "Omega", "attitude")
+    }
+    trajectory = dataclasses.replace(run.trajectory, ended="diverged at t = 0 s", **cut)
+    lost = dataclasses.replace(result, loops=(), runs=(dataclasses.replace(run, trajectory=trajectory),))
+    words = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(report.pdf(lost))).pages)
+    assert squeezed("The run diverged at t = 0 s: nothing was recorded.") in squeezed(words)
+
+
 def test_without_typst_one_line_says_what_to_install(
     result: JobResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from platform_ctrl.report.content import Document, Plate
+from platform_ctrl.report.content import Document, Listing, Plate
 from platform_ctrl.report.document import prepared
 from platform_ctrl.writing import write_whole
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 # What XML 1.0 cannot hold, and other control characters: nothing that can be set.
 _UNSETTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+_LONG = re.compile(r"\S{60,}")
 _VARIABLE = re.compile(r"var\(--([a-z0-9-]+)(?:, *#[0-9a-f]+)?\)")
 _DEFINED = re.compile(r"--([a-z0-9-]+): (#[0-9a-f]{6})")
 # Fonts of figures: those they are laid out for.
@@ -142,7 +143,7 @@ def light_colours(sheet: str) -> dict[str, str]:
 def plain_data(item: Any, colours: dict[str, str]) -> Any:
     """Return a document as dicts, lists, text and numbers, its pictures in the colours of the light page."""
     if isinstance(item, str):
-        return _UNSETTABLE.sub("\ufffd", item)
+        return _LONG.sub(_breakable, _UNSETTABLE.sub("\ufffd", item))
     if isinstance(item, tuple):
         return [plain_data(one, colours) for one in item]
     if not dataclasses.is_dataclass(item):
@@ -152,7 +153,14 @@ def plain_data(item: Any, colours: dict[str, str]) -> Any:
         data["kind"] = item.kind
     if isinstance(item, Plate):
         data["svg"] = standalone_svg(item.svg, colours)
+    if isinstance(item, Listing):
+        data["attached"] = item.text if item.file else ""
     return data
+
+
+def _breakable(word: re.Match[str]) -> str:
+    """Return a long word in which a line may end: otherwise it would leave the page."""
+    return "\u200b".join(re.findall(r".{1,20}", word[0]))
 
 
 def standalone_svg(svg: str, colours: dict[str, str]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from platform_ctrl.check.proofs import PROVED
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.report.content import sentence
 from platform_ctrl.report.price import bandwidth_hz
 from platform_ctrl.report.quantities import BOUND, compared, count, listed, percent, plain, quantity
 from platform_ctrl.report.tables import verdict
@@ -75,13 +76,14 @@ def _number(number: int) -> str:
 
 def _verdict(result: JobResult) -> str:
     worst = tightest(result.requirements)
-    passed = all(one.passed for one in result.requirements)
-    words = verdict(result)
-    words = words[:1].upper() + words[1:].replace(" not met", " are not met" if not passed else "")
-    words = words.replace("requirements met", "requirements are met").replace("requirement met", "requirement is met")
+    missed = sum(not one.passed for one in result.requirements)
+    if not result.requirements:
+        return "Nothing is asked of them."
+    words = sentence(verdict(result)).replace("requirements met", "requirements are met")
+    words = words.replace("not met", "is not met" if missed == 1 else "are not met")
     if worst is None:
         return f"{words}."
-    nearest = "the tightest" if passed else "the one missed by most"
+    nearest = "the one missed by most" if missed else "the tightest"
     return f"{words}; {nearest} is {worst.name} of {_whose(worst)}, {_against(worst)}."
 
 
