@@ -23,14 +23,18 @@ class Change:
     subject, name, unit, sense
         Which; see `Figure`.
     before, now
-        The accepted value and the measured one; None where there is none.
+        The accepted value and the measured one, in `unit`; None where there is none.
     allowed
         How far `now` may be worse than `before`, in `unit`.
     state
         ``"within"`` the tolerance, ``"worse"`` or ``"better"`` by more than it, ``"missing"``: accepted once and
         measured no more, ``"new"``: measured and not in the baseline.
     limit
-        What the job asks; None where it asks nothing.
+        What the job asks, in `unit`; None where it asks nothing.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     subject: str
@@ -55,14 +59,14 @@ class Change:
 
     @property
     def share(self) -> float:
-        """The change relative to the accepted value, with its sign; not a number where it cannot be said."""
+        """The change as a share of the accepted value, with its sign; not a number where it cannot be said."""
         if self.before is None or self.now is None or not math.isfinite(self.before) or self.before == 0.0:
             return math.nan
         return (self.now - self.before) / abs(self.before)
 
     @property
     def of_tolerance(self) -> float:
-        """`loss` over `allowed`: above 1 where it is worse beyond its tolerance."""
+        """The ratio of `loss` to `allowed`: above 1 where it is worse beyond its tolerance."""
         if self.loss == 0.0:
             return 0.0
         return self.loss / self.allowed if self.allowed > 0.0 else math.copysign(math.inf, self.loss)
@@ -78,6 +82,10 @@ class Comparison:
         One for every figure: those of the job in its order, then those that are missing.
     before, now
         The closed loops, by the same name where both have it.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     changes: tuple[Change, ...]
@@ -85,7 +93,22 @@ class Comparison:
     now: tuple[LoopMatrices, ...]
 
     def of(self, *states: State) -> tuple[Change, ...]:
-        """Return the changes in one of `states`."""
+        """Return the changes in one of a few states.
+
+        Parameters
+        ----------
+        *states
+            As of `Change.state`.
+
+        Returns
+        -------
+        tuple
+            In the order of `changes`.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return tuple(change for change in self.changes if change.state in states)
 
     @property
@@ -120,6 +143,14 @@ def compare(result: JobResult, baseline: Baseline) -> Comparison:
     Comparison
         `Comparison.passed` unless a figure is worse beyond its tolerance, or no longer there. A figure that was a
         finite number and is none now (an unstable loop, a run that diverged) is worse whatever its tolerance.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     known = {figure.key: figure for figure in baseline.figures}
     measured = figures_of(result)

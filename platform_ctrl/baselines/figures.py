@@ -34,7 +34,11 @@ class Figure:
     sense
         ``"at least"``: more is better; ``"at most"``: less is better.
     limit
-        What the job asks of it; None where nothing is asked.
+        What the job asks of it, in `unit`; None where nothing is asked.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     subject: str
@@ -63,6 +67,19 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     ----------
     result
         From `check.checked`.
+
+    Returns
+    -------
+    tuple
+        Each subject and name once.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     found: dict[tuple[str, str], Figure] = {}
     for figure in _all(result):

@@ -43,6 +43,10 @@ class Update:
         How many are accepted now.
     written
         False where nothing had changed, and the file was left alone.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     path: Path
@@ -76,10 +80,19 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     path
         A file that `write_baseline` wrote; tolerances may have been edited.
 
+    Returns
+    -------
+    Baseline
+        What is accepted.
+
     Raises
     ------
     InputError
         One line: the file, the entry and the key, what was given, what is expected.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     label, data = parsed(Path(path))
     table = Table(label, data, _KEYS)
@@ -117,10 +130,26 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
     A figure a line and a row of a matrix a line, in the order of the job: a diff shows what was accepted anew. Since it
     holds the controllers as ``result.json`` does, `check.read_controllers` reads them from it.
 
+    Parameters
+    ----------
+    baseline
+        From `accepted`, or `read_baseline`.
+    path
+        The file, in a folder that exists.
+
+    Returns
+    -------
+    Path
+        The file.
+
     Raises
     ------
     InputError
         The file cannot be written there.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     return write_whole(path, _text(baseline))
 
@@ -128,10 +157,26 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
 def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     """Accept `result`: write its baseline, with the tolerances that stand in the file already; folders are made.
 
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+    path
+        The file, which need not be there.
+
+    Returns
+    -------
+    Update
+        What moved against the figures that were accepted before, and whether anything was written.
+
     Raises
     ------
     InputError
         The file that is there is no baseline (it is left as it is), or cannot be written.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     target = Path(path)
     before = read_baseline(target) if target.exists() else None
@@ -151,7 +196,28 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
 
 
 def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Path:
-    """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``, or in `folder`."""
+    """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``.
+
+    Parameters
+    ----------
+    path
+        The baseline.
+    folder
+        Where it is saved instead; None: beside the baseline.
+
+    Returns
+    -------
+    Path
+        Of the PNG.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/regression-tests.md.
+    """
     file = Path(path)
     return (file.parent if folder is None else Path(folder)) / f"{file.stem}.moved.png"
 

@@ -29,6 +29,15 @@ class Tolerance:
         Share of the accepted value's magnitude.
     absolute
         In the figure's unit.
+
+    Raises
+    ------
+    ArgumentError
+        A number that is not finite, or below zero.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     relative: float = 0.02
@@ -39,7 +48,22 @@ class Tolerance:
         positive("Tolerance: absolute", self.absolute, zero=True)
 
     def allowed(self, accepted: float) -> float:
-        """Return the tolerance for an accepted value, in its unit."""
+        """Return the tolerance for an accepted value.
+
+        Parameters
+        ----------
+        accepted
+            In the figure's unit.
+
+        Returns
+        -------
+        float
+            How much worse the figure may be, in the same unit.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return max(self.relative * abs(accepted), self.absolute)
 
 
@@ -58,9 +82,13 @@ class AcceptedFigure:
     Attributes
     ----------
     subject, name, value, unit, sense
-        As of `Figure`; `value` is infinite where the file has ``null``.
+        As of `Figure`; `value`, in `unit`, is infinite where the file has ``null``.
     tolerance
         Its own; None: the baseline's.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     subject: str
@@ -93,6 +121,10 @@ class LoopMatrices:
     plant
         The nominal sampled plant, from `outputs` to `inputs`; None for a loop that is judged in the coupled system
         alone.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     loop: str
@@ -105,17 +137,62 @@ class LoopMatrices:
     plant: StateArrays | None
 
     def agrees(self, other: LoopMatrices) -> bool:
-        """Return whether plant and controller are the same but for rounding."""
+        """Return whether plant and controller are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         return self.same_controller(other) and self.same_plant(other)
 
     def same_controller(self, other: LoopMatrices) -> bool:
-        """Return whether the controllers are the same but for rounding."""
+        """Return whether the controllers are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
         timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
         return signals and timing and _near(self.controller, other.controller)
 
     def same_plant(self, other: LoopMatrices) -> bool:
-        """Return whether the plants are the same but for rounding."""
+        """Return whether the plants are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
         if self.plant is None or other.plant is None:
             return self.plant is other.plant
         return _near(self.plant, other.plant)
@@ -135,6 +212,10 @@ class Baseline:
         Each subject and name once.
     loops
         The closed loops that they were measured on.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
 
     job: str
@@ -157,6 +238,14 @@ def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
     -------
     Baseline
         With the figures of `result`, in their order; those that `before` alone has are left out.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     known = {} if before is None else {figure.key: figure for figure in before.figures}
     loops = {} if before is None else {loop.loop: loop for loop in before.loops}

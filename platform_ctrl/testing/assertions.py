@@ -26,6 +26,10 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
     ------
     AssertionError
         With a table of what is missed: value, limit, margin, and where the worst value was found.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     __tracebackhide__ = True
     asked = [one for one in result.requirements if one.hard]
@@ -80,6 +84,10 @@ def assert_baseline(
         now, its change, tolerance and limit, which plant or controller has changed, and where the plot is.
     InputError
         The file is no baseline, or cannot be written.
+
+    References
+    ----------
+    See docs/regression-tests.md.
     """
     __tracebackhide__ = True
     path = Path(file)
