@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 # Gain factors beyond which nothing is drawn.
 _WIDEST = 20.0
+# Regions up to which the ends of each are written; the legend has them all.
+_WRITTEN = 6
 # Ticks of the gain axis; the second ones where it is long.
 _FINE = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 _COARSE = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -290,7 +292,7 @@ def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence
         points = [(low, 0.0, gain_words(low)), (high, 0.0, gain_words(high)) if math.isfinite(high) else (0.0, 0.0, "")]
         if phase < math.pi:
             points.append((1.0, math.degrees(phase), degrees_words(math.degrees(phase))))
-        for x, y, text in points:
+        for x, y, text in points if len(regions) <= _WRITTEN else points[2:]:
             if x > 0.0 and places.shows(x, y):
                 panel.plot([x], [y], **style, zorder=5)
                 places.put(text, x, y, colour=style["color"], bold=True, anyway=len(regions) < 4)

@@ -73,7 +73,7 @@ def blocks(
     parts = len(heights)
     over = _TITLE if titles else _NO_TITLE
     block = over + sum(heights) + (parts - 1) * _BETWEEN + _BOTTOM
-    top = 0.1 + (_LEGEND_ROW * legend_rows(labels, width) if labels else 0.0)
+    top = 0.1 + (_LEGEND_ROW * legend_rows(labels, width - _LEFT) if labels else 0.0)
     height = top + rows * block
     figure = Figure(figsize=(width, height))
     FigureCanvasSVG(figure)
@@ -103,7 +103,9 @@ def curve_style(k: int) -> dict[str, Any]:
 def draw(axes: Axes, frequency: FloatArray, y: FloatArray, k: int, **more: Any) -> Any:
     """Draw a curve over frequency, rad/s, in Hz and in the style of the k-th, and return its line."""
     style = curve_style(k) | more
-    if "marker" in style and len(frequency):
+    if 0 < np.count_nonzero(np.isfinite(y)) < 3:
+        style |= {"marker": "o", "markersize": 3.8}
+    elif style.get("marker"):
         # A handful of markers, equally far from each other on the paper and beside those of the next curve.
         places = np.geomspace(frequency[0], frequency[-1], 25)[2 + k % 3 :: 3]
         style["markevery"] = [int(i) for i in np.unique(np.searchsorted(frequency, places[:-1]))]
@@ -236,7 +238,7 @@ def legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> Any
     if not labels:
         return None
     width, height = figure.get_size_inches()
-    rows = legend_rows(labels, float(width))
+    rows = legend_rows(labels, float(width) - _LEFT)
     return figure.legend(
         handles,
         labels,

@@ -29,14 +29,16 @@ if TYPE_CHECKING:
 
 LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData"
 
-# States up to which poles next to the stability boundary are worked out in more digits, and entries whose zeros are
-# sought: beyond that the grid does without.
-_PRECISE, _ENTRIES = 60, 36
+# States up to which poles next to the stability boundary are worked out in more digits, and effort, entries times cubed
+# states, up to which the zeros of entries are sought: beyond that the grid does without.
+_PRECISE, _EFFORT = 60, 5e7
 # Relative distance from the stability boundary below which a pole or zero counts as on it.
 ON = 1e-10
 _LONGEST = 48
 # What python-control calls a system that nobody named.
-_NAMELESS = re.compile(r"(?:.*\$)?sys\[\d+\]")
+_NAMELESS = re.compile(r"sys\[\d+\]")
+# What it adds to a name when it converts a system.
+_CONVERTED = re.compile(r"\$\w+$")
 
 
 @value
@@ -151,7 +153,7 @@ def drawn_systems(
 def _labels(name: str, systems: Sequence[Any], labels: Sequence[str] | None) -> list[str]:
     if labels is None:
         known = [str(getattr(system, "name", None) or "") for system in systems]
-        known = ["" if _NAMELESS.fullmatch(text) else text for text in known]
+        known = ["" if _NAMELESS.search(text) else _CONVERTED.sub("", text) for text in known]
         if len(systems) > 1:
             known = [text if text and known.count(text) == 1 else f"{text} {k + 1}" for k, text in enumerate(known)]
         return [drawable(text.strip()) for text in known]
@@ -218,7 +220,7 @@ def features(arrays: StateArrays) -> tuple[ComplexArray, ComplexArray, FloatArra
     else:
         poles = continuous_poles(pole_arrays(A), dt)
     p, m = D.shape
-    entries = [([i], [j]) for i in range(p) for j in range(m)] if p * m <= _ENTRIES else []
+    entries = [([i], [j]) for i in range(p) for j in range(m)] if p * m * len(A) ** 3 <= _EFFORT else []
     if 1 < p == m:
         entries.append((list(range(p)), list(range(m))))
     nothing = np.zeros(0, dtype=np.complex128)
