@@ -235,7 +235,7 @@ def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
 def test_a_trajectory_needs_no_platform(flown):
     figure = figures.time_run(flown)
     assert [axes.get_title(loc="left") for axes in figure.axes][:2] == ["gimbal angles", "gimbal torques"]
-    assert "no torquer has a limit" in written(figure)
+    assert "give the platform to see the torquers' limits" in written(figure)
 
 
 def table(runs=200):

@@ -29,6 +29,8 @@ from platform_ctrl.simulation import Trajectory
 _FAR = 3.7
 # A trace beyond so many times its limit is cut off.
 _WILD = 5.0
+# Angles below this are drawn in μrad, rad.
+_TINY = 1e-5
 
 
 def run_figure(run: Run, platform: Platform) -> Figure:
@@ -37,7 +39,11 @@ def run_figure(run: Run, platform: Platform) -> Figure:
 
 
 def trajectory_figure(
-    t: Trajectory, torquers: Sequence[Torquer], limits: Mapping[str, float], duration: float
+    t: Trajectory,
+    torquers: Sequence[Torquer],
+    limits: Mapping[str, float],
+    duration: float,
+    unlimited: str = "no torquer has a limit",
 ) -> Figure:
     """Everything that was recorded, as `run_figure`.
 
@@ -51,23 +57,25 @@ def trajectory_figure(
         By the names of a manoeuvre's limits: ``angle``, ``attitude``, rad; ``torque_share``.
     duration
         How long the run was to last, s.
+    unlimited
+        What to say where no torquer has a limit.
     """
     free = t.mode == "stabilised"
     figure, rows = panels(2, 3 if free else 2, 4.9)
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
 
-    _traces(rows[0][0], t.t, 1e3 * t.q, t.angle_names, _thousand(limits.get("angle")), "gimbal angles", "mrad")
+    _angles(rows[0][0], t.t, t.q, t.angle_names, limits.get("angle"), "gimbal angles")
     _torques(rows[0][1], t, torquers, gimbals, "gimbal torques")
     if free:
         _torques(rows[0][2], t, torquers, roots, "platform torques")
-        attitude, limit = 1e3 * t.attitude_angles, _thousand(limits.get("attitude"))
-        _traces(rows[1][0], t.t, attitude, _axes_names("θ"), limit, "inertial platform angles", "mrad")
+        title = "inertial platform angles"
+        _angles(rows[1][0], t.t, t.attitude_angles, _axes_names("θ"), limits.get("attitude"), title)
     rate = rows[1][1 if free else 0]
     factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
     title = "platform rate" if free else "platform rate, prescribed"
     _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None, title, unit)
-    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"))
+    _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"), unlimited)
     if not t.completed:
         for axes in [axes for row in rows for axes in row][:-1]:
             axes.axvline(t.t[-1] if t.t.size else 0.0, color=LIMIT, linewidth=1.0)
@@ -76,6 +84,13 @@ def trajectory_figure(
         axes.set_xlabel("time, s")
         linear_axis(axes.xaxis, 6)
     return figure
+
+
+def _angles(axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None, title: str) -> None:
+    """Draw angles in mrad, in μrad where they are tiny and nothing is asked of them."""
+    small = limit is None and 0.0 < float(np.nanmax(np.abs(y), initial=0.0)) < _TINY
+    factor, unit = (1e6, "μrad") if small else (1e3, "mrad")
+    _traces(axes, t, factor * y, names, None if limit is None else factor * limit, title, unit)
 
 
 def _traces(
@@ -128,14 +143,16 @@ def _torques(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: li
     _traces(axes, t.t, factor * t.torque[:, columns], names, None if common is None else factor * common, title, unit)
 
 
-def _shares(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None) -> None:
+def _shares(
+    axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], limit: float | None, unlimited: str
+) -> None:
     """Bars of the largest commanded torque of every torquer over its own limit."""
     asked = limit if limit is not None else 1.0
     chosen = [k for k in columns if torquers[k].limit is not None]
     axes.set_title("largest command over its limit")
     if not chosen or not t.t.size:
         axes.set_axis_off()
-        _note(axes, "no torquer has a limit")
+        _note(axes, unlimited)
         return
     peaks = np.nanmax(np.abs(t.command[:, chosen]), axis=0, initial=0.0)
     share = peaks / np.array([torquers[k].limit for k in chosen], dtype=np.float64)
@@ -176,7 +193,3 @@ def _note(axes: Axes, text: str) -> None:
 
 def _axes_names(symbol: str) -> tuple[str, ...]:
     return tuple(f"{symbol}{index}" for index in ("₁", "₂", "₃"))
-
-
-def _thousand(number: float | None) -> float | None:
-    return None if number is None else 1e3 * number

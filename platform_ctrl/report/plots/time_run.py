@@ -70,7 +70,8 @@ def time_run(
     duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
-    return trajectory_figure(recorded, torquers, asked, duration)
+    unknown = {} if platform is not None else {"unlimited": "give the platform to see the torquers' limits"}
+    return trajectory_figure(recorded, torquers, asked, duration, **unknown)
 
 
 def _place(name: str) -> Any:
