@@ -213,7 +213,7 @@ def test_a_nyquist_curve_is_the_loop_transfer_with_the_other_channel_closed(plan
     hz = 100.0
     S = pc.analysis.gang(plant, controller, [2.0 * np.pi * hz]).S_input[:, :, 0]
     for k, axes in enumerate(plot.axes[0]):
-        line = plot.lines[k][0]
+        line = plot.lines[0, k][0]
         curve = np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata())
         own = 1.0 / S[k, k] - 1.0
         assert nearest(curve, [own]) < 0.02
@@ -224,7 +224,7 @@ def test_the_nyquist_disk_is_touched_and_not_entered(plant, controller):
     plot = figures.nyquist(pc.analysis.loop_transfer(plant, controller))
     margins = pc.analysis.loop_margins(plant, controller)
     for k, alpha in enumerate(margins.alpha):
-        line = plot.lines[k][0]
+        line = plot.lines[0, k][0]
         curve = np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata())
         low, high = -(2.0 + alpha) / (2.0 - alpha), -(2.0 - alpha) / (2.0 + alpha)
         clear = np.nanmin(np.abs(curve - 0.5 * (low + high))) - 0.5 * (high - low)
@@ -233,7 +233,7 @@ def test_the_nyquist_disk_is_touched_and_not_entered(plant, controller):
 
 def test_the_arc_of_an_integrator_turns_half_a_circle_on_the_rim():
     plot = figures.nyquist(control.ss(control.tf([1.0], [1.0, 1.0, 0.0])))
-    line = plot.lines[0][0]
+    line = plot.lines[0, 0][0]
     curve = np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata())
     curve = curve[np.isfinite(curve)]
     assert np.abs(curve).max() == pytest.approx(3.0)
@@ -247,7 +247,7 @@ def test_the_arc_of_an_integrator_turns_half_a_circle_on_the_rim():
 @pytest.mark.parametrize(("gain", "unstable"), [(29.0, False), (31.0, True)])
 def test_the_closed_nyquist_curve_turns_round_minus_1_as_often_as_poles_are_unstable(gain, unstable):
     plot = figures.nyquist(gain * THIRD)
-    line = plot.lines[0][0]
+    line = plot.lines[0, 0][0]
     half = np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata())
     whole = np.concatenate([half[::-1].conj(), half])
     turns = np.diff(np.unwrap(np.angle(whole[np.isfinite(whole)] + 1.0)))
@@ -261,7 +261,7 @@ def test_nyquist_draws_data_as_they_are():
     w = np.geomspace(0.1, 100.0, 80)
     response = 1.0 / (1j * w + 1.0) ** 2
     plot = figures.nyquist(control.frd(response, w))
-    line = plot.lines[0][0]
+    line = plot.lines[0, 0][0]
     assert np.asarray(line.get_xdata()) + 1j * np.asarray(line.get_ydata()) == pytest.approx(response)
 
 
@@ -278,7 +278,7 @@ def test_the_pole_map_shows_a_sampled_system_where_the_continuous_one_is():
     damped = control.ss(control.tf([1.0], [1.0, 8.0, 1600.0]))
     sampled = pc.analysis.sampled(damped, 0.01, 0.0)
     plot = figures.pole_map({"continuous": damped, "sampled": sampled})
-    first, second = (np.asarray(x.get_xdata()) + 1j * np.asarray(x.get_ydata()) for x in plot.lines[0])
+    first, second = (np.asarray(x.get_xdata()) + 1j * np.asarray(x.get_ydata()) for x in plot.lines[0, 0])
     assert second == pytest.approx(first)
 
 
@@ -362,6 +362,14 @@ def test_the_two_sided_nyquist_plot_takes_the_loop_or_its_curve():
     for given in (loop, loop.nyquist):
         figure = figures.two_sided_nyquist(given)
         assert [text.get_text() for text in figure.legends[0].get_texts()][-1].startswith("disk margin 0.58")
+
+
+def test_a_plot_of_control_has_lists_of_lines_panel_by_panel(over_gain):
+    for plot in (over_gain, figures.pole_map(UNIT), figures.nyquist(UNIT), figures.step_response(UNIT)):
+        assert isinstance(plot, control.ControlPlot)
+        assert plot.lines.shape == plot.axes.shape == (1, 1)
+        assert all(line.axes is plot.axes[0, 0] for line in plot.lines[0, 0])
+        assert plot.axes[0, 0].figure is plot.figure
 
 
 def test_nothing_is_registered_with_pyplot(over_gain, over_spin):

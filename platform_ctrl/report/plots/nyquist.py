@@ -21,6 +21,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
 from platform_ctrl.report.quantities import count
@@ -163,9 +164,11 @@ def nyquist(
         Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8))),
     ]
     legend_above(figure, handles, names)
-    lines = np.empty(size, dtype=object)
-    lines[:] = drawn
-    return control.ControlPlot(lines, np.array([every[:size]]), figure)
+    shown = np.array([every[:size]])
+    lines = line_array(shown)
+    for k, own_lines in enumerate(drawn):
+        lines[0, k] = own_lines
+    return control.ControlPlot(lines, shown, figure)
 
 
 def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) -> list[ChannelCurve]:

@@ -14,6 +14,7 @@ from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.planes import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
@@ -120,7 +121,10 @@ def pole_map(
     if zeros:
         handles.append(Line2D([], [], marker="o", color=MUTED, linestyle="none", markerfacecolor="none", markersize=5))
     legend_above(figure, handles, names)
-    return control.ControlPlot(np.array([[lines]], dtype=object)[0], np.array([[axes]]), figure)
+    panel = np.array([[axes]])
+    every_line = line_array(panel)
+    every_line[0, 0] = lines
+    return control.ControlPlot(every_line, panel, figure)
 
 
 def _poles(system: DrawnSystem) -> ComplexArray:

@@ -17,6 +17,7 @@ from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.plots.loci import Locus, gain_locus, spin_locus
+from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.planes import s_plane, z_plane
 from platform_ctrl.report.quantities import listed
@@ -181,7 +182,10 @@ def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | 
     places.settle()
     legend_above(figure, handles, names)
     axes.set_title(f"{_stable_words(locus, word)}")
-    plot = control.ControlPlot(np.array([lines], dtype=object), np.array([[axes]]), figure)
+    panel = np.array([[axes]])
+    drawn = line_array(panel)
+    drawn[0, 0] = lines
+    plot = control.ControlPlot(drawn, panel, figure)
     plot.locus = locus
     return plot
 

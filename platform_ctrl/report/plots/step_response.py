@@ -14,6 +14,7 @@ from platform_ctrl.analysis.time_response import time_response
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, ratio_unit, unit
 from platform_ctrl.report.quantities import power_of_ten
 from platform_ctrl.report.style import (
@@ -89,9 +90,7 @@ def step_response(
     legend = legend_rows(names) if len(drawn) > 1 or drawn[0].label else 0
     height = 0.8 + 0.22 * legend + p * {1: 2.6, 2: 2.2}.get(p, 1.7) + 0.6 * (p - 1)
     figure, grid = panels(p, m, height, legend=legend)
-    lines = np.empty((p, m), dtype=object)
-    for i, j in np.ndindex(p, m):
-        lines[i, j] = []
+    lines = line_array(np.array(grid))
     for k, system in enumerate(drawn):
         t = _times(system, end)
         assert system.arrays is not None
