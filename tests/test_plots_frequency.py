@@ -144,6 +144,8 @@ def test_data_may_come_unsorted_and_with_gaps():
     f, gain = plot.lines[0, 0][0].get_data()
     assert f / HZ == pytest.approx([1.0, 2.0, 3.0, 5.0])
     assert gain == pytest.approx([1.0, math.nan, 3.0, 5.0], nan_ok=True)
+    # The point before the gap has no line to be seen by.
+    assert plot.lines[0, 0][0].get_markevery() == [0]
     assert drawn_png(plot)
 
 

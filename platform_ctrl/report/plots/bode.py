@@ -13,7 +13,8 @@ from platform_ctrl.arguments import known_name, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
 from platform_ctrl.greek import greek
-from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves, margins
+from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
+from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import (
     HZ,
@@ -116,7 +117,7 @@ def bode(
     number = sum(len(block) for block in found)
     columns = len(found[0])
     measured = {
-        id(one): _margins(one) for row in found for block in row for one in block.curves if as_loops and margins
+        id(one): margins_of(one) for row in found for block in row for one in block.curves if as_loops and margins
     }
     written = max(len(block.curves) for row in found for block in row) <= _WRITTEN and number <= 2 * _COLUMNS
     handles: dict[str, Any] = {}
@@ -156,10 +157,6 @@ def _is_loop(one: DrawnSystem) -> bool:
     if one.shape == (1, 1):
         return unit_of_gain(one) in ("", "1")
     return one.inputs == one.outputs
-
-
-def _margins(one: Curve) -> Margins:
-    return margins(one)
 
 
 def _loop_blocks(drawn: Sequence[DrawnSystem], frequency: ArrayLike | None) -> list[list[_Block]]:

@@ -103,8 +103,11 @@ def curve_style(k: int) -> dict[str, Any]:
 def draw(axes: Axes, frequency: FloatArray, y: FloatArray, k: int, **more: Any) -> Any:
     """Draw a curve over frequency, rad/s, in Hz and in the style of the k-th, and return its line."""
     style = curve_style(k) | more
-    if 0 < np.count_nonzero(np.isfinite(y)) < 3:
-        style |= {"marker": "o", "markersize": 3.8}
+    known = np.concatenate([[False], np.isfinite(y), [False]])
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    if alone.size:
+        # Between gaps there is no line to see.
+        style |= {"marker": style.get("marker") or "o", "markersize": 3.8, "markevery": alone.tolist()}
     elif style.get("marker"):
         # A handful of markers, equally far from each other on the paper and beside those of the next curve.
         places = np.geomspace(frequency[0], frequency[-1], 25)[2 + k % 3 :: 3]
@@ -331,21 +334,3 @@ def gain_label(words: str, unit: str, dB: bool) -> str:
     if dB:
         return f"{words}, dB" + (f" of {unit}" if unit not in ("", "1") else "")
     return words if unit in ("", "1") else f"{words}, {unit}"
-
-
-__all__ = [
-    "HZ",
-    "blocks",
-    "bound",
-    "curve_style",
-    "draw",
-    "frequency_panels",
-    "gain_label",
-    "gain_panel",
-    "gains",
-    "legend",
-    "line_array",
-    "no_response",
-    "phase_panel",
-    "shade",
-]
