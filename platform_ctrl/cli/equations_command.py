@@ -7,6 +7,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from platform_ctrl.cli import completion
+from platform_ctrl.cli.inputs import Quiet
 from platform_ctrl.errors import InputError
 from platform_ctrl.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
@@ -52,7 +53,8 @@ def equations(
             autocompletion=completion.words(*TERMS),
         ),
     ] = "paper",
-    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json; no progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Print the equations of a plant in symbols.
 
@@ -68,17 +70,20 @@ def equations(
     if as_json and chosen_form == "latex":
         raise InputError("--format latex and --json: given both; expected one of them")
     chosen_order = None if _one_of("--order", order, ORDERS) == EXACT else int(order)
-    from platform_ctrl.reading import read_platform
-    from platform_ctrl.symbolic import equations as found
+    from platform_ctrl.cli.terminal import progress
 
-    platform = read_platform(plant)
-    if as_json or chosen_form == "json":
-        import json
+    if as_json:
+        chosen_form = "json"
+    with progress(quiet or as_json, f"deriving the equations of {plant}"):
+        from platform_ctrl.reading import read_platform
+        from platform_ctrl.symbolic import equations as found
 
-        record = found(platform, "json", chosen_order, chosen_terms)
-        typer.echo(json.dumps(record, indent=2))
-        return
-    typer.echo(found(platform, chosen_form, chosen_order, chosen_terms), nl=False)
+        written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)
+        if chosen_form == "json":
+            import json
+
+            written = f"{json.dumps(written, indent=2)}\n"
+    typer.echo(written, nl=False)
 
 
 def _one_of(option: str, given: str, known: tuple[Word, ...]) -> Word:

@@ -6,8 +6,9 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 # Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120
 _NARROW = 96
+# Seconds after which a first line is printed where there is no terminal, and a line that stands is printed again.
+_LATE = 2.0
+_AGAIN = (10.0, 30.0, 60.0)
 
 
 @contextmanager
@@ -28,17 +32,27 @@ def progress(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     """Yield what a long piece of work calls with a line before each step.
 
     On a terminal the line, at the start `first`, stands beside a spinner and the time since the start, and vanishes at
-    the end. Elsewhere every line but `first` is printed on standard error: where the input turns out to be wrong, the
-    error stands there alone. `quiet` shows none. A Ctrl-C that a library swallowed takes effect at the next step.
+    the end. Elsewhere every line is printed on standard error, `first` only if it lasts: where the input turns out to
+    be wrong, the error stands there alone. A line that stands for long is printed again, with its time. `quiet` shows
+    none. A Ctrl-C that a library swallowed takes effect at the next step.
     """
     with interruptible() as heed, _shown(quiet, first) as show:
 
         def say(line: str) -> None:
             heed()
-            show(line)
+            show(f"{line}{_compiling(line)}")
 
         yield say
         heed()
+
+
+def _compiling(line: str) -> str:
+    """Say of the first run after an installation why it takes so long."""
+    if not line.startswith(("simulated run", "run ")):
+        return ""
+    from platform_ctrl.simulation.warming import is_compiled
+
+    return "" if is_compiled() else " (its kernel is compiled first, once: half a minute)"
 
 
 @contextmanager
@@ -47,7 +61,8 @@ def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
         yield lambda line: None
         return
     if not sys.stderr.isatty():
-        yield lambda line: print(line, file=sys.stderr, flush=True)
+        with _lines(first) as show:
+            yield show
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -58,6 +73,39 @@ def _shown(quiet: bool, first: str) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task(first, total=None)
         yield lambda line: shown.update(task, description=line)
+
+
+@contextmanager
+def _lines(first: str) -> Iterator[Callable[[str], None]]:
+    """Yield what prints a line; in a thread of its own, the first one after a while, and those that stand for long."""
+    current, over = first, threading.Event()
+    begun = time.monotonic()
+    due = [_LATE, *_AGAIN]
+    lock = threading.Lock()
+
+    def show(line: str) -> None:
+        nonlocal current, begun, due
+        with lock:
+            current, begun, due = line, time.monotonic(), list(_AGAIN)
+            print(line, file=sys.stderr, flush=True)
+
+    def watch() -> None:
+        while not over.wait(0.1):
+            with lock:
+                lasted = time.monotonic() - begun
+                if lasted >= due[0]:
+                    words = current if due[0] == _LATE else f"{current} ({due[0]:g} s)"
+                    due[:] = due[1:] or [due[0] + _AGAIN[-1]]
+                    with suppress(OSError, ValueError):  # the reader has gone: what prints next says so
+                        print(words, file=sys.stderr, flush=True)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield show
+    finally:
+        over.set()
+        watcher.join()
 
 
 @contextmanager

@@ -14,8 +14,7 @@ def warm_up() -> None:
 
     The other process keeps what it has compiled where this one will look for it. If it fails, nothing is lost but time.
     """
-    kept = Path(__file__).parent / "kernel" / "__pycache__"
-    if _compiling or any(kept.glob("loop.fly_groups*.nbi")):
+    if _compiling or is_compiled():
         return
     command = [sys.executable, "-c", f"from {__name__} import compile_kernel; compile_kernel()"]
     quiet = subprocess.DEVNULL
@@ -23,6 +22,11 @@ def warm_up() -> None:
         _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
     except OSError:
         return
+
+
+def is_compiled() -> bool:
+    """Return whether the kernel has been compiled in this installation."""
+    return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.fly_groups*.nbi"))
 
 
 def wait_until_warm() -> None:
