@@ -72,7 +72,7 @@ def test_what_is_better_passes(there: Path, capsys: pytest.CaptureFixture[str]) 
     slower = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "new/slower.json", "-q"]
     assert main([*slower, "--update-baseline"]) == 0
     assert main(["check", "job.toml", "--baseline", "new/slower.json", "-q"]) == 0
-    assert "better by more than its tolerance: caging 9-10: bandwidth 24.03 Hz -> 27.68 Hz" in capsys.readouterr().out
+    assert "better by more than its tolerance: caging 9-10: bandwidth, 24.03 Hz -> 27.68 Hz" in capsys.readouterr().out
 
 
 def test_a_requirement_that_is_missed_is_not_made_up_for_by_its_baseline(

@@ -15,7 +15,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.reading.mistakes import given, one_line, suggestion
 from platform_ctrl.reading.source import read_text
 
-EXPECTED = "a baseline, as --update-baselines writes it"
+EXPECTED = "the JSON of a baseline"
 
 
 class Table:

@@ -87,9 +87,15 @@ class Held:
         from platform_ctrl.report.moved_figure import write_moved_figure
 
         title = moved_text(comparison, f"{result.job.name}, {self.file.name}").partition("\n")[0]
-        words += f"\n  plot: {write_moved_figure(comparison, title, plot)}"
+        drawn: Path | None = None
+        try:
+            drawn = write_moved_figure(comparison, title, plot)
+            words += f"\n  plot: {drawn}"
+        except InputError as error:  # what moved is told all the same
+            words += f"\n  plot: none ({error})"
         words += "\n  to accept this: the same command with --update-baseline"
-        record = _record(self.file, comparison.changes, passed=False, updated=False, plot=str(plot))
+        shown = None if drawn is None else str(drawn)
+        record = _record(self.file, comparison.changes, passed=False, updated=False, plot=shown)
         return Outcome(comparison, f"baseline {words}", record)
 
 

@@ -11,8 +11,8 @@ from platform_ctrl.requirements import CheckResult
 
 # Digits until two numbers are told apart.
 _DIGITS = (4, 6, 9)
-# Lines for what is better or new: they are no failure.
-_LINES = 6
+# Lines for what is better, new or missing; a baseline of another job has nothing else.
+_LINES = 8
 
 
 def requirement_text(one: CheckResult) -> str:
@@ -55,17 +55,17 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
 def moved_text(comparison: Comparison, name: str) -> str:
     """Return what has moved beyond its tolerance since the baseline `name` was accepted, and why it may have.
 
-    First what fails, the worst first; then, in a few lines, what is better, what is new, and which loops have changed.
+    First what fails, the worst first, and which loops have changed; then, in a few lines, what is better and what new.
     """
     worse = sorted(comparison.of("worse"), key=lambda change: -change.of_tolerance)
     lines = [_head(comparison, name)]
     if worse:
         rows = [("", "before", "now", "change", "tolerance", "limit")]
         lines += _table(rows + [_row(change) for change in worse])
-    lines += [f"  not measured any more: {_named(change)}" for change in comparison.of("missing")]
+    lines += _others("not measured any more", comparison.of("missing"))
+    lines += _causes(comparison.pairs) if worse else []
     lines += _others("better by more than its tolerance", comparison.of("better"))
     lines += _others("not in the baseline", comparison.of("new"))
-    lines += _causes(comparison.pairs) if worse else []
     return "\n".join(lines)
 
 
@@ -123,7 +123,8 @@ def _others(words: str, changes: Sequence[Change]) -> list[str]:
     shown = []
     for change in changes[:_LINES]:
         before, now = shown_alike((change.before, change.now), change.unit)
-        shown.append(f"{_named(change)} {now if change.before is None else f'{before} -> {now}'}")
+        numbers = " -> ".join(filter(None, (before, now)))
+        shown.append(f"{_named(change)}, {numbers}")
     more = len(changes) - len(shown)
     return [f"  {words}: {line}" for line in shown] + ([f"  {words}: and {more} more"] if more > 0 else [])
 

@@ -126,12 +126,13 @@ def _draw_bars(axes: Axes, shown: list[Change], names: list[str], hidden: int) -
     axes.barh(places, np.clip(sizes, -reach, reach), height=0.62, color=colours, zorder=2)
     axes.set_yticks(places, names)
     axes.set_ylim(-max(len(shown), 2) + 0.5, 0.5)
-    axes.set_xlim(-1.04 * reach, 1.04 * reach)
+    axes.set_xlim(-reach, reach)
     linear_axis(axes.xaxis, 9)
     axes.grid(axis="y", visible=False)
     axes.tick_params(axis="y", length=0)
-    more = f"; {hidden} more are not shown" if hidden else ""
-    axes.set_xlabel(f"change over tolerance; within the band it is accepted, to the right of it worse{more}")
+    words = "change over tolerance: within the band accepted, to the right of it worse"
+    words += "; bars that touch the frame are longer" if np.abs(sizes).max(initial=0.0) > reach else ""
+    axes.set_xlabel(words + (f"; {hidden} figures more" if hidden else ""))
     for change, place in zip(shown, places, strict=True):
         before, now = shown_alike((change.before, change.now), change.unit)
         unit = before.partition(" ")[2]
