@@ -7,7 +7,7 @@ python examples/apps/first_loop.py          runs it once, as the tests do
 
 import marimo
 
-app = marimo.App(width="medium", app_title="A caged gyro")
+app = marimo.App(width="full", app_title="A caged gyro")
 
 
 @app.cell
@@ -27,15 +27,13 @@ def _():
 
 @app.cell
 def _(mo):
-    mo.md(
-        """
-        # A caged gyro
+    mo.md("""
+    # A caged gyro
 
-        Gimbals 9 and 10 of the three-gyro platform. The loop acts across: the angle of one axis drives the torquer of
-        the other. A lead from each angle to its own torquer damps nutation. Try what is bought from what: push the
-        crossover up until damping is lost, get it back with the lead, and see what the delay leaves of the margin.
-        """
-    )
+    Gimbals 9 and 10 of the three-gyro platform. The loop acts across: the angle of one axis drives the torquer of the
+    other. A lead from each angle to its own torquer damps nutation. Try what is bought from what: push the crossover up
+    until damping is lost, get it back with the lead, and see what the delay leaves of the margin.
+    """)
     return
 
 
@@ -46,7 +44,7 @@ def _(mo):
     spin = mo.ui.slider(0.3, 1.7, step=0.05, value=1.0, label="rotor speed / nominal", show_value=True)
     delay = mo.ui.slider(0.0, 2.0, step=0.05, value=0.5, label="delay, ms", show_value=True)
     rate = mo.ui.slider(1000, 8000, step=250, value=2000, label="sample rate, Hz", show_value=True)
-    mo.hstack([mo.vstack([crossover, lead]), mo.vstack([spin]), mo.vstack([delay, rate])], gap=2)
+    mo.sidebar([mo.md("**Loop**"), crossover, lead, delay, rate, mo.md("**Plant**"), spin], width="19rem")
     return crossover, delay, lead, rate, spin
 
 
@@ -136,11 +134,15 @@ def _(mo, stable, verdict):
 
 @app.cell
 def _(closed, figures, loop, mo, stable):
-    plots = {"Bode": figures.bode(loop).figure, "Nichols": figures.nichols(loop).figure}
-    if stable:
-        plots["Step"] = figures.step_response(closed).figure
-    plots["Poles"] = figures.pole_map(closed).figure
-    mo.ui.tabs(plots)
+    disturbed = closed[["alpha9", "beta10"], ["Q9", "Q10"]]
+    plots = {
+        "Bode": figures.bode(loop).figure,
+        "Nichols": figures.nichols(loop).figure,
+        "Step": figures.step_response(disturbed).figure if stable else None,  # a torque on each gimbal to the angles
+        "Poles": figures.pole_map(closed).figure,
+    }
+    shown = [plot if plot is not None else mo.md("No step response: not stable.") for plot in plots.values()]
+    mo.vstack([mo.hstack(shown[:2], widths="equal"), mo.hstack(shown[2:], widths="equal")], gap=1)
     return (plots,)
 
 
