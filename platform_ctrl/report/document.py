@@ -135,7 +135,8 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
         aside=f"{reached} of {count(len(goals), 'goal')} reached: no part of the verdict." if goals else "",
     )
     first, verdict, *details = opening(result, campaign)
-    return (banner, Paragraph(text=f"{first} {verdict}", tone="lead"), Paragraph(text=" ".join(details)))
+    lead = Paragraph(text=f"{first} {verdict}", tone="lead")
+    return (banner, lead, Paragraph(text=" ".join(details))) if details else (banner, lead)
 
 
 def _plant(result: JobResult) -> Section:
@@ -310,7 +311,7 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
 def _again(result: JobResult, command: str | None, campaign: Summary | None) -> Section:
     given = any(design.method == "given" for outcome in result.loops for design in outcome.designs)
     again = "platform-ctrl check job.toml --controllers result.json" if given else "platform-ctrl design job.toml"
-    words = "Save the text below as job.toml and run" if command is None else "This page was made by"
+    words = "Save the text below as job.toml and run" if command is None else "This report was made by"
     seed = result.job.seed
     blocks: list[Block] = [
         Paragraph(text=words),

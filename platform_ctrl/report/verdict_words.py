@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Margins up to this share belong to what limits a loop, beside the smallest.
 _NEAR = 0.05
+# Requirements of a loop that are named.
+_NAMED = 3
 # More loops than these are not gone through one by one: the nearest to their limits stand for all.
 _MOST_LOOPS = 4
 # Between a number and its unit no line ends.
@@ -94,7 +96,8 @@ def _whose(one: CheckResult) -> str:
 def _against(one: CheckResult) -> str:
     """Return value, limit and margin."""
     number, limit = compared(one.value, one.limit, one.unit)
-    margin = f", a margin of {percent(one.margin)}" if abs(one.margin) < 10.0 else ""
+    share = percent(abs(one.margin)).removeprefix("+")
+    margin = f", {'missed' if one.margin < 0.0 else 'met'} by {share}" if abs(one.margin) < 10.0 else ""
     return f"{number} where {BOUND[one.sense]} {limit} is asked{margin}"
 
 
@@ -112,12 +115,13 @@ def _limited(outcome: LoopOutcome, nearest: CheckResult) -> str:
     own = bandwidth_hz(outcome.closed)
     name = f"“{outcome.spec.name}”"
     reaches = f"{name} reaches a bandwidth of {quantity(own, 'Hz', 3)} and" if own > 0.0 else name
-    missed = [one for one in results if not one.passed]
+    missed = [one.name for one in sorted(results, key=lambda one: one.margin) if not one.passed]
     if missed:
-        return f"{reaches} misses {listed([one.name for one in missed])}"
+        others = [f"{_number(len(missed) - _NAMED)} more"] if len(missed) > _NAMED else []
+        return f"{reaches} misses {listed(missed[:_NAMED] + others)}"
     near = sorted((one for one in results if one.margin <= _NEAR and tightest([one])), key=lambda one: one.margin)
     if near:
-        named = [f"{one.name} ({percent(one.margin)})" for one in near[:3]]
+        named = [f"{one.name} ({percent(one.margin)})" for one in near[:_NAMED]]
         return f"{reaches} is held back by {listed(named)}"
     return f"{reaches} comes nearest to a limit in {nearest.name} ({percent(nearest.margin)})"
 
