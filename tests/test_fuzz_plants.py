@@ -40,6 +40,7 @@ loop = [{ name = "loop", kind = "stabilisation", use = "x", design = [{ name = "
 sampling = { delay = 0.0, rate_hz = 0 }
 """
 RULES = rules("plant-file.md")
+MEANT = {plant.name: meaning(read_platform(plant.data)) for plant in PLANTS}
 PLACES = [(plant, place) for plant in PLANTS for place in places(plant.data)]
 
 KEYS = [(plant, place) for plant, place in PLACES if isinstance(place[-1], str)]
@@ -149,4 +150,4 @@ def test_the_same_in_other_words_is_the_same_plant(plant: Seed, how: random.Rand
     text = written(plant.data, how)
     text = how.choice(["", "\ufeff"]) + (text.replace("\n", "\r\n") if how.random() < 0.3 else text)
     assert read(text)[0]
-    assert meaning(read_platform(Path("plant.toml").absolute())) == meaning(read_platform(plant.data))
+    assert meaning(read_platform(Path("plant.toml").absolute())) == MEANT[plant.name]

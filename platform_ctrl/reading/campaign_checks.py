@@ -14,9 +14,12 @@ from platform_ctrl.variation import CENTRES, DISTRIBUTION_NUMBERS
 Data = dict[str, Any]
 
 _NUMBERS = sorted({key for keys in DISTRIBUTION_NUMBERS.values() for key in keys})
+_KEYS = {"parameter", "distribution", "relative", "values", "weights", *_NUMBERS}
 # Standard deviations from the mean at which a truncated normal distribution has to begin at the latest: beyond, there
 # is less than 1e-15 of it, and its quantiles are rounding.
 FARTHEST = 8.0
+# Standard deviation of a natural logarithm at most: of numbers that lie further apart, some are none any more.
+WIDEST = 10.0
 
 
 def campaign_mistakes(data: Data) -> Iterator[Mistake]:
@@ -53,9 +56,10 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
         return
     choice = name == "choice"
     needed = ("values",) if choice else keys
+    # A factor lies about 1 unless it is said otherwise; whether it is one is not known where that is written wrongly.
+    factor = table.get("relative") is True or not isinstance(table.get("relative", False), bool) or set(table) - _KEYS
     for key in needed:
-        # A factor lies about 1 unless it is said otherwise.
-        if key not in table and not (key in CENTRES and table.get("relative") is True):
+        if key not in table and not (key in CENTRES and factor):
             wrong = f"distribution = {given(name)} needs {', '.join(needed)}"
             yield Mistake((*path, key), f'missing key "{key}": {wrong}')
     for key in (*_NUMBERS, "values", "weights"):
@@ -68,6 +72,11 @@ def _distribution(table: Data, path: Path) -> Iterator[Mistake]:
     n = {key: number for key in keys if (number := number_of(table, key)) is not None}
     if "mean" not in n and "mean" in keys:
         n["mean"] = 1.0
+    if name == "log-normal" and n.get("deviation", 0.0) > WIDEST:
+        wrong = (
+            f"deviation = {given(table['deviation'])}: one in six is e^{n['deviation']:.6g} times the median or more"
+        )
+        yield Mistake((*path, "deviation"), f"{wrong}; expected at most {WIDEST:g}")
     low, high = n.get("low"), n.get("high")
     if low is None or high is None:
         return

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 from platform_ctrl.description import OMEGA_NAMES, Platform
+from platform_ctrl.job import Campaign
 from platform_ctrl.reading.fields import ROUNDING
 from platform_ctrl.reading.mistakes import Mistake, Path, given, suggestion, tables, text_of
 from platform_ctrl.reading.plant_checks import number_of
@@ -17,6 +18,10 @@ Data = dict[str, Any]
 # The keys that make a motion of each mode: all of them or none; and the table that adds to it or stands for it.
 MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
 MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
+# Samples of a run, all of which are recorded, and integration steps: hours of work.
+MOST_SAMPLES, MOST_STEPS = 1e7, 1e9
+LONGEST_STEP = Campaign().step  # that of manoeuvres, too
+
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
 EVENTS = ("vibration", "faults", "initial")
 
@@ -38,6 +43,7 @@ def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
         if mode in MOTION:
             yield from _motion(table, path, mode)
             yield from _initial(table, path, mode, platform)
+        yield from _length(table, path, data)
         yield from _tables(table, path)
         yield from _vibrations(table, path, mode)
         yield from _names_of_faults(table, path, faults)
@@ -65,6 +71,23 @@ def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
         if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
             wrong = f"duration = {given(duration)}: shorter than 2 rise + hold"
             yield Mistake((*path, "duration"), f"{wrong}; expected at least {least:.6g} s")
+
+
+def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
+    duration, sampling, campaign = number_of(table, "duration"), data.get("sampling"), data.get("campaign")
+    if duration is None:
+        return
+    rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
+    step = number_of(campaign, "step") if isinstance(campaign, dict) and "step" in campaign else LONGEST_STEP
+    if rate is not None and rate > 0.0 and duration * rate > MOST_SAMPLES:
+        wrong = f"duration = {given(duration)}: is {duration * rate:.4g} sample periods"
+        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_SAMPLES:.0e}, or a lower rate_hz")
+    elif duration / LONGEST_STEP > MOST_STEPS:
+        wrong = f"duration = {given(duration)}: is {duration / LONGEST_STEP:.4g} integration steps"
+        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
+    elif step is not None and step > 0.0 and duration / step > MOST_STEPS:
+        wrong = f"step = {given(step)}: is {duration / step:.4g} steps of [[manoeuvre]] {int(path[1]) + 1}"
+        yield Mistake(("campaign", "step"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
 
 
 def _tables(table: Data, path: Path) -> Iterator[Mistake]:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.arguments import whole
 from platform_ctrl.description import Platform, RateSensor
-from platform_ctrl.errors import ArgumentError
+from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
+from platform_ctrl.simulation.background import heeding_interrupts
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.flight_plan import (
     Batch,
@@ -282,7 +283,13 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
 
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
-    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
+    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,).
+
+    Raises
+    ------
+    SimulationError
+        There is not enough memory for the record.
+    """
     from platform_ctrl.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
@@ -291,20 +298,26 @@ def recorded(member: Prepared, controller: Controller, period: float, noise: boo
     together = batch([member], controller, period, noise)
     at, flight = together.packed.at, together.flight
     columns = 3 * at.n + 7 + len(together.shared.sensors) + 2 * len(together.shared.targets) + 2 * at.servos
-    record = np.zeros((flight.samples, columns))
+    try:
+        record = np.zeros((flight.samples, columns))
+    except MemoryError:
+        takes = f"the record of {flight.samples} samples takes {flight.samples * columns * 8 / 1e9:.3g} GB"
+        raise SimulationError(f"{takes}, more memory than there is; expected a shorter run") from None
     figures = np.empty((1, flight.end - flight.figures, LANES))
-    fly_groups(
-        together.packed.links,
-        together.shared,
-        np.repeat(together.keys[None], LANES, axis=1),
-        memory(flight.end),
-        None,  # type: ignore[arg-type]
-        at,
-        flight,
-        together.free,
-        np.repeat(together.plants[:, :, None], LANES, axis=2),
-        np.repeat(together.given[:, :, None], LANES, axis=2),
-        figures,
-        record,
+    heeding_interrupts(
+        lambda: fly_groups(
+            together.packed.links,
+            together.shared,
+            np.repeat(together.keys[None], LANES, axis=1),
+            memory(flight.end),
+            None,  # type: ignore[arg-type]
+            at,
+            flight,
+            together.free,
+            np.repeat(together.plants[:, :, None], LANES, axis=2),
+            np.repeat(together.given[:, :, None], LANES, axis=2),
+            figures,
+            record,
+        )
     )
     return record, figures[0, :, 0]

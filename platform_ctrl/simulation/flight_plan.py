@@ -89,7 +89,7 @@ def timing(duration: float, period: float, delay: float, longest: float) -> Timi
     first = delay - whole * period
     first = 0.0 if first < 1e-9 * period else first
     lengths = (first, period - first)
-    before, after = (math.ceil(length / longest - 1e-9) for length in lengths)
+    before, after = (max(math.ceil(length / longest - 1e-9), int(length > 0.0)) for length in lengths)
     return Timing(samples, whole, (before, after), (first / before if before else 0.0, lengths[1] / after))
 
 

@@ -223,7 +223,7 @@ def meet_stops(
     a stop; t is the end of the step.
     """
     n, dy = at.n, at.stages
-    zero = 0.0 * load(mem, at.state, lane)
+    zero = 0.0 * load(mem, flight.alive, lane)  # which is a number even where the state is none any more
     hit, lying = zero, zero
     for k in range(n):
         stop = flight.stop + k * STOP
