@@ -6,7 +6,6 @@ import math
 
 from platform_ctrl.campaign.identity import digest, identity
 from platform_ctrl.campaign.probability import Probability
-from platform_ctrl.campaign.rare_result import RareResult
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, PASSED
@@ -18,7 +17,6 @@ from platform_ctrl.report.content import (
     Cards,
     Cell,
     Column,
-    Facts,
     Group,
     Listing,
     Mark,
@@ -33,14 +31,13 @@ from platform_ctrl.report.content import (
     sentence,
     table,
 )
-from platform_ctrl.report.quantities import MINUS, listed, plain, power_of_ten
+from platform_ctrl.report.quantities import listed, plain, power_of_ten
+from platform_ctrl.report.rare_content import rare_part
 
 AGAIN = "platform-ctrl simulate job.toml --run"
 
 # Lengths of small pictures beside numbers, in pixels.
-_SCALE, _INFLUENCE, _SHIFT = 150.0, 130.0, 180.0
-# Violations of a rare event that are shown.
-_MOST_PROBABLE = 5
+_SCALE, _INFLUENCE = 150.0, 130.0
 _SAMPLING = {"sobol": "Sobol points", "latin-hypercube": "a Latin hypercube", "random": "independent numbers"}
 
 
@@ -102,7 +99,7 @@ def campaign_sections(summary: Summary, again: str) -> list[Section]:
     first = (verdict(summary), probability_table(summary), Paragraph(text=_bounds_words(summary), tone="quiet"))
     sections = [Section(name="probabilities", title="", blocks=first)]
     if summary.rare:
-        parts = tuple(_rare(summary, one) for one in summary.rare)
+        parts = tuple(rare_part(summary.plan, one) for one in summary.rare)
         sections.append(Section(name="rare", title="Rare events", blocks=parts))
     plates = tuple(campaign_plates(summary))
     if plates:
@@ -299,71 +296,6 @@ def _worst(summary: Summary, again: str) -> tuple[Block, ...]:
 
 def _endings(summary: Summary) -> Table:
     return table("ended|runs|share", tables.ending_rows(summary), numbers="runs|share", form="narrow")
-
-
-def _rare(summary: Summary, rare: RareResult) -> Part:
-    repetitions = [
-        (
-            str(k),
-            tables.chance(one.probability),
-            f"{one.variation:.2f}",
-            ", ".join(plain(float(level), 3) for level in one.levels),
-        )
-        for k, one in enumerate(rare.repetitions, 1)
-    ]
-    numbers = "probability|own variation"
-    blocks: list[Block] = [
-        Facts(rows=tuple(tables.rare_rows(rare))),
-        table(f"repetition|{numbers}|levels, figure over limit", repetitions, numbers=numbers, form="narrow"),
-    ]
-    shifts = tables.moved(summary.plan, rare)
-    if shifts:
-        blocks.append(_moved(shifts))
-    points = _points(summary, rare)
-    if points is not None:
-        blocks.append(Part(title="Most probable violations", blocks=(points,)))
-    return Part(title=sentence(tables.rare_words(rare)), blocks=tuple(blocks))
-
-
-def _moved(shifts: list[tuple[str, float]]) -> Part:
-    largest = max(abs(shift) for _, shift in shifts) or 1.0
-    rows = []
-    for name, shift in shifts:
-        end = 0.5 + 0.5 * shift / largest
-        marks = (
-            Mark(form="bar", start=min(0.5, end), end=max(0.5, end), colour="series-2"),
-            Mark(form="tick", start=0.5, colour="frame"),
-        )
-        words = f"{shift:+.1f}".replace("-", MINUS)
-        rows.append(
-            Row(
-                cells=(
-                    Cell(text=name),
-                    Cell(text=f"{words} σ"),
-                    Cell(text="", strip=Strip(length=_SHIFT, marks=marks)),
-                )
-            )
-        )
-    columns = (Column(title="input"), Column(title="moved by", number=True), Column(title=""))
-    words = "Mean of the inputs of violating runs, in standard deviations from their middles; a fault's towards "
-    made = Table(columns=columns, groups=(Group(rows=tuple(rows)),), form="narrow")
-    return Part(title="What has to come together", blocks=(Paragraph(text=f"{words}happening."), made))
-
-
-def _points(summary: Summary, rare: RareResult) -> Table | None:
-    shown = rare.violations[:_MOST_PROBABLE]
-    if not shown:
-        return None
-    inputs = [summary.plan.inputs_at(one.u[None, :]) for one in shown]
-    found = [
-        ("distance", *(f"{one.distance:.2f} σ" for one in shown)),
-        ("over limit", *("diverged" if math.isinf(one.ratio) else plain(one.ratio, 4) for one in shown)),
-        *((name, *(tables.input_words(one[name][0].item()) for one in inputs)) for name in summary.plan.input_names),
-        ("noise of run", *(str(one.run) for one in shown)),
-    ]
-    columns = (Column(title=""), *(Column(title="", number=True) for _ in shown))
-    rows = tuple(Row(cells=tuple(Cell(text=text) for text in row)) for row in found)
-    return Table(columns=columns, groups=(Group(rows=rows),), form="narrow")
 
 
 def as_section(summary: Summary, result: JobResult, again: str | None) -> Section:
