@@ -22,7 +22,10 @@ def followed(z: ComplexArray) -> ComplexArray:
     out = z.copy()
     for k in range(1, len(z)):
         distance = np.abs(out[k - 1][:, None] - z[k][None, :])
-        out[k] = z[k][linear_sum_assignment(distance)[1]]
+        nearest = distance.argmin(axis=1)
+        # Mostly each has its own nearest: nothing is to be weighed then.
+        own = len(set(nearest.tolist())) == len(nearest)
+        out[k] = z[k][nearest if own else linear_sum_assignment(distance)[1]]
     return out
 
 

@@ -231,7 +231,7 @@ def traced_locus(values: FloatArray, poles: Poles, dt: float) -> Locus:
     def shown(z: ComplexArray) -> ComplexArray:
         s = continuous_poles(z, dt)
         outside = ~(np.abs(s) < 3.0 * view.reach)
-        return np.where(outside, np.nan, s)
+        return np.where(outside, np.nan, view.stretch * s.real + 1j * s.imag)
 
     fine = traced(coarse, poles, shown, _STEP * view.reach)
     z = poles(fine)

@@ -15,6 +15,8 @@ _HZ = 1.0 / (2.0 * np.pi)
 _BELOW, _RIGHT, _MOST_RIGHT = 0.05, 0.17, 0.75
 # Width of a panel over the height above the real axis, about; room beyond the outermost pole; a gap between poles.
 _ASPECT, _BEYOND, _GAP = 1.95, 1.2, 8.0
+# Poles within this share of the width are drawn stretched, so much at most; within 1/_FLAT they are on the axis.
+_SLIM, _STRETCH, _FLAT = 0.35, 12.0, 60.0
 _DASHES = (0, (1.2, 1.8))
 
 
@@ -28,10 +30,13 @@ class View:
         Up to which imaginary part, rad/s.
     right
         Share of the panel to the right of the imaginary axis.
+    stretch
+        How much longer a real part is drawn than an imaginary one.
     """
 
     reach: float
     right: float = _RIGHT
+    stretch: float = 1.0
 
 
 def round_steps(top: float, number: int = 4) -> FloatArray:
@@ -45,13 +50,14 @@ def round_steps(top: float, number: int = 4) -> FloatArray:
 def s_plane(axes: Axes, view: View) -> Places:
     """Make `axes` the upper half of the s-plane, with damping rays and frequency arcs.
 
-    Both axes have the same scale, so that a ray's direction is the damping ratio.
+    Both axes have the same scale, so that a ray's direction is the damping ratio; unless all poles lie close to the
+    imaginary axis, where rays and arcs are stretched with them.
     """
     reach = view.reach
     whole = axes.get_window_extent()
     width, height = whole.width, whole.height
     span = (1.0 + _BELOW) * reach
-    across = span * width / height
+    across = span * width / height / view.stretch
     left, right = -(1.0 - view.right) * across, view.right * across
     axes.set_xlim(left, right)
     axes.set_ylim(-_BELOW * reach, reach)
@@ -135,8 +141,13 @@ def view_of(ends: ComplexArray, between: ComplexArray, nyquist: float, reach: fl
         reach = max(up, (left + right) / _ASPECT) or 1.0
         share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
         reach = max(reach, left / ((1.0 - share) * _ASPECT))
-    share = float(np.clip(right / (_ASPECT * reach), _RIGHT, _MOST_RIGHT))
-    return View(reach=reach, right=share)
+    across = whole = _ASPECT * reach
+    if whole / _FLAT < left + right < _SLIM * whole:
+        # Little damping: what there is to see lies in a narrow strip.
+        across = max(left + right, whole / _STRETCH)
+    share = float(np.clip(right / across, _RIGHT, _MOST_RIGHT))
+    across = max(across, min(max(left / (1.0 - share), right / share), whole))
+    return View(reach=reach, right=share, stretch=whole / across)
 
 
 def _bound(poles: ComplexArray, nyquist: float) -> float:
