@@ -294,11 +294,11 @@ def test_zeros_are_those_of_the_transfer_function_and_the_rest_is_counted():
 def test_little_damping_is_stretched_until_it_can_be_seen(ratio):
     plot = figures.pole_map(control.ss(control.tf([1.0], [1.0, 2.0 * ratio * 40.0, 1600.0])))
     axes = plot.axes[0, 0]
-    left, right = axes.get_xlim()
+    left = axes.get_xlim()[0]
     assert -ratio * 40.0 / left > 0.1
     up = axes.transData.transform([(0.0, 0.0), (0.0, 1.0), (1.0, 0.0)])
     scales = up[1, 1] - up[0, 1], up[2, 0] - up[0, 0]
-    assert (scales[1] > 2.0 * scales[0]) is (ratio == 0.02)
+    assert bool(scales[1] > 2.0 * scales[0]) == (ratio == 0.02)
     # The rays are stretched alike: the pole lies where its damping says.
     rays = [line for line in axes.lines if len(line.get_xdata()) == 2 and line.get_xdata()[1] < 0.0]
     slopes = sorted(-line.get_xdata()[1] / line.get_ydata()[1] for line in rays)
