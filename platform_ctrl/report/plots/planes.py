@@ -16,7 +16,7 @@ _BELOW, _RIGHT, _MOST_RIGHT = 0.05, 0.17, 0.75
 # Width of a panel over the height above the real axis, about; room beyond the outermost pole; a gap between poles.
 _ASPECT, _BEYOND, _GAP = 1.95, 1.2, 8.0
 # Poles within this share of the width are drawn stretched, so much at most; within 1/_FLAT they are on the axis.
-_SLIM, _STRETCH, _FLAT = 0.35, 12.0, 60.0
+_SLIM, _STRETCH, _FLAT = 0.35, 12.0, 400.0
 _DASHES = (0, (1.2, 1.8))
 
 
