@@ -339,6 +339,7 @@ def test_an_update_makes_folders(result: JobResult, tmp_path: Path) -> None:
         (lambda data: data["figures"][0].update(absolute=True), "absolute: given true; expected a number >= 0"),
         (lambda data: data["figures"].append(data["figures"][0]), 'stands there twice for "caging 4-5-7"'),
         (lambda data: data["controllers"][0].pop("A"), 'controllers 1 "caging 4-5-7": missing key "A"'),
+        (lambda data: data["controllers"][0].update(dt=0), "dt: given 0.0; expected the sample period, s"),
         (lambda data: data["controllers"][0]["A"].pop(), "A: row 1 is "),
         (lambda data: data["controllers"][0]["B"].pop(), "B: given "),
         (lambda data: data["controllers"][0].update(inputs=["a", "a"]), "inputs: given"),
@@ -445,6 +446,18 @@ def test_the_figure_stands_infinite_changes_and_nothing_to_compare(result: JobRe
     from platform_ctrl.frozen import replaced
 
     assert moved_figure(compare(result, replaced(baseline, {"figures": ()})), "nothing").axes
+
+
+@pytest.mark.parametrize(
+    ("key", "matrix", "number"),
+    [("controllers", "A", 1e200), ("plants", "D", 1.6e8), ("plants", "A", 1e300), ("controllers", "D", -1e-300)],
+)
+def test_the_figure_stands_matrices_that_were_edited_by_hand(
+    result: JobResult, file: Path, key: str, matrix: str, number: float
+) -> None:
+    changed(file, lambda data: data[key][0][matrix][0].__setitem__(1, number))
+    figure = moved_figure(compare(result, read_baseline(file)), "edited")
+    assert [axes.get_title(loc="left") for axes in figure.axes[1:]] == ["S of caging 4-5-7"]
 
 
 def test_junit_says_what_was_asked_and_what_moved(result: JobResult, slower: JobResult, tmp_path: Path) -> None:

@@ -245,7 +245,9 @@ def _figure(table: Table, default: Tolerance) -> AcceptedFigure:
 def _loop(table: Table, plants: Mapping[str, Table]) -> LoopMatrices:
     name = table.text("name", "the name of a loop")
     inputs, outputs = table.names("inputs"), table.names("outputs")
-    dt, delay = (table.positive(key, "a number, s") for key in ("dt", "delay"))
+    dt, delay = (table.positive(key, "a number >= 0, s") for key in ("dt", "delay"))
+    if not 1e-9 <= dt <= 1e6:
+        raise table.mistake(f"dt: given {given(dt)}; expected the sample period, s")
     plant = plants.get(name)
     return LoopMatrices(
         loop=name,

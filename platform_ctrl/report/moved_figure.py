@@ -14,7 +14,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
 from platform_ctrl.analysis.feedback import closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.baselines import Change, Comparison, LoopMatrices
-from platform_ctrl.errors import InputError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.failure_text import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
@@ -152,19 +152,36 @@ def _draw_bars(axes: Axes, shown: list[Change], names: list[str], hidden: int) -
 
 def _draw_loop(axes: Axes, before: LoopMatrices, now: LoopMatrices) -> None:
     """Draw the largest singular value of S before and now, on a grid that follows the poles of both."""
-    poles = np.concatenate([_poles(before), _poles(now)])
-    nyquist = np.pi / max(before.controller.dt, now.controller.dt)
-    slowest = np.abs(poles.imag[np.abs(poles.imag) > 1e-4 * nyquist]).min(initial=0.05 * nyquist)
-    frequency = following_grid(poles, max(0.02 * float(slowest), 1e-4 * nyquist), 0.999 * nyquist)
-    curves = [_sensitivity(loop, frequency) for loop in (before, now)]
+    axes.set_title(f"S of {now.loop}")
+    found = _responses(before, now)
+    if found is None:
+        axes.text(0.5, 0.5, "the baseline's matrices\nclose no loop", ha="center", transform=axes.transAxes)
+        return
+    frequency, *curves = found
     axes.plot(frequency * _HZ, curves[0], color=SERIES[1], linestyle=(0, (5, 2)), linewidth=1.3, label="before")
     axes.plot(frequency * _HZ, curves[1], color=SERIES[0], linewidth=1.8, label="now")
     frequency_axes(axes, frequency[0] * _HZ, frequency[-1] * _HZ)
     gain_limits(axes, curves, low=1e-3, high=1e2)
     axes.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
-    axes.set_title(f"S of {now.loop}")
     axes.set_ylabel("largest singular value, 1")
     axes.legend(loc="lower right")
+
+
+def _responses(before: LoopMatrices, now: LoopMatrices) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return frequencies and both sensitivities; None where the file's matrices, edited by hand, have none."""
+    nyquist = np.pi / now.controller.dt
+    try:
+        with np.errstate(all="ignore"):
+            poles = np.concatenate([_poles(before), _poles(now)])
+            # A pole of a delay, z = 0, lies infinitely far to the left; one to the right has overflowed.
+            if np.isnan(poles).any() or np.isposinf(poles.real).any():
+                return None
+            slowest = np.abs(poles.imag[np.abs(poles.imag) > 1e-4 * nyquist]).min(initial=0.05 * nyquist)
+            frequency = following_grid(poles, max(0.02 * float(slowest), 1e-4 * nyquist), 0.999 * nyquist)
+            curves = [_sensitivity(loop, frequency) for loop in (before, now)]
+    except (ArgumentError, np.linalg.LinAlgError):
+        return None
+    return (frequency, curves[0], curves[1]) if np.isfinite(curves).all() else None
 
 
 def _matrices(loop: LoopMatrices) -> tuple[StateArrays, StateArrays]:
