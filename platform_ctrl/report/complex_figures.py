@@ -13,10 +13,10 @@ from platform_ctrl.arguments import short
 from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.style import (
     BAND,
     DASHES,
-    INK,
     LIMIT,
     MUTED,
     REFERENCE,
@@ -73,10 +73,12 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
         linear_axis(axes.xaxis, 6)
         linear_axis(axes.yaxis, 6)
         axes.set_xlabel("real part of L")
+        places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in drawn])
+        places.reserve(-1.0, 0.0, 5.0)
         taken: list[complex] = []
         for sign in (1, -1):
             _arrows(axes, curve, sign, centre, half)
-            _label(axes, curve, sign, centre, half, taken)
+            _label(axes, places, curve, sign, centre, half, taken)
         handles = [*drawn, critical, *([disk] if disk is not None else [])]
     wide.set_ylabel("imaginary part of L")
     legend_above(figure, handles, names)
@@ -146,7 +148,9 @@ def _arrows(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: 
         )
 
 
-def _label(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: float, taken: list[complex]) -> None:
+def _label(
+    axes: Axes, places: Places, curve: TwoSidedNyquist, sign: int, centre: float, half: float, taken: list[complex]
+) -> None:
     """Write round frequencies along the branch, wherever nothing else stands near."""
     w, L = _side(curve, sign)
     f = np.abs(w) * _HZ
@@ -162,11 +166,4 @@ def _label(axes: Axes, curve: TwoSidedNyquist, sign: int, centre: float, half: f
                 continue
             taken.append(at)
             axes.plot([at.real], [at.imag], "o", color=SERIES[0 if sign > 0 else 1], markersize=3.2)
-            axes.annotate(
-                _signed(sign * number),
-                (at.real, at.imag),
-                (4, 3),
-                textcoords="offset points",
-                fontsize=7.0,
-                color=INK,
-            )
+            places.put(_signed(sign * number), at.real, at.imag)
