@@ -244,6 +244,13 @@ def test_all_colours_of_figures_follow_the_theme(page: str) -> None:
     assert themed <= set(re.findall(r"--([a-z0-9-]+):", dark))
 
 
+def test_a_name_that_looks_like_a_colour_stays_a_name() -> None:
+    with style.settings():
+        figure, [[axes]] = style.panels(1, 1, 2.0)
+        axes.set_title("#0072b2")
+        assert "#0072b2</text>" in style.svg(figure, "a title")
+
+
 def test_names_are_text_and_never_markup(page: str) -> None:
     assert "<b>bold" not in page
     assert "&lt;b&gt;bold&lt;/b&gt; $name$" in page

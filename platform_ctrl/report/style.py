@@ -265,6 +265,10 @@ _FRACTION = re.compile(r"(\.\d\d)\d+")
 _FONT = re.compile(r"font: ((?:bold |700 )?)([0-9.]+)px [^;\"]*")
 
 
+def _themed(colour: re.Match[str]) -> str:
+    return f"var(--{_VARIABLES[colour[0]]}, {colour[0]})"
+
+
 def svg(figure: Figure, description: str) -> str:
     """Return `figure` as an SVG element for the page: theme variables for colours, the page's own font, no address.
 
@@ -284,7 +288,7 @@ def svg(figure: Figure, description: str) -> str:
     text = _TAG.sub(lambda found: _FRACTION.sub(r"\1", found[0]), text)
     text = _NAMES.sub("", text).replace("xlink:href", "href")
     text = _FONT.sub(lambda found: f"font-size: {found[2]}px" + ("; font-weight: 600" if found[1] else ""), text)
-    text = _COLOUR.sub(lambda found: f"var(--{_VARIABLES[found[0]]}, {found[0]})", text)
+    text = _TAG.sub(lambda found: _COLOUR.sub(_themed, found[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", text[text.index("<svg") :])
     escaped = description.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escaped}">'
