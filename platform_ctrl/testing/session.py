@@ -144,6 +144,9 @@ class RequirementTest:
         self.subject, self.name = asked
         self.record: Recorder | None = None
 
+    def __repr__(self) -> str:
+        return f"<requirement {self.id!r} of {self._job.job.name!r}>"
+
     @property
     def id(self) -> str:
         """What the test is called."""
@@ -196,6 +199,9 @@ class BaselineTest:
     def __init__(self, job: JobUnderTest, file: Path) -> None:
         self._job, self.file = job, file
         self.record: Recorder | None = None
+
+    def __repr__(self) -> str:
+        return f"<baseline {self.file.name!r} of {self._job.job.name!r}>"
 
     def assert_met(self) -> None:
         """Assert that nothing is worse; with ``--update-baselines`` accept what there is.
