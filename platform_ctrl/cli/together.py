@@ -26,12 +26,14 @@ def together(folder: Path) -> Iterator[Path]:
     InputError
         A file cannot be written.
     """
+    unfinished: Path | None = None
     try:
-        # In the same folder, so that putting a file in place is one step of the file system.
-        unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from None
-    try:
+        with _uninterrupted():
+            try:
+                # In the same folder, so that putting a file in place is one step of the file system.
+                unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+            except OSError as error:
+                raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from None
         yield unfinished
         with _uninterrupted():
             for file in sorted(unfinished.iterdir()):
@@ -40,8 +42,9 @@ def together(folder: Path) -> Iterator[Path]:
                 except OSError as error:
                     raise InputError(f"{folder / file.name}: cannot be written: {error.strerror or error}") from None
     finally:
-        with _uninterrupted():
-            shutil.rmtree(unfinished, ignore_errors=True)
+        if unfinished is not None:
+            with _uninterrupted():
+                shutil.rmtree(unfinished, ignore_errors=True)
 
 
 @contextmanager
