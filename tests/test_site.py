@@ -198,6 +198,13 @@ def test_every_public_name_is_in_the_reference(site: Path, module: str) -> None:
             assert entry in listed, entry
 
 
+def test_names_that_a_docstring_lists_together_have_each_their_own_type(site: Path) -> None:
+    page = (site / "reference" / "requirements.html").read_text(encoding="utf-8")
+    entry = page[page.index('id="platform_ctrl.requirements.CheckResult"') :].split("<h3")[0]
+    rows = [re.sub(r"<[^>]*>|\s", "", row).strip() for row in entry.split('<tr class="doc-section-item">')]
+    assert {row[:10] for row in rows} >= {"valuefloat", "limitfloat", "unitstrAsm", "senseSense"}
+
+
 def test_every_package_that_has_public_names_is_asked_for() -> None:
     found = {
         ".".join(path.parent.relative_to(ROOT).parts)
@@ -254,13 +261,21 @@ def test_the_search_has_its_index_as_a_script_too(site: Path) -> None:
     assert "linearise" in (site / "search" / "search_index.json").read_text(encoding="utf-8")
 
 
-def test_the_app_runs_as_a_script() -> None:
-    marimo = pytest.importorskip("marimo", reason="no wheels of marimo for this Python")
-    assert marimo.__version__
+# Sliders of the app, and what docs/try-it.md says of them: disk margin, bandwidth in Hz.
+SLIDERS = {"crossover": 40, "lead": 48, "spin": 1.0, "delay": 0.5, "rate": 2000}
+TOLD = [({}, 0.57, 30), ({"crossover": 60}, 0.0, 0), ({"crossover": 60, "lead": 80}, 0.42, 40)]
+
+
+def test_the_app_runs_as_a_script_and_says_what_its_page_says() -> None:
+    pytest.importorskip("marimo", reason="no wheels of marimo for this Python")
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    moved = [SLIDERS | change for change, *_ in TOLD]
     code = (
-        "import runpy; app = runpy.run_path('examples/apps/first_loop.py')['app']; _, names = app.run(); "
-        "print(all(one.passed for one in names['verdict']), *names['plots'])"
+        "import runpy, types; app = runpy.run_path('examples/apps/first_loop.py')['app']\n"
+        f"for sliders in [None, *{moved!r}]:\n"
+        "    given = {name: types.SimpleNamespace(value=value) for name, value in (sliders or {}).items()}\n"
+        "    _, names = app.run(defs=given) if given else app.run()\n"
+        "    print(*(one.value for one in names['verdict']), *names['plots'])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -270,4 +285,10 @@ def test_the_app_runs_as_a_script() -> None:
         text=True,
         timeout=120,
     )
-    assert done.stdout.split() == ["True", "Bode", "Nichols", "Step", "Poles"], done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert len(lines) == 1 + len(TOLD), done.stderr
+    assert lines[0] == lines[1]  # the sliders as they stand
+    for line, (_, margin, bandwidth) in zip(lines[1:], TOLD, strict=True):
+        assert float(line[0]) == pytest.approx(margin, abs=0.005)
+        assert float(line[2]) == pytest.approx(bandwidth, abs=0.5)
+        assert line[3:] == ["Bode", "Nichols", "Step", "Poles"]

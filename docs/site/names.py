@@ -17,6 +17,7 @@ from typing import Any
 # The modules that have their names on a page, as the pages ask for them.
 MODULES: list[str] = []
 MARK = re.compile(r"^<!-- names of ([\w.]+) -->$", re.MULTILINE)
+_PAGE = re.compile(r"(?<=<p>See )docs/([\w-]+)\.md")
 _CODE = re.compile(
     r"<pre.*?</pre>|<h[1-6].*?</h[1-6]>|<a [^>]*>.*?</a>|<autoref.*?</autoref>|<code>([\w.]+)(?:\(\))?</code>",
     re.DOTALL,
@@ -105,6 +106,11 @@ def _alone() -> dict[str, str]:
             if documented(item) and (inspect.isclass(item) or "_" in name):
                 found.setdefault(name, set()).add(identifier(item))
     return {name: meant.pop() for name, meant in found.items() if len(meant) == 1}
+
+
+def pages_linked(content: str, up: str) -> str:
+    """Return a page's HTML with links where docstrings name a page of docs/, which is at `up`."""
+    return _PAGE.sub(rf'<a href="{up}\1.html">\1</a>', content)
 
 
 def linked(content: str) -> str:

@@ -7,7 +7,7 @@ import json
 import os
 import re
 import tempfile
-from contextlib import chdir, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,8 @@ def _draw(page: str, name: str) -> list[str]:
     out: list[str] = []
     wanted = len(pictures(page))
     namespace: dict[str, Any] = {"__name__": "__page__"}
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(StringIO()):
+    said = StringIO()
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(said), redirect_stderr(said):
         for piece in pieces(page):
             if len(out) == wanted:
                 break
@@ -76,7 +77,7 @@ def _draw(page: str, name: str) -> list[str]:
             elif piece.language == "console":
                 for arguments, expected in commands(piece):
                     if main(arguments) != expected:
-                        raise ValueError(f"{name}: {arguments}: expected exit code {expected}")
+                        raise ValueError(f"{name}: {arguments}: expected exit code {expected}:\n{said.getvalue()}")
     return out
 
 

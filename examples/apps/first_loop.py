@@ -14,6 +14,7 @@ app = marimo.App(width="full", app_title="A caged gyro")
 def _():
     import tomllib
 
+    import control
     import marimo as mo
     import numpy as np
 
@@ -22,7 +23,7 @@ def _():
     from platform_ctrl.report import figures
     from platform_ctrl.requirements import requirement
 
-    return figures, mo, np, pc, platform_source, requirement, tomllib
+    return control, figures, mo, np, pc, platform_source, requirement, tomllib
 
 
 @app.cell
@@ -49,7 +50,7 @@ def _(mo):
 
 
 @app.cell
-def _(pc, platform_source, tomllib):
+def _(control, np, pc, platform_source, tomllib):
     def gyro_with(speed):
         """Return the platform with rotor 11 at another speed: a plant is a dict as well."""
         plant = tomllib.loads(platform_source("three_gyro_platform"))
@@ -58,37 +59,19 @@ def _(pc, platform_source, tomllib):
                 rotor["angular_momentum"] *= speed
         return pc.read_platform(plant)
 
-    def loop_with(crossover_hz, lead_hz, rate_hz, delay_s):
-        """Return the classical controller with these numbers, torque = K(angle); designed for the nominal speed."""
-        job = pc.read_job(
-            {
-                "schema": 1,
-                "name": "gyro 9-10",
-                "plant": "three_gyro_platform",
-                "operation": {"Omega": [0.0, 0.0, 0.0]},
-                "sampling": {"rate_hz": rate_hz, "delay": delay_s},
-                "loop": [
-                    {
-                        "name": "caging 9-10",
-                        "kind": "caging",
-                        "gimbals": ["9", "10"],
-                        "use": "classical",
-                        "design": [
-                            {
-                                "name": "classical",
-                                "method": "classical",
-                                "crossover_hz": crossover_hz,
-                                "integral_hz": 2,
-                                "damping_hz": max(lead_hz, 0.01),
-                                "damping2_hz": 1.2 * max(lead_hz, 0.01),
-                                "lead_hz": 7,
-                            }
-                        ],
-                    }
-                ],
-            }
-        )
-        return pc.design.loops(job)[0].closed.controller
+    def loop_with(crossover_hz, lead_hz, rate_hz):
+        """Return torque = K(angle), sampled by Tustin's rule, for the nominal rotor: PI across, lead along."""
+        model = pc.linearise(pc.read_platform("three_gyro_platform"))
+        place = [model.platform.gimbal_names.index(gimbal) for gimbal in ("9", "10")]
+        h, (J1, J2) = model.G[place[0], place[1]], np.diag(model.M)[place]
+        s = control.tf("s")
+        across = h * 2 * np.pi * crossover_hz * (1 + 2 * np.pi * 2 / s)
+        along = 2 * np.pi * lead_hz * (s + 2 * np.pi * 7) / (s / (2 * np.pi * 0.4 * rate_hz) + 1)
+        parts = control.append(*(control.ss(part) for part in (across, across, J1 * along, 1.2 * J2 * along)))
+        angles = control.ss([], [], [], [[0, 1], [1, 0], [1, 0], [0, 1]])
+        torques = control.ss([], [], [], [[-1, 0, -1, 0], [0, 1, 0, -1]])
+        K = control.sample_system(torques * parts * angles, 1 / rate_hz, method="bilinear")
+        return control.ss(K, inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
 
     return gyro_with, loop_with
 
@@ -96,7 +79,7 @@ def _(pc, platform_source, tomllib):
 @app.cell
 def _(crossover, delay, gyro_with, lead, loop_with, pc, rate, spin):
     period = 1.0 / rate.value
-    controller = loop_with(crossover.value, lead.value, rate.value, 1e-3 * delay.value)
+    controller = loop_with(crossover.value, lead.value, rate.value)
     platform = gyro_with(spin.value)
     gyro = pc.state_space(pc.linearise(platform), gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
     plant = pc.analysis.sampled(gyro, period, 1e-3 * delay.value, [2e-4, 2e-4])
