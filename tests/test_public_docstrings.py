@@ -44,6 +44,8 @@ MODULES = (
     "parameters",
     "precession",
     "reading",
+    "report",
+    "report.figures",
     "requirements",
     "scenario",
     "simulation",
@@ -99,7 +101,9 @@ SOURCES = (
     "T. Chen, B. A. Francis, Optimal Sampled-Data Control Systems, 1995",
     "T. L. Kelley, Proceedings of the National Academy of Sciences 21, 1935",
     "U. Olsson, Journal of Statistics Education 13, 2005",
+    "W. Campbell, Trans. ASME 46, 1924",
     "W. H. Kruskal, W. A. Wallis, Journal of the American Statistical Association 47, 1952",
+    "W. R. Evans, Trans. AIEE 67, 1948",
     # Not from the literature.
     "See docs/",  # the page that derives it, or says what the format is
     "As `",  # the public name that computes it

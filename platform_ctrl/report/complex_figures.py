@@ -46,10 +46,19 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     curve
         From `design.complex_shaping.complex_loop`: the loop itself, or its ``nyquist``.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+
     Raises
     ------
     ArgumentError
         It is something else.
+
+    References
+    ----------
+    See docs/complex-coordinates.md.
     """
     curve = curve.nyquist if isinstance(curve, ComplexLoop) else curve
     if not isinstance(curve, TwoSidedNyquist):

@@ -40,7 +40,26 @@ _HZ = 1.0 / (2.0 * np.pi)
 
 
 def coupled_pole_figure(result: JobResult) -> Figure:
-    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
+    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below.
+
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `damping`.
+    """
     check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
     s = continuous_poles(check.poles, period)
@@ -69,7 +88,26 @@ def coupled_pole_figure(result: JobResult) -> Figure:
 
 
 def margin_bars_figure(check: CoupledCheck) -> Figure:
-    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
+    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system.
+
+    Parameters
+    ----------
+    check
+        Of a job's result.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+    """
     figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
@@ -94,7 +132,28 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
 
 
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
-    """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
+    """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded.
+
+    Parameters
+    ----------
+    check
+        Of a job's result.
+    limit
+        What is asked, dimensionless; None: nothing.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+    """
     figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
@@ -134,7 +193,26 @@ def coupled_grid(result: JobResult) -> FloatArray:
 
 
 def servo_figure(result: JobResult) -> Figure | None:
-    """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
+    """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer.
+
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        A column for each root torquer.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
+    """
     check = result.coupled
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
     channels = [k for k, name in enumerate(check.channels) if name in roots]
@@ -162,7 +240,26 @@ def servo_figure(result: JobResult) -> Figure | None:
 
 
 def platform_disturbance_figure(result: JobResult) -> Figure:
-    """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all."""
+    """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all.
+
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
     figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=1)

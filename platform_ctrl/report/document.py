@@ -60,10 +60,19 @@ def write_page(
     again
         The command line that flies one run of the campaign again, without the run's number at its end.
 
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
     Raises
     ------
     InputError
         The file cannot be written.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     return write_whole(path, page(result, command=command, campaign=campaign, again=again))
 
@@ -81,6 +90,19 @@ def page(
     ----------
     result, command, campaign, again
         As in `write_page`.
+
+    Returns
+    -------
+    str
+        The whole file, without links to anything outside.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     return html(prepared(result, command=command, campaign=campaign, again=again))
 
@@ -98,6 +120,19 @@ def prepared(
     ----------
     result, command, campaign, again
         As in `write_page`.
+
+    Returns
+    -------
+    Document
+        Sections with text, tables and figures.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     from platform_ctrl.report import style
 

@@ -46,7 +46,28 @@ _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin."""
+    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin.
+
+    Parameters
+    ----------
+    responses
+        Of the loop's designs.
+    spec
+        The loop as the job asks for it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Panels side by side.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+    """
     names = design_names(responses)
     figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=legend_rows(names))
     f = responses.frequency * _HZ
@@ -84,7 +105,32 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
 
 
 def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...], nutation: float) -> Figure:
-    """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel."""
+    """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel.
+
+    Parameters
+    ----------
+    responses
+        Of the loop's designs.
+    spec
+        The loop as the job asks for it.
+    torques
+        Names of the channels.
+    nutation
+        Nutation frequency, rad/s.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Singular values above the channels.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
+    """
     names = design_names(responses)
     figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
     f = responses.frequency * _HZ
@@ -122,7 +168,28 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
 
 
 def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for."""
+    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for.
+
+    Parameters
+    ----------
+    responses
+        Of the loop's designs.
+    spec
+        The loop as the job asks for it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Panels side by side.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/job-file.md.
+    """
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
     shares = [one.torque_share for one in responses.designs]
     limited = bool(np.nanmax(shares, initial=0.0) > 0.0)
@@ -170,7 +237,32 @@ def _torque_share(axes: Axes, f: FloatArray, responses: LoopResponses, spec: Loo
 
 
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses)."""
+    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses).
+
+    Parameters
+    ----------
+    responses
+        Of the loop's designs.
+    spec
+        The loop as the job asks for it.
+    nutation
+        Nutation frequency, rad/s.
+    period
+        Sample period, s.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The upper half plane.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `damping`.
+    """
     names = design_names(responses)
     figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))
     nyquist = np.pi / period
@@ -196,7 +288,32 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
 
 
 def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Poles of the closed design while its gain goes from 0 to twice its value."""
+    """Poles of the closed design while its gain goes from 0 to twice its value.
+
+    Parameters
+    ----------
+    locus
+        Of the closed design.
+    spec
+        The loop as the job asks for it.
+    nutation
+        Nutation frequency, rad/s.
+    period
+        Sample period, s.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The upper half plane.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    W. R. Evans, Trans. AIEE 67, 1948.
+    """
     figure, [[wide, close]] = panels(1, 2, 3.9, legend=1)
     nyquist = np.pi / period
     handles: list[Any] = []

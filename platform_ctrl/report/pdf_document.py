@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.errors import InputError, TypesettingError
 from platform_ctrl.report.content import Document, Listing, Plate
 from platform_ctrl.report.document import prepared
 from platform_ctrl.writing import write_whole
@@ -29,10 +29,6 @@ _VARIABLE = re.compile(r"var\(--([a-z0-9-]+)(?:, *#[0-9a-f]+)?\)")
 _DEFINED = re.compile(r"--([a-z0-9-]+): (#[0-9a-f]{6})")
 # Fonts of figures: those they are laid out for.
 _FIGURE_FONT = "DejaVu Sans"
-
-
-class TypesettingError(PlatformCtrlError):
-    """The report could not be set as PDF."""
 
 
 def write_pdf(
@@ -58,12 +54,21 @@ def write_pdf(
     again
         The command line that flies one run of the campaign again, without the run's number at its end.
 
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
     Raises
     ------
     InputError
         The file cannot be written, or typst is not installed.
     TypesettingError
         Typst could not set the document.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     return write_whole(path, pdf(result, command=command, campaign=campaign, again=again))
 
@@ -82,12 +87,21 @@ def pdf(
     result, command, campaign, again
         As in `write_pdf`.
 
+    Returns
+    -------
+    bytes
+        The whole file.
+
     Raises
     ------
     InputError
         Typst is not installed.
     TypesettingError
         Typst could not set the document.
+
+    References
+    ----------
+    See docs/result-file.md.
     """
     typst = typesetter()
     return typeset(typst, prepared(result, command=command, campaign=campaign, again=again))

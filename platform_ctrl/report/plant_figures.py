@@ -22,6 +22,24 @@ def nutation_figure(result: JobResult) -> Figure | None:
     """Natural frequencies at rest over the rotors' speed (all alike); None for a plant without nutation.
 
     To the Campbell chart come the spread of the rotors' speed and the bandwidths of the loops.
+
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        One panel.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/precession.md.
     """
     if not nutation_over_speed(result, np.array(_SPINS)):
         return None

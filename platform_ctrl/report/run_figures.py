@@ -34,7 +34,28 @@ _TINY = 1e-5
 
 
 def run_figure(run: Run, platform: Platform) -> Figure:
-    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
+    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude.
+
+    Parameters
+    ----------
+    run
+        From `check.fly`.
+    platform
+        The plant that was run.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Panels above each other.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/simulation.md.
+    """
     return trajectory_figure(run.trajectory, platform.torquers, run.manoeuvre.limits, run.manoeuvre.duration)
 
 

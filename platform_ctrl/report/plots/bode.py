@@ -75,9 +75,9 @@ def bode(
         `control.StateSpace`, `TransferFunction` or `FrequencyResponseData`, continuous or sampled; several in a
         sequence, or a mapping from labels. Loops are loop transfers with negative feedback, such as
         `analysis.loop_transfer` returns.
-    frequency
-        rad/s: the frequencies themselves, or two numbers as the ends of a range. Default: wherever poles and zeros
-        are; for sampled systems up to the Nyquist frequency, which is marked. Data have their own.
+    frequency : (N,) or (2,), optional
+        rad/s: the frequencies themselves, or two numbers as the ends of a range. Default: wherever poles and zeros are;
+        for sampled systems up to the Nyquist frequency, which is marked. Data have their own.
     labels
         One for each system; default their names.
     margins
@@ -103,7 +103,9 @@ def bode(
 
     References
     ----------
-    P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40(5), 2020.
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
+
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     import control
 

@@ -37,10 +37,15 @@ def campaign_histograms(
         What `campaign.statistics` or `campaign.summarised` returned, the folder that ``platform-ctrl campaign`` wrote,
         its table (Parquet, or a dict of columns), or what `run_campaign` returned.
     limits
-        What each manoeuvre asks of each figure at most, {manoeuvre: {figure: limit}}; needed for a table, and for a
-        folder without statistics.
+        What each manoeuvre asks of each figure at most, {manoeuvre: {figure: limit}}, in SI units; needed for a table,
+        and for a folder without statistics.
     figure
         ``"angle"``, ``"attitude"`` or ``"torque_share"``; default all that are asked for.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Rows of panels, a column for each figure.
 
     Raises
     ------
@@ -48,6 +53,10 @@ def campaign_histograms(
         Something else, a table without limits, or nothing is asked of the runs.
     InputError
         The files cannot be read.
+
+    References
+    ----------
+    See docs/campaign.md.
     """
     if figure is not None:
         one_of("campaign_histograms: figure", figure, tuple(FIGURES))

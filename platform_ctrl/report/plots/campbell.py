@@ -102,14 +102,25 @@ def campbell(
     spins : (k,), optional
         Increasing factors on the speeds, >= 0, at least two: the range. Default 0 to 1.5.
     orders : (j,)
-        Multiples of the speed at which rotors excite.
+        Factors on the speed at which rotors excite.
     Omega : (3,)
         Constant platform rate, rad/s.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel, frequencies in Hz.
 
     Raises
     ------
     ArgumentError
         Names that do not exist, no rotor that spins, or numbers that make no sense.
+
+    References
+    ----------
+    W. Campbell, Trans. ASME 46, 1924.
+
+    See docs/precession.md.
     """
     factors = increasing("spins", spins, np.array([0.0, 1.5]))
     if factors[0] < 0.0:

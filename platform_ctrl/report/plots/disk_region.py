@@ -75,13 +75,14 @@ def disk_margin_region(
     Parameters
     ----------
     margins
-        Disk margins α, or loop transfers L with negative feedback (`control.StateSpace`, `TransferFunction`,
-        `FrequencyResponseData`) whose disk margins are then found; several in a sequence, or a mapping from labels.
+        Disk margins α, dimensionless, or loop transfers L with negative feedback (`control.StateSpace`,
+        `TransferFunction`, `FrequencyResponseData`) whose disk margins are then found; several in a sequence, or a
+        mapping from labels.
     skew
-        Of the disk: 0 for gains that may rise as far as they may fall, > 0 mostly rise, < 0 mostly fall.
+        Of the disk, dimensionless: 0 for gains that may rise as far as they may fall, > 0 mostly rise, < 0 mostly fall.
     labels
         One for each.
-    frequency
+    frequency : (N,) or (2,), optional
         Where −1/L is drawn, rad/s, or two numbers as the ends of a range. The margin does not depend on it.
 
     Returns
@@ -97,7 +98,7 @@ def disk_margin_region(
 
     References
     ----------
-    P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40(5), 2020.
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     import control
 

@@ -85,7 +85,7 @@ def gang_of_four(
     controllers
         u = K y without a hidden sign: negative feedback is in K. One, several in a sequence, or a mapping from labels;
         joined to the plant by signal names where all of them exist there, by position otherwise.
-    frequency
+    frequency : (N,) or (2,), optional
         rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are.
     labels
         One for each controller; default their names.

@@ -69,10 +69,19 @@ def gimbal_tree(platform: Platform) -> Figure:
     platform
         From `read_platform`.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One picture.
+
     Raises
     ------
     ArgumentError
         It is no platform.
+
+    References
+    ----------
+    See docs/plant-file.md.
     """
     expect_platform(platform)
     root = _Node(root_card(platform), _carried(platform, platform.root_name, 1))

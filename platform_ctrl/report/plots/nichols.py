@@ -53,16 +53,16 @@ def nichols(
     loops
         Loop transfers L with negative feedback: `control.StateSpace`, `TransferFunction` or `FrequencyResponseData`,
         continuous or sampled; several in a sequence, or a mapping from labels.
-    frequency
+    frequency : (N,) or (2,), optional
         rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are.
     labels
         One for each loop; default their names.
     disk_margins
-        Values of α whose regions are shaded, each below 2/(1 + |skew|); none: no regions.
+        Values of α, dimensionless, whose regions are shaded, each below 2/(1 + |skew|); none: no regions.
     skew
-        Of the regions and of the loops' own disk margins.
+        Of the regions and of the loops' own disk margins, dimensionless.
     T_peaks
-        Values of |T| above 1 whose curves are drawn (M circles).
+        Values of |T| above 1, dimensionless, whose curves are drawn (M circles).
 
     Returns
     -------
@@ -77,7 +77,7 @@ def nichols(
 
     References
     ----------
-    P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40(5), 2020.
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     import control
 

@@ -100,23 +100,31 @@ def nyquist(
     loops
         L with negative feedback as from `analysis.loop_transfer`, square; several in a list or under their labels in
         a mapping. Data (`control.FrequencyResponseData`) are drawn as they are.
-    frequency
+    frequency : (N,) or (2,), optional
         Two ends of a range or the frequencies themselves, rad/s; default what shows all poles and zeros.
     labels
         What the legend calls the loops.
     margin
-        Disk margin whose disk the curve should stay out of; default: the smallest that the loops of a panel have.
+        Disk margin, dimensionless, whose disk the curve should stay out of; default: the smallest that the loops of a
+        panel have.
     reach
-        Radius of the rim, > 1.
+        Radius of the rim, > 1, dimensionless.
 
     Returns
     -------
     control.ControlPlot
+        A panel for each channel; ``lines`` one for each loop.
 
     Raises
     ------
     ArgumentError
         Loops that are not square, differ in their number of channels or are no linear systems; options without sense.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
+
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
     import control
 

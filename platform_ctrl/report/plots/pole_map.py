@@ -65,11 +65,16 @@ def pole_map(
     Returns
     -------
     control.ControlPlot
+        One panel; ``lines`` the poles, then the zeros.
 
     Raises
     ------
     ArgumentError
         Something that has no poles, or an option without sense.
+
+    References
+    ----------
+    As `damping`.
     """
     import control
 

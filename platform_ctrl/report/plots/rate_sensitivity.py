@@ -59,14 +59,14 @@ def Omega_sensitivity(
     controllers
         u = K y without a hidden sign, joined to the plant by signal names, or by position where it has others and as
         many as there are torquers and angles. One, several in a sequence, a mapping from labels, or none.
-    frequency
+    frequency : (N,) or (2,), optional
         rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are.
     labels
         One for each controller; default their names.
     angles, rates
         Names or numbers of the plant's outputs and of its rates that are drawn; default all angles that a rate moves,
         and all rates that move one.
-    limit
+    limit : scalar, or a pair of (N,)
         What the gain must not exceed, shaded above: a number, rad per rad/s, or a pair (frequencies in rad/s, levels).
     dB
         Whether gains are in decibels; the limit is given as a plain number all the same.
@@ -81,6 +81,10 @@ def Omega_sensitivity(
     ArgumentError
         The plant has no rate among its inputs, plant and controllers do not fit together, unknown angles or rates,
         frequencies that are not ascending and positive, or a limit that is not.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
     """
     import control
 

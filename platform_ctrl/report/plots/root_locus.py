@@ -75,6 +75,10 @@ def root_locus(
     ------
     ArgumentError
         Plant and controller do not fit, a direct gain makes the loop singular, or an option makes no sense.
+
+    References
+    ----------
+    W. R. Evans, Trans. AIEE 67, 1948.
     """
     return _drawn(gain_locus(plant, controller, gains), "gain", "loop gain / nominal", plane, reach)
 
@@ -125,6 +129,12 @@ def root_locus_over_spin(
     ------
     ArgumentError
         Names that do not exist, a controller that does not fit, no rotor that spins, or an option without sense.
+
+    References
+    ----------
+    W. R. Evans, Trans. AIEE 67, 1948.
+
+    See docs/theory.md.
     """
     locus = spin_locus(
         platform, gimbals, controller, rotors=rotors, spins=spins, period=period, delay=delay, Omega=Omega

@@ -28,6 +28,10 @@ def show(*plots: Figure | control.ControlPlot) -> None:
     ------
     ArgumentError
         Something else, nothing at all, or a backend that opens no windows: use ``figure.savefig`` there.
+
+    References
+    ----------
+    Own definition.
     """
     figures = [_figure(plot) for plot in plots]
     if not figures:

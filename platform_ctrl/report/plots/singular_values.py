@@ -48,13 +48,14 @@ def singular_values(
     systems
         `control.StateSpace`, `TransferFunction` or `FrequencyResponseData`, continuous or sampled, of any shapes;
         several in a sequence, or a mapping from labels.
-    frequency
+    frequency : (N,) or (2,), optional
         rad/s: the frequencies themselves, or two numbers as the ends of a range; default wherever poles and zeros are,
         for sampled systems up to the Nyquist frequency, which is marked.
     labels
         One for each system; default their names.
-    upper, lower
-        Limits, shaded beyond: a number, or a pair (frequencies in rad/s, levels) that is joined to a polyline.
+    upper, lower : scalar, or a pair of (N,)
+        Limits, in the systems' units, shaded beyond: a number, or a pair (frequencies in rad/s, levels) that is joined
+        to a polyline.
     dB
         Whether gains are in decibels; limits are given as plain numbers all the same.
 
@@ -67,6 +68,10 @@ def singular_values(
     ------
     ArgumentError
         No system or another type, frequencies that are not ascending and positive, or limits that are not positive.
+
+    References
+    ----------
+    S. Skogestad, I. Postlethwaite, Multivariable Feedback Control, 2005, ch. 3.
     """
     import control
 

@@ -60,16 +60,21 @@ def step_response(
     labels
         What the legend calls them.
     duration
-        s; default what the slowest motion of them needs.
+        Of the response, s; default what the slowest motion of them needs.
 
     Returns
     -------
     control.ControlPlot
+        ``axes`` (outputs, inputs); ``lines`` one for each system.
 
     Raises
     ------
     ArgumentError
         Systems of different shapes or too many signals, something that is no system, or a duration without sense.
+
+    References
+    ----------
+    As `time_response`.
     """
     import control
 

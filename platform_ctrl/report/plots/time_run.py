@@ -35,12 +35,22 @@ def time_run(
     platform
         The plant that was run: tells the torquers' limits. None: they are not drawn.
     limits
-        ``angle``, ``attitude``, rad, ``torque_share``: at most; default those of the manoeuvre, none of a trajectory.
+        ``angle``, ``attitude``, rad, ``torque_share``, a share: at most; default those of the manoeuvre, none of a
+        trajectory.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Panels above each other, over time in s.
 
     Raises
     ------
     ArgumentError
         Something else than a run, another platform than the run's, or a limit that does not exist.
+
+    References
+    ----------
+    See docs/simulation.md.
     """
     if not isinstance(run, Run | Trajectory):
         raise ArgumentError(f"time_run: given {short(run)}; expected a check.Run or a simulation.Trajectory")
