@@ -1,0 +1,144 @@
+"""What design and check deliver beside the page: a PDF, a section about a campaign, JUnit; and when they refuse to."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from campaign_flights import flown_here
+from platform_ctrl.cli import main
+from refused_command import refused
+
+pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
+pytest.importorskip("typst", reason="the PDF is set by typst")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with gyro.toml, out/ as design leaves it, and campaign/ with these controllers."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+        patch.setattr("platform_ctrl.report.write_page", drawn)
+        assert main(["new", "gyro", "-q"]) == 0
+        assert main(["design", "gyro.toml", "-q", "--junit", "verdicts/design.xml"]) == 0
+        assert main(["campaign", "gyro.toml", "--runs", "12", "--workers", "1", "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(made)
+    return made
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """What pages would have been written about, in place of their figures, seconds of work."""
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr("platform_ctrl.report.write_page", lambda *given, **about: drawn(*given, **asked_for(about)))
+
+    def asked_for(about: dict[str, Any]) -> dict[str, Any]:
+        asked.append(about)
+        return about
+
+    return asked
+
+
+def drawn(result: object, path: Path, **about: object) -> None:
+    path.write_text(" ".join(about), encoding="utf-8")
+
+
+def test_the_page_and_the_pdf_tell_of_the_campaign(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "gyro.toml", "--campaign", "campaign", "--pdf"]) == 0
+    out, err = capsys.readouterr()
+    assert f"report: {Path('check') / 'report.html'}, {Path('check') / 'report.pdf'}, figures: " in out
+    assert "reading the campaign: campaign" in err.splitlines()
+    assert sorted(path.name for path in (there / "check").iterdir()) == ["report.html", "report.pdf", "result.json"]
+    page = (there / "check" / "report.html").read_text(encoding="utf-8")
+    assert "None of 12 runs violates a requirement" in page
+    assert "platform-ctrl check gyro.toml" in page
+    assert "--pdf --campaign campaign" in page
+    assert (there / "check" / "report.pdf").read_bytes().startswith(b"%PDF-")
+
+
+def test_design_takes_the_campaign_of_the_same_controllers(there: Path, pages: list[dict[str, Any]]) -> None:
+    assert main(["design", "gyro.toml", "-o", "again", "--campaign", "campaign", "-q"]) == 0
+    [about] = pages
+    assert about["campaign"].statistics.runs == 12
+    assert about["again"].startswith("platform-ctrl simulate gyro.toml --controllers again")
+
+
+def test_a_campaign_of_other_controllers_is_left_out_and_told(
+    there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed = (there / "gyro.toml").read_text(encoding="utf-8").replace("crossover_hz = 40", "crossover_hz = 41")
+    (there / "other.toml").write_text(changed, encoding="utf-8")
+    assert main(["design", "other.toml", "-o", "other", "--campaign", "campaign", "-q"]) == 2
+    out, err = capsys.readouterr()
+    assert "PASSED" in out
+    assert err.startswith("platform-ctrl: error: --campaign campaign: was flown with other controllers; fly it again")
+    assert "the report in other was written without it" in err
+    assert len(err.splitlines()) == 1
+    assert "campaign" not in pages[0]
+    assert (there / "other" / "result.json").is_file()
+    # The check knows its controllers before the work.
+    given = ["check", "gyro.toml", "--controllers", "other/result.json", "-o", "never", "--campaign", "campaign"]
+    assert "was flown with other controllers" in refused(capsys, *given)
+    assert not (there / "never").exists()
+
+
+def test_a_folder_without_a_finished_campaign_of_the_job_is_refused_before_the_work(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["design", "gyro.toml", "-o", "never", "--campaign"]
+    assert "--campaign out: there is no campaign.json; expected the folder that" in refused(capsys, *given, "out")
+    record = json.loads((there / "campaign" / "campaign.json").read_text(encoding="utf-8"))
+    for name, changed, words in (
+        ("stranger", {"job": "another"}, "is of the job 'another'; expected one of 'gyro'"),
+        ("begun", {"complete": False}, "is not done; the command that began it goes on: platform-ctrl campaign"),
+    ):
+        (there / name).mkdir()
+        (there / name / "campaign.json").write_text(json.dumps(record | changed), encoding="utf-8")
+        assert f"--campaign {name}: {words}" in refused(capsys, *given, name)
+    assert not (there / "never").exists()
+
+
+def test_a_pdf_of_an_earlier_run_is_told_of(
+    there: Path, pages: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there / "stale").mkdir()
+    (there / "stale" / "report.pdf").write_bytes(b"%PDF-old")
+    assert main(["check", "gyro.toml", "-o", "stale", "-q"]) == 0
+    assert capsys.readouterr().err == f"{Path('stale') / 'report.pdf'}: is of an earlier run; --pdf writes it anew\n"
+    assert "campaign" not in pages[0]
+
+
+def test_without_the_typesetter_one_line_says_how_to_get_it(
+    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = builtins.__import__
+
+    def missing(name: str, *given: Any, **named: Any) -> Any:
+        if name == "typst":
+            raise ImportError(name)
+        return real(name, *given, **named)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    assert "pip install 'platform_ctrl[pdf]'" in refused(capsys, "design", "gyro.toml", "-o", "never", "--pdf")
+    assert not (there / "never").exists()
+
+
+def test_design_writes_its_verdicts_as_junit(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    suites = ET.parse(there / "verdicts" / "design.xml").getroot()
+    record = json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))
+    assert sum(1 for _ in suites.iter("testcase")) == len(record["requirements"])
+    (there / "folder.xml").mkdir()
+    given = ["design", "gyro.toml", "-o", "never", "--junit", "folder.xml"]
+    assert "--junit folder.xml: is a folder" in refused(capsys, *given)
