@@ -17,8 +17,8 @@ from blocks import pictures
 from mkdocs.structure.files import File, Files
 
 ROOT = drawn.ROOT
-# Files beside docs/ that pages lead to, and the folder of the site where they have pages.
-SHOWN = {"examples": ("*.py", "*.toml"), "models": ("*.toml",)}
+# Files beside docs/ that pages lead to: each has a page under the same path.
+SHOWN = {"examples": ("*.py", "*.toml"), "examples/apps": ("*.py",), "models": ("*.toml",)}
 _LINK = re.compile(r"\]\(((?:\.\./)+(?:examples|models)(?:/[^)\s]*)?)\)")
 
 
@@ -69,7 +69,8 @@ def _shown(folder: str) -> list[Path]:
 
 
 def _page(path: Path) -> str:
-    return f"{path.parent.name}/{path.stem}-{path.suffix[1:]}.md"
+    where = path.relative_to(ROOT)
+    return f"{where.parent.as_posix()}/{path.stem}-{path.suffix[1:]}.md"
 
 
 def _list(folder: str) -> str:
@@ -101,4 +102,6 @@ def _page_of(link: str, uri: str, up: str) -> str:
     if target in SHOWN:
         return f"{up}examples.md#{target}"
     stem, _, suffix = target.rpartition(".")
+    if posixpath.dirname(stem) == "examples/gallery":
+        return f"{up}gallery.md#{posixpath.basename(stem)}"
     return f"{up}{stem}-{suffix}.md"

@@ -17,6 +17,8 @@ from typing import Any
 # The modules that have their names on a page, as the pages ask for them.
 MODULES: list[str] = []
 MARK = re.compile(r"^<!-- names of ([\w.]+) -->$", re.MULTILINE)
+# Functions of one word are called like parameters and everyday words: only what is pointed to is led there.
+_SEE = re.compile(r"\b((?:[Aa]s(?: in)?|[Ss]ee) )(?=<code>(\w+)</code>)(<code>\w+</code>)")
 _PAGE = re.compile(r"(?<=<p>See )docs/([\w-]+)\.md")
 _CODE = re.compile(
     r"<pre.*?</pre>|<h[1-6].*?</h[1-6]>|<a [^>]*>.*?</a>|<autoref.*?</autoref>|<code>([\w.]+)(?:\(\))?</code>",
@@ -99,11 +101,18 @@ def _target(name: str) -> str | None:
 
 @cache
 def _alone() -> dict[str, str]:
-    """Return names that mean one thing wherever they stand: those of classes, and of the package's own functions."""
+    """Return names that mean one thing wherever they stand: those of classes, and functions of several words."""
+    functions = _functions()
+    return {name: target for name, target in functions.items() if "_" in name or name[0].isupper()}
+
+
+@cache
+def _functions() -> dict[str, str]:
+    """Return the names of classes and functions that no other public class or function has."""
     found: dict[str, set[str]] = {}
     for module in MODULES:
         for name, item in names(module).items():
-            if documented(item) and (inspect.isclass(item) or "_" in name):
+            if documented(item):
                 found.setdefault(name, set()).add(identifier(item))
     return {name: meant.pop() for name, meant in found.items() if len(meant) == 1}
 
@@ -120,4 +129,9 @@ def linked(content: str) -> str:
         target = _target(found[1]) if found[1] else None
         return found[0] if target is None else f'<autoref identifier="{target}" optional>{found[0]}</autoref>'
 
-    return _CODE.sub(link, content)
+    return _SEE.sub(_function_linked, _CODE.sub(link, content))
+
+
+def _function_linked(found: re.Match[str]) -> str:
+    target = _functions().get(found[2])
+    return found[0] if target is None else f'{found[1]}<autoref identifier="{target}" optional>{found[3]}</autoref>'
