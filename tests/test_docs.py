@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import shlex
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -84,6 +85,24 @@ def test_code_on_a_page_runs_and_prints_what_the_page_says(
             assert printed == piece.text
         elif piece.language == "console":
             run_console(piece)
+
+
+@PAGE
+def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_with(page: Path) -> None:
+    import typer
+
+    from platform_ctrl.cli.commands import app
+
+    program = typer.main.get_command(app)
+    for line in re.findall(r"^    platform-ctrl (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE):
+        if line.startswith("--"):
+            continue  # of the program itself
+        shown = re.split(r"  | \| | > ", line)[0]
+        name, *given = shlex.split(re.sub(r"\[[^\]]*\]", "", shown))  # what stands in brackets may be left out
+        if name == "COMMAND":
+            continue
+        command = program.commands[name]  # type: ignore[attr-defined]
+        command.make_parser(typer.Context(command)).parse_args(given)
 
 
 @PAGE

@@ -60,7 +60,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     """Make formulas fit to be shown, and lead names of the package to the reference."""
     up = "../" * page.file.src_uri.count("/")
-    return names.linked(names.pages_linked(formulas.shown(html), up))
+    shown = names.pages_linked(formulas.shown(html), up)
+    return names.linked(shown, reference=page.file.src_uri.startswith("reference/"))
 
 
 def _shown(folder: str) -> list[Path]:

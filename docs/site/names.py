@@ -17,6 +17,8 @@ from typing import Any
 # The modules that have their names on a page, as the pages ask for them.
 MODULES: list[str] = []
 MARK = re.compile(r"^<!-- names of ([\w.]+) -->$", re.MULTILINE)
+# Outside the reference these are the fixtures of the pytest plugin.
+_FIXTURES = ("assert_baseline", "closed_loop")
 # Functions of one word are called like parameters and everyday words: only what is pointed to is led there.
 _SEE = re.compile(r"\b((?:[Aa]s(?: in)?|[Ss]ee) )(?=<code>(\w+)</code>)(<code>\w+</code>)")
 _PAGE = re.compile(r"(?<=<p>See )docs/([\w-]+)\.md")
@@ -122,11 +124,11 @@ def pages_linked(content: str, up: str) -> str:
     return _PAGE.sub(rf'<a href="{up}\1.html">\1</a>', content)
 
 
-def linked(content: str) -> str:
+def linked(content: str, reference: bool) -> str:
     """Return a page's HTML with names of the package, set as code, led to the reference."""
 
     def link(found: re.Match[str]) -> str:
-        target = _target(found[1]) if found[1] else None
+        target = _target(found[1]) if found[1] and (reference or found[1] not in _FIXTURES) else None
         return found[0] if target is None else f'<autoref identifier="{target}" optional>{found[0]}</autoref>'
 
     return _SEE.sub(_function_linked, _CODE.sub(link, content))
