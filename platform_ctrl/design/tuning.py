@@ -18,6 +18,8 @@ from platform_ctrl.requirements import LoopRequirement
 BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], Block]
 
+# How far options may move, as a factor: where nothing gets better the search would go on to infinity.
+_FARTHEST = 1e6
 # Plants that are kept in view while searching: the worst ones. All are looked at again after each search.
 _IN_VIEW = 8
 
@@ -75,12 +77,13 @@ def tune(
 
     bounds = np.array([np.log((upper or {}).get(name, np.inf)) for name in movable])
     best = np.minimum(np.log([start[name] for name in movable]), bounds)
+    lower, bounds = best - np.log(_FARTHEST), np.minimum(bounds, best + np.log(_FARTHEST))
 
     def options(x: FloatArray) -> dict[str, float]:
-        return start | {name: float(v) for name, v in zip(movable, np.exp(np.minimum(x, bounds)), strict=True)}
+        return start | {name: float(v) for name, v in zip(movable, np.exp(np.clip(x, lower, bounds)), strict=True)}
 
     def beyond(x: FloatArray) -> float:
-        return float(np.maximum(x - bounds, 0.0).max(initial=0.0))
+        return float(np.maximum(np.maximum(x - bounds, lower - x), 0.0).max(initial=0.0))
 
     def ratio(x: FloatArray, on: PlantSet) -> float:
         return worst_ratio(build(options(x)), on, requirements) + beyond(x)
