@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 import platform_ctrl as pc
 from platform_ctrl.cli import main
 from platform_ctrl.errors import DesignError
+from platform_ctrl.reading import platform_source
 from refused_command import refused
 
 JOB = """
@@ -236,6 +237,17 @@ def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
         (["design", "job.toml", "-o"], "requires an argument"),
         (["simulate", "job.toml"], "Missing option '--run'"),
         (["design", "none.toml"], "none.toml: there is no such file"),
+        (["design", "joob.toml"], "joob.toml: there is no such file; did you mean job.toml?"),
+        (["design", "qqq"], "qqq: there is no such file; platform-ctrl new writes one"),
+        (
+            ["design", "rate_gyro"],
+            "rate_gyro: is a shipped plant; expected a job: platform-ctrl new NAME --like rate_gyro",
+        ),
+        (
+            ["design", "plant.toml"],
+            "plant.toml: is a plant; expected a job that names it: platform-ctrl new NAME --like",
+        ),
+        (["equations", "job.toml"], "job.toml: is a job"),
         (["design", "."], "is a directory; expected a TOML file"),
         (["design", "wrong.toml"], 'unknown key "bandwith_hz"; did you mean "bandwidth_hz"?'),
         (["design", "job.toml", "-o", "job.toml"], "-o job.toml: is not a folder"),
@@ -252,6 +264,7 @@ def test_wrong_input_is_one_line_and_ends_with_two(
     arguments: list[str], words: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (there / "wrong.toml").write_text(JOB.replace("bandwidth_hz = 20", "bandwith_hz = 20"), encoding="utf-8")
+    (there / "plant.toml").write_text(platform_source("rate_gyro"), encoding="utf-8")
     (there / "taken" / "report.html").mkdir(parents=True, exist_ok=True)
     faster = (there / "out" / "result.json").read_text().replace('"dt": 0.0005', '"dt": 0.0001')
     (there / "faster.json").write_text(faster)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -61,10 +61,47 @@ Junit = Annotated[
 
 
 def job_of(path: Path) -> Job:
-    """Return the job in a file."""
+    """Return the job in a file.
+
+    Raises
+    ------
+    InputError
+        It is none; of what is a plant, or is not there, the message says what to do.
+    """
     from platform_ctrl.reading import read_job
 
-    return read_job(path)
+    try:
+        return read_job(path)
+    except InputError as error:
+        raise InputError(_not_a_job(path) or str(error)) from None
+
+
+def _not_a_job(path: Path) -> str | None:
+    """Say what else a file is, or which was meant; None where its reader says it better."""
+    from platform_ctrl.arguments import nearest
+    from platform_ctrl.reading import shipped_models
+    from platform_ctrl.reading.mistakes import one_line
+
+    tables, name = _tables(path), one_line(str(path))
+    if "root" in tables and "loop" not in tables:
+        return f"{name}: is a plant; expected a job that names it: platform-ctrl new NAME --like {name} writes one"
+    if path.exists() or not path.parent.is_dir():
+        return None
+    if name in shipped_models():
+        return f"{name}: is a shipped plant; expected a job: platform-ctrl new NAME --like {name} writes one"
+    stems = {file.stem: file.name for file in path.parent.glob("*.toml")}
+    meant = nearest(path.stem, stems)
+    hint = "platform-ctrl new writes one" if meant is None else f"did you mean {path.with_name(stems[meant])}?"
+    return f"{name}: there is no such file; {one_line(hint)}"
+
+
+def _tables(path: Path) -> dict[str, Any]:
+    import tomllib
+
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return {}
 
 
 def controller_file(given: Path | None, folder: Path | None) -> Path:

@@ -178,7 +178,7 @@ def _filled(template: str, **words: object) -> str:
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["noted"] = _noted
-    source = resources.files("platform_ctrl.cli").joinpath("templates", template).read_text(encoding="utf-8")
+    source = (resources.files("platform_ctrl.cli") / "templates" / template).read_text(encoding="utf-8")
     return environment.from_string(source).render(words)
 
 
