@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def read(job: str | bytes) -> tuple[bool, str]:
     """Return whether a job is accepted, and what the command says if it is not: what it asks for next is not there."""
     Path("job.toml").write_bytes(job if isinstance(job, bytes) else job.encode())
-    error = ended("check", "job.toml", "--controllers", "none.json", folder=Path()).error
+    error = ended("check", "job.toml", "--controllers", "none.json", "-q", folder=Path()).error
     accepted = error == "none.json: there is no such file"
     assert accepted or error.startswith("job.toml: ")
     return accepted, error

@@ -59,7 +59,7 @@ def read(plant: str | bytes) -> tuple[bool, str]:
     """Return whether a plant is accepted, and what the command says if it is not."""
     path = Path("plant.toml")
     path.write_bytes(plant if isinstance(plant, bytes) else plant.encode())
-    error = ended("check", "job.toml", folder=Path()).error
+    error = ended("check", "job.toml", "-q", folder=Path()).error
     if error.startswith("job.toml: plant: plant.toml: "):
         return False, error
     return True, error

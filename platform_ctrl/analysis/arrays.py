@@ -113,7 +113,7 @@ def state_space(
     states
         Names, as many as there are states; default x0, x1 and so on.
     name
-        Of the system.
+        Of the system; a full stop becomes an underscore.
 
     Returns
     -------
@@ -130,7 +130,8 @@ def state_space(
     """
     import control
 
-    options = {} if name is None else {"name": name}
+    # python-control keeps the full stop to itself.
+    options = {} if name is None else {"name": name.replace(".", "_")}
     if states is not None:
         options["states"] = _distinct(states)  # type: ignore[assignment]
     return control.StateSpace(

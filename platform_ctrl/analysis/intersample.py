@@ -198,7 +198,10 @@ def _arguments(
 
 
 def _require_stable(plant: SampledPlant, controller: StateArrays, where: str) -> None:
-    lifted = lifted_plant(plant, math.inf)
+    try:
+        lifted = lifted_plant(plant, math.inf)
+    except PeriodExceedsLevel:
+        raise ArgumentError(f"{where}: within a period the plant moves too far; expected a shorter period") from None
     A, _, _, _ = close(lifted, plant, controller)
     radius = float(spectral_radius(pole_arrays(A)))
     if not radius < 1.0:

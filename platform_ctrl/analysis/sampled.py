@@ -199,8 +199,14 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
     gain = np.abs(B / s[:, None]).max(initial=0.0) * duration
     unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
     whole[..., :n, n:] = B / s[:, None] * (duration / unit)
-    power = expm(whole)
-    return power[..., :n, :n] * s[:, None] / s, power[..., :n, n:] * s[:, None] * unit
+    with np.errstate(over="ignore", invalid="ignore"):
+        power = expm(whole)
+        phi, held = power[..., :n, :n] * s[:, None] / s, power[..., :n, n:] * s[:, None] * unit
+    if not (np.isfinite(phi).all() and np.isfinite(held).all()):
+        raise ArgumentError(
+            f"sampled: within {duration:.3g} s the plant grows beyond floating-point numbers; expected a shorter period"
+        )
+    return phi, held
 
 
 def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:

@@ -104,7 +104,9 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
     shares = np.abs(trajectory.command).max(axis=0) / limits
     return {
-        "angle": (float(angles.max()), trajectory.angle_names[int(angles.argmax())]),
+        "angle": (float(angles.max()), trajectory.angle_names[int(angles.argmax())])
+        if angles.size
+        else (0.0, "no gimbal"),
         "attitude": (float(attitude.max()), f"axis {int(attitude.argmax()) + 1}"),
         "torque_share": (float(shares.max()), trajectory.torquer_names[int(shares.argmax())]),
     }
@@ -118,9 +120,13 @@ RUN_FIGURES = {
 
 
 def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
-    """Hold the limits of a manoeuvre against what a run came to."""
+    """Hold the limits of a manoeuvre against what a run came to; one that diverges fails though nothing is asked."""
     found = largest(job, trajectory)
     out = []
+    if not trajectory.completed and not manoeuvre.limits:
+        flown = Requirement(name="share of the run that was flown", limit=1.0, unit="", sense="at least")
+        share = len(trajectory.t) * trajectory.period / manoeuvre.duration
+        out.append(flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended))
     for key, limit in manoeuvre.limits.items():
         name, unit = RUN_FIGURES[key]
         figure, signal = found[key]

@@ -23,6 +23,8 @@ from platform_ctrl.state_space import state_space
 
 # Open-loop motion slower than this share of the Nyquist frequency says nothing about where a loop can act.
 _STILL = 1e-3
+# Radians in a sample period beyond which nothing of a motion is left in the digits of a sampled plant.
+_FARTHEST = 1e6
 
 
 def changed(platform: Platform, inertia: dict[str, float], spin: dict[str, float]) -> Platform:
@@ -179,6 +181,8 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     ------
     ArgumentError
         `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
+    InputError
+        A plant moves too fast for the sample rate.
     """
     plants = cases(job, gimbals)
     torquers = [job.platform.torquer_on(name) for name in gimbals]
@@ -190,6 +194,7 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     B = B * np.array([one.torque for one in plants])[:, None, :]
     turning = np.array([system[angles, list(OMEGA_NAMES)].B for system in systems])
     sampling, lags = job.sampling, np.array([t.lag for t in torquers])
+    _expect_slow(A, plants, sampling.period)
     arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, lags)
     return plant_set(
         StateArrays(*arrays, dt=sampling.period),
@@ -203,6 +208,18 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
         Omega=job.Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in torquers]),
     )
+
+
+def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:
+    finite = np.array([np.isfinite(one).all() for one in A])
+    fastest = np.where(finite, np.abs(np.linalg.eigvals(np.where(finite[:, None, None], A, 0.0))).max(axis=-1), np.inf)
+    worst = int(fastest.argmax())
+    if fastest[worst] * period > _FARTHEST:
+        where = f"plant {plants[worst].label}" if plants[worst].label else "the plant"
+        raise InputError(
+            f"rate_hz = {1.0 / period:.6g}: in a sample period {where} turns by {fastest[worst] * period:.3g} rad or "
+            f"grows as fast; expected at most {_FARTHEST:.0e}"
+        )
 
 
 def _held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:

@@ -134,6 +134,14 @@ def text(item: object) -> str:
     return item
 
 
+def _system_name(item: object) -> str:
+    """Return a text that may name a `control.StateSpace`."""
+    name = text(item)
+    if "." in name:
+        raise Unfit("has a full stop, which no controller's name may have")
+    return name
+
+
 def _any_text(item: object) -> str:
     if not isinstance(item, str):
         raise Unfit
@@ -251,6 +259,7 @@ Number = Annotated[float, NUMBER]
 Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, NOT_NEGATIVE]
 Text = Annotated[str, Expected("a name: a line of text that is not empty", text)]
+SystemName = Annotated[str, Expected("a name: a line of text that is not empty, without full stops", _system_name)]
 AnyText = Annotated[str, Expected("a text", _any_text)]
 Truth = Annotated[bool, Expected("true or false", _truth)]
 SchemaOne = Annotated[int, Expected("1, the format that this version reads", integer(1, 1))]

@@ -79,7 +79,7 @@ class DesignTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, fields.Number] = Field(init=False)
 
-    name: fields.Text
+    name: fields.SystemName
     method: Annotated[Method, fields.one_of(get_args(Method))]
     tune: fields.Truth = False
     structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
@@ -88,7 +88,7 @@ class DesignTable(Table):
 class LoopTable(Table):
     """``[[loop]]``."""
 
-    name: fields.Text
+    name: fields.SystemName
     kind: Annotated[LoopKind, fields.one_of(get_args(LoopKind))]
     gimbals: fields.Names = ()
     use: fields.Text

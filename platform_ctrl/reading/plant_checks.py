@@ -187,7 +187,10 @@ def _signals(data: Data) -> Iterator[Mistake]:
     of_root = "a torque about a root axis"
     taken = dict.fromkeys(OMEGA_NAMES, "a platform rate") | dict.fromkeys(ROOT_TORQUE_NAMES, of_root)
     for path, name, own in _signal_names(data):
-        if name in taken and not (name == own and taken[name] == of_root):
+        if "." in name:
+            what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"
+            yield Mistake(path, f"{what} has a full stop, which no signal may have; expected a signal name without one")
+        elif name in taken and not (name == own and taken[name] == of_root):
             what = f"{path[2]} = {given(name)}:" if len(path) > 2 else f"the default name {given(name)}"
             wrong = f"{what} names {taken[name]} already"
             yield Mistake(path, f"{wrong}; expected a signal name of its own")

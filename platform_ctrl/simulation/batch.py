@@ -277,8 +277,11 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
             np.zeros((0, 0)),
         )
 
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        list(pool.map(move, range(0, groups, share)))
+    def move_all() -> None:
+        with ThreadPoolExecutor(max_workers=threads) as pool:
+            list(pool.map(move, range(0, groups, share)))
+
+    heeding_interrupts(move_all)
     return figures.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
