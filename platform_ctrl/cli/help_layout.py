@@ -26,6 +26,10 @@ class Teaching(TyperCommand):
         prose, self.examples = split(help or "")
         super().__init__(name, help=prose, **more)
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return what follows the command's name, as people write it."""
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options."""
         _write_options(self, ctx, formatter)
@@ -83,8 +87,10 @@ def _write_options(command: Any, ctx: Any, formatter: Any) -> None:
     for param in command.get_params(ctx):
         record = param.get_help_record(ctx)
         if record is not None:
-            default = _ARGUMENTS if param.param_type_name == "argument" else _OPTIONS
-            groups.setdefault(getattr(param, "rich_help_panel", None) or default, []).append(record)
+            if param.param_type_name == "argument":
+                groups[_ARGUMENTS].append((param.metavar, param.help))
+            else:
+                groups.setdefault(getattr(param, "rich_help_panel", None) or _OPTIONS, []).append(record)
     groups[_OPTIONS] = groups.pop(_OPTIONS, [])
     for title, rows in groups.items():
         if rows:
