@@ -133,11 +133,11 @@ def interruptible() -> Iterator[Callable[[], None]]:
 
 
 def screen() -> Console:
-    """Return the console on standard output: colours on a terminal alone, and none where NO_COLOR is set."""
+    """Return the console on standard output: colours on a terminal alone, none where NO_COLOR is set; names as they are."""
     from rich.console import Console
 
     fitting = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return Console(highlight=False, width=None if fitting else _PIPE_WIDTH)
+    return Console(highlight=False, markup=False, emoji=False, width=None if fitting else _PIPE_WIDTH)
 
 
 def show_result(result: JobResult) -> None:
