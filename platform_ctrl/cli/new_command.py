@@ -15,7 +15,7 @@ from platform_ctrl.cli.inputs import Json, Quiet, prepared
 from platform_ctrl.errors import InputError
 
 # What can be a file's name everywhere and stand in a text without quotes.
-_NAME = re.compile(r"\w[\w.+-]*")
+_NAME = re.compile(r"\w[\w.-]*")
 
 
 def new(

@@ -167,7 +167,7 @@ def _allowed(margin: float) -> str:
 
 
 def _text(item: str) -> str:
-    """Return a text as TOML: what JSON writes is that."""
+    """Return a name as TOML: of printable characters, what JSON writes is that."""
     return json.dumps(item, ensure_ascii=False)
 
 
