@@ -133,7 +133,7 @@ def interruptible() -> Iterator[Callable[[], None]]:
 
 
 def screen() -> Console:
-    """Return the console on standard output: colours on a terminal alone, none where NO_COLOR is set; names as they are."""
+    """Return the console on standard output: colours on a terminal alone and without NO_COLOR; names as they are."""
     from rich.console import Console
 
     fitting = sys.stdout.isatty() or "COLUMNS" in os.environ
