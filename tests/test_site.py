@@ -7,6 +7,7 @@ import importlib
 import inspect
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zlib
@@ -259,6 +260,24 @@ def test_formulas_are_mathml_and_none_is_left_in_tex(site: Path) -> None:
 def test_the_search_has_its_index_as_a_script_too(site: Path) -> None:
     assert (site / "search" / "search_index.js").read_text(encoding="utf-8").startswith("var __index = ")
     assert "linearise" in (site / "search" / "search_index.json").read_text(encoding="utf-8")
+    page = (site / "index.html").read_text(encoding="utf-8")
+    # A page from the disk may start no worker: the stand-in is there before the script that would start it.
+    assert page.index("assets/iframe-worker.js") < page.index("assets/javascripts/bundle")
+    [worker] = (site / "assets" / "javascripts" / "workers").glob("search*.js")
+    assert "IFrameWorker" in worker.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["index.html?q=nutation", "reference/design.html?q=nutation"])
+def test_the_search_finds_from_the_disk(site: Path, tmp_path: Path, address: str) -> None:
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium here")
+    quiet = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=9000"]
+    done = subprocess.run(
+        [browser, *quiet, "--dump-dom", f"{site.as_uri()}/{address}"], capture_output=True, text=True, timeout=120
+    )
+    assert re.search(r"[1-9]\d* matching documents", done.stdout)
 
 
 # Sliders of the app, and what docs/try-it.md says of them: disk margin, bandwidth in Hz.
