@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -82,10 +83,15 @@ def _not_a_job(path: Path) -> str | None:
     from platform_ctrl.reading import shipped_models
     from platform_ctrl.reading.mistakes import one_line
 
-    tables, name = _tables(path), one_line(str(path))
+    name = one_line(str(path))
+    try:
+        there, inside = path.is_file(), path.parent.is_dir() and not os.path.lexists(path)
+    except OSError:  # a path that no file can have
+        return None
+    tables = _tables(path) if there else {}
     if "root" in tables and "loop" not in tables:
         return f"{name}: is a plant; expected a job that names it: platform-ctrl new NAME --like {name} writes one"
-    if path.exists() or not path.parent.is_dir():
+    if not inside:
         return None
     if name in shipped_models():
         return f"{name}: is a shipped plant; expected a job: platform-ctrl new NAME --like {name} writes one"
@@ -96,11 +102,11 @@ def _not_a_job(path: Path) -> str | None:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    import tomllib
+    from platform_ctrl.reading.source import open_file
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        return open_file(path).data
+    except InputError:
         return {}
 
 
@@ -114,7 +120,7 @@ def controller_file(given: Path | None, folder: Path | None) -> Path:
     """
     if given is not None:
         return given
-    file = folder / RESULT if folder is not None and (folder / RESULT).exists() else DESIGNED / RESULT
+    file = folder / RESULT if folder is not None and os.path.exists(folder / RESULT) else DESIGNED / RESULT
     if not file.exists():
         raise InputError(
             f"{file}: there is no such file; expected the controllers that platform-ctrl design writes: run it first, "
