@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -62,7 +63,7 @@ class Campaigned:
 
 def run_campaign(
     plan: Plan,
-    folder: Path,
+    folder: str | os.PathLike[str],
     *,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -121,7 +122,7 @@ def run_campaign(
     crew = workers or (processors() if device == "cpu" else 1)
     about = {"job": plan.job.name, "platform": plan.job.platform.name}
     kinds = kinds_of(plan)
-    with opened(folder, identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:
+    with opened(Path(folder), identity(plan, device), about, plan.runs, versions(), kinds, restart) as store:
         pieces = Pieces(store.gaps, crew, device)
         amiss = 0
         if progress is not None:
