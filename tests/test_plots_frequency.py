@@ -482,6 +482,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.bode(1 / s, labels=["a", "b"]), "labels: given 2; expected 1"),
         (lambda: figures.bode(1 / s, frequency=[3.0, 2.0, 1.0]), "ascending"),
         (lambda: figures.bode(1 / s, frequency="fast"), "real numbers"),
+        (lambda: figures.bode(1 / s, frequency=0.0), "ascending numbers"),
         (lambda: figures.bode(control.c2d(1 / s, 1.0), frequency=[10.0, 20.0]), "known from 0 to 3.14159 rad/s"),
         (lambda: figures.bode(gyro(), outputs=["alpha8"]), "did you mean"),
         (lambda: figures.bode(gyro(), inputs=[7]), "a number below 5"),
@@ -499,6 +500,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.Omega_sensitivity(1 / s), "expected Omega1"),
         (lambda: figures.disk_margin_region(-0.1), ">= 0"),
         (lambda: figures.disk_margin_region([]), "expected at least one"),
+        (lambda: figures.disk_margin_region(0.5, labels=3), "labels: expected 1 strings"),
         (lambda: figures.disk_margin_region(gyro()), "expected a square loop transfer"),
     ],
 )

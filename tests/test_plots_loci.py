@@ -337,6 +337,22 @@ def test_a_growing_response_is_shown_until_it_has_grown():
     assert np.isfinite(line.get_ydata()).all()
 
 
+@pytest.mark.parametrize("pole", [1.0, 1.0 - 1e-16, 1.0 - 1e-12, 1.0 - 1e-9])
+def test_a_sampled_integrator_however_rounded_is_drawn_over_a_time_that_can_be_drawn(pole):
+    plot = figures.step_response(control.tf([0.1], [1.0, -pole], 0.1))
+    [line] = plot.lines[0, 0]
+    t, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    assert len(t) <= 200_001
+    assert y == pytest.approx(t, rel=1e-3)
+    two = figures.step_response(control.sample_system(control.ss(control.tf([100.0], [1.0, 1.0, 0.0])), 0.01))
+    assert np.isfinite(two.lines[0, 0][0].get_ydata()).all()
+
+
+def test_a_loop_that_is_nothing_has_a_nyquist_plot_too():
+    [line, *_] = figures.nyquist(control.tf(0.0, 1.0)).lines[0, 0]
+    assert np.nanmax(np.abs(line.get_ydata())) == 0.0
+
+
 @pytest.mark.parametrize(
     ("draw", "says"),
     [
@@ -357,6 +373,7 @@ def test_a_growing_response_is_shown_until_it_has_grown():
         (lambda: figures.pole_map(UNIT, plane="z"), "plane 'z'"),
         (lambda: figures.pole_map(ss([[-1.0]], [[1.0, 1.0]], [[1.0]]), zeros=True), "as many inputs as outputs"),
         (lambda: figures.step_response(UNIT, duration=-1.0), "duration: given"),
+        (lambda: figures.step_response(control.tf(1, [1, -0.5], 0.1), duration=1e9), "at most 20000 s, 200000 samples"),
         (lambda: figures.step_response([UNIT, control.append(UNIT, UNIT)]), "same outputs and inputs"),
         (lambda: figures.two_sided_nyquist(UNIT), "expected a TwoSidedNyquist"),
     ],

@@ -176,7 +176,9 @@ def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_R
     given = list(margins) if isinstance(margins, Sequence | np.ndarray) and not isinstance(margins, str) else [margins]
     if not given:
         raise ArgumentError(f"{name}: given no margin and no loop; expected at least one")
-    if labels is not None and (isinstance(labels, str) or len(labels) != len(given)):
+    if labels is not None and (
+        isinstance(labels, str) or not isinstance(labels, Sequence | np.ndarray) or len(labels) != len(given)
+    ):
         raise ArgumentError(f"{name}: labels: expected {len(given)} strings, one for each margin")
     out = []
     for k, one in enumerate(given):

@@ -61,7 +61,7 @@ def grid(
         low, high = _range(systems, loops)
     else:
         given = frequencies(frequency, name)
-        if given.size == 0 or not np.all(np.diff(given) > 0.0) or (given.size == 2 and given[0] == 0.0):
+        if not np.any(given) or not np.all(np.diff(given) > 0.0) or (given.size == 2 and given[0] == 0.0):
             raise ArgumentError(
                 f"{name}: frequency: expected ascending numbers in rad/s, or the two ends of a range > 0 rad/s"
             )

@@ -236,7 +236,8 @@ def _traced(loop: StateArrays, s: ComplexArray, radius: float) -> tuple[ComplexA
     """Return the points of the contour with more between them where the curve runs, and L there."""
     L = _response(loop, s)
     for _ in range(_HALVINGS):
-        shown = np.where(np.abs(L) > radius, radius * L / np.abs(L), L)
+        size = np.abs(L)
+        shown = L * (radius / np.maximum(size, radius))
         long = np.flatnonzero(np.abs(np.diff(shown)) > _STEP * radius)
         if not long.size or len(s) > _MOST:
             break

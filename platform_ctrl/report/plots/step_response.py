@@ -38,6 +38,8 @@ _DECAYS, _GROWTHS, _PERIODS = 6.0, 3.0, 6.0
 # Slower motion than this share of the fastest is left out of the default duration.
 _SLOW = 1e-4
 _LEAST, _MOST = 600, 20000
+# Most samples of a sampled system, drawn or asked for.
+_SAMPLES = 200_000
 _PANELS = 16
 
 
@@ -91,6 +93,11 @@ def step_response(
             "choose signals, for example system[['alpha9'], ['Q9', 'Q10']]"
         )
     end = _duration(drawn) if duration is None else positive("step_response: duration", duration)
+    longest = min((_SAMPLES * system.dt for system in drawn if system.dt), default=end)
+    if end > longest:
+        raise ArgumentError(
+            f"step_response: duration: given {end:g} s; expected at most {longest:g} s, {_SAMPLES} samples"
+        )
     names = [system.label or "step response" for system in drawn]
     legend = legend_rows(names) if len(drawn) > 1 or drawn[0].label else 0
     height = 0.8 + 0.22 * legend + p * {1: 2.6, 2: 2.2}.get(p, 1.7) + 0.6 * (p - 1)
@@ -140,9 +147,8 @@ def _duration(systems: Sequence[DrawnSystem]) -> float:
                 stable.append(_DECAYS / -pole.real)
         if dt:
             stable.append(20.0 * dt)
-    if growing:
-        return float(min(growing))
-    return float(max(stable, default=1.0))
+    end = float(min(growing)) if growing else float(max(stable, default=1.0))
+    return min([end, *(_SAMPLES * system.dt for system in systems if system.dt)])
 
 
 def _times(system: DrawnSystem, end: float) -> FloatArray:
@@ -160,7 +166,8 @@ def _final(system: DrawnSystem) -> FloatArray | None:
     A, B, C, D, dt = system.arrays
     if not len(A) or system.undamped.size or np.any(system.poles.real > -1e-9 * np.abs(system.poles)):
         return None
-    if not np.all(np.isfinite(system.poles)) or np.any(np.abs(system.poles) == 0.0):
+    size = np.abs(system.poles)
+    if np.any(size <= 1e-9 * max(size.max(initial=0.0), 1.0 / dt if dt else 0.0)):  # integrators, but for rounding
         return None
     A, B, C = scaled(A, B, C)
     return np.asarray(D + C @ np.linalg.solve((np.eye(len(A)) if dt else 0.0) - A, B))
