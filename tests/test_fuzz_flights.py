@@ -79,13 +79,13 @@ def test_the_job_to_begin_with_flies() -> None:
         assert flown(EVERY_PLANT_KEY.data, EVERY_JOB_KEY.data, "--manoeuvre", number) == 0
 
 
-@cases(1200)
+@cases(700)
 @given(st.sampled_from(IN_PLANT), st.sampled_from(NUMBERS), st.sampled_from(["1", "2"]))
 def test_a_plant_with_any_number_flies_or_is_refused(place: Place, number: float, manoeuvre: str) -> None:
     flown(put(EVERY_PLANT_KEY.data, place, number), EVERY_JOB_KEY.data, "--manoeuvre", manoeuvre)
 
 
-@cases(800)
+@cases(500)
 @given(st.sampled_from(IN_JOB), st.sampled_from(NUMBERS), st.sampled_from(["1", "2"]))
 @example(("manoeuvre", 0, "rate"), 1e12, "1")
 def test_a_job_with_any_number_flies_or_is_refused(place: Place, number: float, manoeuvre: str) -> None:

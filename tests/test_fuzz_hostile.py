@@ -180,7 +180,15 @@ def test_a_plant_too_fast_to_be_sampled_is_refused_before_anything_is_designed()
 
 @pytest.mark.parametrize(
     ("key", "item"),
-    [("A", [[1.0] * 1000] * 1000), ("D", [[[[[[]]]]]]), ("dt", [[]]), ("inputs", [[1]]), ("outputs", {}), ("B", None)],
+    [
+        ("A", [[1.0] * 1001] * 1001),
+        ("A", [[1.0]] * 9),
+        ("D", [[[[[[]]]]]]),
+        ("dt", [[]]),
+        ("inputs", [[1]]),
+        ("outputs", {}),
+        ("B", None),
+    ],
 )
 def test_hostile_matrices_are_refused_by_their_name(key: str, item: object) -> None:
     data = json.loads(Path("controllers.json").read_text(encoding="utf-8"))
@@ -202,7 +210,6 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="devices, pipes and names 
         ("folder", "is a directory"),
         ("loop", "cannot be read"),
         ("dangling", "there is no such file"),
-        ("/dev/zero", "is larger than"),
         ("/dev/zero", "is larger than"),
         ("/dev/null", ""),
         ("pipe", "is a pipe that nobody writes to"),

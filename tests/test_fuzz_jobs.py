@@ -83,10 +83,10 @@ def test_mangled_bytes_are_refused_or_read(job: Seed, how: random.Random) -> Non
     except (ValueError, RecursionError):
         assert "is not TOML" in error
     else:
-        assert accepted or means != job.data
+        assert accepted or means != job.data or "hundreds of parts" in error
 
 
-@cases(1500)
+@cases(1000)
 @given(st.sampled_from(PLACES), st.sampled_from(NEVER_RIGHT))
 def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], item: object) -> None:
     job, place = where
@@ -95,7 +95,7 @@ def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], ite
     assert "is not TOML" in error if item == [None] else key_of(place) in error
 
 
-@cases(2000)
+@cases(1400)
 @given(st.sampled_from(PLACES), st.sampled_from(SOMETIMES_RIGHT))
 def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: object) -> None:
     job, place = where

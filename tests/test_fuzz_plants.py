@@ -83,8 +83,7 @@ def test_mangled_bytes_are_refused_or_read(plant: Seed, how: random.Random) -> N
     except (ValueError, RecursionError):
         assert "is not TOML" in error
     else:
-        assert "is not" not in error or accepted or "circle" in error or means != plant.data
-        assert accepted or means != plant.data
+        assert accepted or means != plant.data or "hundreds of parts" in error
 
 
 @cases(2000)

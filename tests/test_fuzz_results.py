@@ -50,7 +50,7 @@ def test_the_controllers_to_begin_with_are_read() -> None:
     assert read(TEXT)[0]
 
 
-@cases(600)
+@cases(400)
 @given(chances)
 def test_mangled_bytes_are_refused_or_read(how: random.Random) -> None:
     mutant = mangled(TEXT.encode(), how)
@@ -64,7 +64,7 @@ def test_mangled_bytes_are_refused_or_read(how: random.Random) -> None:
         assert "JSON" in error or "cannot be read" in error
 
 
-@cases(1500)
+@cases(700)
 @given(st.sampled_from(PLACES), st.sampled_from(JSON_VALUES))
 @example(("controllers", 0, "A", 0, 0), 1e308)
 def test_any_value_is_read_or_refused_by_its_name(place: Place, item: object) -> None:
@@ -77,7 +77,7 @@ def test_any_value_is_read_or_refused_by_its_name(place: Place, item: object) ->
         assert accepted or key_of(place) in error
 
 
-@cases(300)
+@cases(50)
 @given(st.sampled_from([place for place in PLACES if isinstance(place[-1], str)]))
 def test_every_key_but_the_designs_name_is_needed(place: Place) -> None:
     data = copy.deepcopy(DATA)

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     import control
 
 
+# States of a controller: what is checked of it takes time by their number's cube.
+MOST_STATES = 1000
+
+
 def read_controllers(
     source: str | os.PathLike[str] | Mapping[str, Any], job: Job, key: str = "controllers"
 ) -> list[control.StateSpace]:
@@ -141,6 +145,8 @@ class _Entry:
         if not math.isclose(waits, delay, rel_tol=1e-9, abs_tol=1e-9 * period):
             raise self._mistake("delay", f"given {waits:g} s; expected the job's delay, {delay:g} s")
         order = self._length("A")
+        if order > MOST_STATES:
+            raise self._mistake("A", f"has {order} rows; expected at most {MOST_STATES} states")
         arrays = StateArrays(
             A=self._matrix("A", order, order),
             B=self._matrix("B", order, len(inputs)),

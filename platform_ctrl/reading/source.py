@@ -21,7 +21,7 @@ from platform_ctrl.reading.plain import plain
 # Bytes of a file at most; TOML takes seconds to read and to judge where it has more.
 MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
 # A key of so many parts: what tomllib does with it takes time by the square of their number.
-_LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=\[\]{}\n]++\.){200}", re.MULTILINE)
+_LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE)
 # Seconds to wait for who writes to a pipe.
 PATIENCE = 2.0
 
