@@ -8,7 +8,7 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform, state_space
 from random_loops import stable_loop
 
 
@@ -142,3 +142,13 @@ def test_a_loop_that_no_gain_destabilises_says_so() -> None:
     for found in (small, unit):
         with pytest.raises(PlatformCtrlError, match="infinite"):
             found.destabilising()
+
+
+def test_a_closed_loop_that_is_stable_by_rounding_alone_has_no_margin() -> None:
+    """A gyro in gimbals with a controller that feeds the sum of both angles: the difference is held by nothing."""
+    model = linearise(read_platform("gimballed_gyro"))
+    plant = state_space(model)[["alpha", "beta"], ["Qouter", "Qinner"]]
+    margin = analysis.disk_margin(analysis.loop_transfer(plant, control.ss([], [], [], -np.ones((2, 2)))))
+    assert margin.alpha == margin.upper == 0.0
+    assert "not stable" in margin.reason
+    assert margin.lower_response.shape == margin.frequencies.shape

@@ -348,6 +348,14 @@ def test_a_sampled_integrator_however_rounded_is_drawn_over_a_time_that_can_be_d
     assert np.isfinite(two.lines[0, 0][0].get_ydata()).all()
 
 
+def test_a_response_that_grows_beyond_all_numbers_is_drawn_as_far_as_it_can_be():
+    plot = figures.step_response(control.tf([1.0], [1.0, -1.5], 0.1), duration=1000.0)
+    plot.figure.draw_without_rendering()
+    y = np.asarray(plot.lines[0, 0][0].get_ydata())
+    assert np.nanmax(y) > 1e99
+    assert np.isnan(y[-1])
+
+
 def test_a_loop_that_is_nothing_has_a_nyquist_plot_too():
     [line, *_] = figures.nyquist(control.tf(0.0, 1.0)).lines[0, 0]
     assert np.nanmax(np.abs(line.get_ydata())) == 0.0

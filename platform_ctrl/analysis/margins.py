@@ -206,6 +206,9 @@ def disk_margin(
     grid = own if given is None else np.union1d(own, given)
     peak = MuPeak(disk)
     response = peak.response(grid)
+    shown = slice(None) if given is None else np.searchsorted(grid, given)
+    if not np.all(np.isfinite(response)):  # a pole that is stable by rounding alone
+        return _unstable(skew, grid[shown], s, disk)
     bounds, gains = mu_bounds(response), largest_gains(response)
     proved = True
     if m == 1:
@@ -220,7 +223,8 @@ def disk_margin(
         peak.bounds(np.array([at, peak.axis.edge]))
         peak.climb(grid, bounds.upper)
         proved = peak.prove()
-    shown = slice(None) if given is None else np.searchsorted(grid, given)
+    if not np.all(np.isfinite(peak.M)):
+        return _unstable(skew, grid[shown], s, disk)
     return _margin(
         peak,
         norm,
@@ -401,6 +405,7 @@ def _disk_arrays(L: StateArrays, skew: float) -> StateArrays:
 def _unstable(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays) -> DiskMargin:
     nothing = np.zeros(shown.shape)
     worst = s[np.argmax(s.real)]
+    rounded = "" if worst.real >= 0.0 else " but for rounding"
     return DiskMargin(
         alpha=0.0,
         lower=0.0,
@@ -409,7 +414,7 @@ def _unstable(skew: float, shown: FloatArray, s: ComplexArray, disk: StateArrays
         frequency=float(abs(worst.imag)),
         proved=True,
         skew=float(skew),
-        reason=f"the closed loop is not stable: pole at s = {worst:.6g}",
+        reason=f"the closed loop is not stable{rounded}: pole at s = {worst:.6g}",
         perturbation=np.ones(len(disk.D), dtype=np.complex128),
         dt=disk.dt,
         frequencies=shown,

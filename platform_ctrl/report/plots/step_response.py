@@ -40,6 +40,8 @@ _SLOW = 1e-4
 _LEAST, _MOST = 600, 20000
 # Most samples of a sampled system, drawn or asked for.
 _SAMPLES = 200_000
+# A growing response is drawn up to this: beyond it axes cannot be labelled.
+_GROWN = 1e100
 _PANELS = 16
 
 
@@ -112,6 +114,7 @@ def step_response(
             step[j] = 1.0
             with np.errstate(all="ignore"):
                 y = time_response(made, t, step)
+                y = np.where(np.abs(y) < _GROWN, y, np.nan)
             final = _final(system)
             for i in range(p):
                 shown, at = (t, y[i]) if system.dt else envelope(t, y[i], 2000)
