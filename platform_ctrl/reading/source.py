@@ -22,8 +22,8 @@ from platform_ctrl.reading.plain import plain
 MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
 # A key of so many parts: what tomllib does with it takes time by the square of their number.
 _LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE)
-# Seconds to wait for who writes to a pipe.
-PATIENCE = 2.0
+# Seconds to wait for who writes to a pipe: less than until progress is shown.
+PATIENCE = 1.0
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 
