@@ -102,7 +102,7 @@ class Comparison:
 
         Returns
         -------
-        tuple
+        tuple of Change
             In the order of `changes`.
 
         Notes

@@ -70,7 +70,7 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
 
     Returns
     -------
-    tuple
+    tuple of Figure
         Each subject and name once.
 
     Notes

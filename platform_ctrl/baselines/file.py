@@ -139,7 +139,7 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
 
     Returns
     -------
-    Path
+    pathlib.Path
         The file.
 
     Raises
@@ -207,8 +207,8 @@ def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | N
 
     Returns
     -------
-    Path
-        Of the PNG.
+    pathlib.Path
+        Of the PNG, whether or not there is one.
 
     Notes
     -----
