@@ -393,7 +393,7 @@ def gyro_job(limits, soft=None, faults=None, rate_hz=5000, **design_options):
         ({"structure": "cross-axis", "starts": 2}, "option 'starts' has no meaning"),
         ({"structure": "state-space", "order": 1.5}, "order = 1.5; expected a whole number"),
         ({"starts": 2.5}, "starts = 2.5; expected a whole number"),
-        ({"evaluations": 1e300}, r"evaluations = 1e\+300; expected a whole number from 1 to"),
+        ({"evaluations": 1e30}, r"evaluations = 1e\+30; expected a whole number from 1 to"),
         ({"reserve": 1.0}, "reserve = 1; expected less than 1"),
         ({"integral_hz": 2500}, "integral_hz = 2500; expected less than 2500 Hz, half the sample rate"),
         ({"rolloff_hz": 1e6}, "rolloff_hz = 1e.06; expected less than 2500 Hz"),

@@ -287,11 +287,13 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyt
     file = tmp_path / "result.json"
     write_record({"first": 1}, file)
 
-    def broken(self: Path, text: str, **options: str) -> int:
-        self.write_bytes(text[:5].encode())
+    whole = Path.write_bytes
+
+    def broken(self: Path, content: bytes) -> int:
+        whole(self, content[:5])
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", broken)
+    monkeypatch.setattr(Path, "write_bytes", broken)
     with pytest.raises(InputError, match=r"cannot be written: No space left on device"):
         write_record({"second": 2}, file)
     assert json.loads(file.read_bytes()) == {"first": 1}
