@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -89,12 +91,16 @@ def _exceedance_axes(axes: Axes, name: str, found: CampaignStatistics) -> None:
 
 def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
     """How one figure is distributed in each manoeuvre that asks for it, its limit in red."""
-    wanted = asked(found, name)
-    rows = -(-len(wanted) // _COLUMNS)
-    drawn, grid = panels(rows, _COLUMNS, 0.85 + rows * _CELL + (rows - 1) * 0.55)
+    return histograms([(one, name) for one in asked(found, name)], _COLUMNS)
+
+
+def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
+    """Return a figure with a histogram for each pair of what is asked and the figure it is asked of, row by row."""
+    rows = -(-len(wanted) // columns)
+    drawn, grid = panels(rows, columns, 0.85 + rows * _CELL + (rows - 1) * 0.55)
     cells = [axes for row in grid for axes in row]
-    for axes, one in zip(cells, wanted, strict=False):
-        histogram_panel(axes, one, name)
+    for axes, (one, name) in zip(cells, wanted, strict=False):
+        _histogram_panel(axes, one, name)
     for axes in cells[len(wanted) :]:
         axes.set_visible(False)
     for row in grid:
@@ -102,7 +108,7 @@ def histogram_figure(found: CampaignStatistics, name: str) -> Figure:
     return drawn
 
 
-def histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
+def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
     """Draw the histogram of one figure in one manoeuvre, beyond its limit in red."""
     spread, limit = _spread(one), one.limit
     assert limit is not None

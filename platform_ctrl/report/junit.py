@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from io import BytesIO
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from platform_ctrl.baselines import Change, Comparison
@@ -48,7 +49,7 @@ def write_junit(
     return write_whole(path, written.getvalue().decode("utf-8"))
 
 
-def _library() -> Any:
+def _library() -> ModuleType:
     import junitparser
 
     return junitparser

@@ -11,6 +11,7 @@ import os
 import re
 from importlib import resources
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.check.verdict import JobResult
@@ -107,7 +108,7 @@ def pdf(
     return typeset(typst, prepared(result, command=command, campaign=campaign, again=again))
 
 
-def typesetter() -> Any:
+def typesetter() -> ModuleType:
     """Return the module typst.
 
     Raises
@@ -122,7 +123,7 @@ def typesetter() -> Any:
     return typst
 
 
-def typeset(typst: Any, content: Document) -> bytes:
+def typeset(typst: ModuleType, content: Document) -> bytes:
     """Return a document as PDF.
 
     Raises

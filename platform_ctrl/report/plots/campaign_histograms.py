@@ -16,10 +16,10 @@ from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, Table
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.report.campaign_figures import asked, histogram_panel
-from platform_ctrl.report.style import panels, standalone
+from platform_ctrl.report.campaign_figures import asked, histograms
+from platform_ctrl.report.style import standalone
 
-_COLUMNS, _CELL = 3, 1.75
+_COLUMNS = 3
 
 
 @standalone
@@ -69,19 +69,10 @@ def campaign_histograms(
             f"campaign_histograms: no manoeuvre has a limit on {what}, or none was flown; nothing to draw"
         )
     columns = 2 if len(cells) == 4 else min(_COLUMNS, len(cells))
-    rows = -(-len(cells) // columns)
-    drawn, grid = panels(rows, columns, 0.85 + rows * _CELL + (rows - 1) * 0.55)
-    every = [axes for row in grid for axes in row]
-    for axes, (one, name) in zip(every, cells, strict=False):
-        histogram_panel(axes, one, name)
-    for axes in every[len(cells) :]:
-        axes.set_visible(False)
-    for row in grid:
-        row[0].set_ylabel("runs")
-    return drawn
+    return histograms(cells, columns)
 
 
-def _statistics(campaign: Any, limits: Limits | None) -> CampaignStatistics:
+def _statistics(campaign: object, limits: Limits | None) -> CampaignStatistics:
     if isinstance(campaign, CampaignStatistics | Summary):
         if limits is not None:
             raise ArgumentError("campaign_histograms: limits are given with statistics, which have their own")

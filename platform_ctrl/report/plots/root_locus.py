@@ -142,7 +142,7 @@ def root_locus_over_spin(
     return _drawn(locus, "speed", "rotor speed / nominal", plane, reach)
 
 
-def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> Any:
+def _drawn(locus: Locus, word: str, quantity: str, plane: Plane, reach: float | None) -> control.ControlPlot:
     import control
 
     one_of("plane", plane, ("s", "z"))

@@ -84,7 +84,7 @@ def time_run(
     return trajectory_figure(recorded, torquers, asked, duration, **unknown)
 
 
-def _place(name: str) -> Any:
+def _place(name: str) -> dict[str, Any]:
     """Return where a torquer acts, by its name: M1, M2, M3 on the root."""
     if name in ROOT_TORQUE_NAMES:
         return {"root_axis": 1 + ROOT_TORQUE_NAMES.index(name)}
