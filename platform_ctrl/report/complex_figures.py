@@ -14,6 +14,7 @@ from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
     DASHES,
@@ -28,7 +29,6 @@ from platform_ctrl.report.style import (
     standalone,
 )
 
-_HZ = 1.0 / (2.0 * np.pi)
 # Half width of the close view about −1, and of the wide one.
 _CLOSE, _WIDE = 1.8, 6.0
 # Frequencies, Hz, that are written along the curve where there is room: round numbers.
@@ -67,7 +67,7 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
         )
     names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
     if 0.0 < curve.disk_margin < 2.0:
-        names.append(f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * _HZ)} Hz")
+        names.append(f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * HZ)} Hz")
     figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
     handles: list[Any] = []
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):
@@ -162,7 +162,7 @@ def _label(
 ) -> None:
     """Write round frequencies along the branch, wherever nothing else stands near."""
     w, L = _side(curve, sign)
-    f = np.abs(w) * _HZ
+    f = np.abs(w) * HZ
     order = np.argsort(f)
     for decade in 10.0 ** np.arange(-1, 4):
         for number in _ROUND * decade:

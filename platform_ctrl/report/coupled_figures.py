@@ -18,6 +18,8 @@ from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
 from platform_ctrl.report.loop_responses import following_grid
+from platform_ctrl.report.pole_figures import upper
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
     LIMIT,
@@ -35,8 +37,6 @@ from platform_ctrl.state_space import state_space as linear_state_space
 
 if TYPE_CHECKING:
     import control
-
-_HZ = 1.0 / (2.0 * np.pi)
 
 
 def coupled_pole_figure(result: JobResult) -> Figure:
@@ -62,8 +62,7 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     """
     check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
-    s = continuous_poles(check.poles, period)
-    s = s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))]
+    s = upper(continuous_poles(check.poles, period))
     nyquist = np.pi / period
     nutations = [o.closed.plants.nutation for o in result.loops if o.closed.plants is not None]
     slow = 1.7 * max(nutations, default=float(np.median(np.abs(s))) if s.size else nyquist)
@@ -157,7 +156,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
-    f = margin.frequencies[kept] * _HZ
+    f = margin.frequencies[kept] * HZ
     lower, upper = margin.lower_response[kept], margin.upper_response[kept]
     handles = axes.plot(f, lower, **line_style(0))
     handles += axes.plot(f, upper, **line_style(1))
@@ -168,10 +167,10 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     if limit is not None:
         handles.append(axes.axhline(limit, color=LIMIT, linestyle=(0, (5, 2)), linewidth=0.9))
         labels.append(f"limit {limit:g}")
-    axes.plot([margin.frequency * _HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
+    axes.plot([margin.frequency * HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
     axes.annotate(
-        f"{margin.lower:.3f} at {margin.frequency * _HZ:.3g} Hz",
-        (margin.frequency * _HZ, margin.lower),
+        f"{margin.lower:.3f} at {margin.frequency * HZ:.3g} Hz",
+        (margin.frequency * HZ, margin.lower),
         (0, -11),
         textcoords="offset points",
         ha="center",
@@ -225,14 +224,14 @@ def servo_figure(result: JobResult) -> Figure | None:
     for n, k in enumerate(channels):
         loop = 1.0 / S[k, k] - 1.0
         curves.append(np.abs(loop))
-        handles += gain.plot(w * _HZ, np.abs(loop), **line_style(n))
-        phase.plot(w * _HZ, phase_in_degrees(loop), **line_style(n))
-    frequency_axes(gain, w[0] * _HZ, w[-1] * _HZ)
+        handles += gain.plot(w * HZ, np.abs(loop), **line_style(n))
+        phase.plot(w * HZ, phase_in_degrees(loop), **line_style(n))
+    frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
     gain_limits(gain, curves, low=1e-3, high=1e4)
     gain.axhline(1.0, color=REFERENCE, linewidth=0.8)
     gain.set_ylabel("gain, 1")
     gain.set_title("loop transfer at the torquer")
-    phase_axes(phase, w * _HZ)
+    phase_axes(phase, w * HZ)
     phase.set_ylabel("phase, degrees")
     phase.set_title("its phase")
     legend_above(figure, handles, [check.channels[k] for k in channels])
@@ -264,7 +263,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     opened, closed = platform_compliance(result, w)
     figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=1)
     handles, labels = [], []
-    f = w * _HZ
+    f = w * HZ
     for axis in range(3):
         platform.plot(
             f, opened[:, -3 + axis, axis], color=REFERENCE, linewidth=0.9, linestyle=line_style(axis)["linestyle"]

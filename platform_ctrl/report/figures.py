@@ -19,8 +19,6 @@ from platform_ctrl.report.coupled_figures import (
 from platform_ctrl.report.loop_figures import (
     disturbance_figure,
     loop_transfer_figure,
-    pole_figure,
-    root_locus_figure,
     sensitivity_figure,
 )
 from platform_ctrl.report.plant_figures import nutation_figure
@@ -39,6 +37,7 @@ from platform_ctrl.report.plots.showing import show
 from platform_ctrl.report.plots.singular_values import singular_values
 from platform_ctrl.report.plots.step_response import step_response
 from platform_ctrl.report.plots.time_run import time_run
+from platform_ctrl.report.pole_figures import pole_figure, root_locus_figure
 from platform_ctrl.report.run_figures import run_figure
 
 __all__ = [

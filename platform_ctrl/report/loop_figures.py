@@ -14,15 +14,13 @@ from platform_ctrl.job import LoopSpec
 from platform_ctrl.report.limit_lines import (
     band_ceilings,
     ceilings,
-    damping_lines,
-    fastest_pole_line,
     goal_frequency,
     late_ceilings,
 )
-from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
-    INK,
     MARKERS,
     MUTED,
     REFERENCE,
@@ -33,16 +31,13 @@ from platform_ctrl.report.style import (
     legend_above,
     legend_rows,
     line_style,
-    linear_axis,
     panels,
 )
 
-_HZ = 1.0 / (2.0 * np.pi)
 # With more designs than this only the closed one shows all its singular values.
 _ALL_LINES = 2
 # More panels than this are drawn in two rows.
 _ONE_ROW = 4
-_LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
@@ -70,7 +65,7 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     """
     names = design_names(responses)
     figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=legend_rows(names))
-    f = responses.frequency * _HZ
+    f = responses.frequency * HZ
     limits, soft = spec.limits, spec.soft
     handles = []
     for k, one in enumerate(responses.designs):
@@ -81,7 +76,7 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
         middle.plot(f, one.complementary, **emphasised(k, chosen))
         right.plot(f, one.balanced, **emphasised(k, chosen))
         if one.design.measures is not None and np.isfinite(one.design.measures.bandwidth):
-            at = one.design.measures.bandwidth * _HZ
+            at = one.design.measures.bandwidth * HZ
             left.plot([at], [np.sqrt(0.5)], MARKERS[k % 8], color=SERIES[k % 8], markersize=5, zorder=4)
     for axes, curves in ((left, "sensitivity"), (middle, "complementary"), (right, "balanced")):
         frequency_axes(axes, f[0], f[-1])
@@ -133,7 +128,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     """
     names = design_names(responses)
     figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
-    f = responses.frequency * _HZ
+    f = responses.frequency * HZ
     handles = []
     for k, one in enumerate(responses.designs):
         chosen = one.design.name == responses.closed
@@ -152,7 +147,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     frequency_axes(rows[1][0], f[0], f[-1])
     gain_limits(rows[1][0], [one.controller_gain for one in responses.designs])
     asked = (spec.limits.controller_gain, spec.soft.controller_gain)
-    late_ceilings(rows[1][0], asked, nutation / 10.0 * _HZ)
+    late_ceilings(rows[1][0], asked, nutation / 10.0 * HZ)
     for i, name in enumerate(torques):
         gain_limits(rows[0][1 + i], [np.abs(one.channels[i]) for one in responses.designs], low=1e-3, high=1e4)
         rows[0][1 + i].set_title(f"{name}, others closed")
@@ -201,7 +196,7 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     cells = [axes for row in grid for axes in row]
     for unused in cells[number:]:
         unused.remove()
-    f = responses.frequency * _HZ
+    f = responses.frequency * HZ
     limits, soft = spec.limits, spec.soft
     handles: list[Any] = []
     for axes, a in zip(cells, acting, strict=False):
@@ -234,149 +229,6 @@ def _torque_share(axes: Axes, f: FloatArray, responses: LoopResponses, spec: Loo
     band_ceilings(axes, (asked.torque_limit, wished.torque_limit), (asked.torque_limit_hz, wished.torque_limit_hz))
     axes.set_title("full Omega → torque")
     axes.set_ylabel("torque over its limit, 1")
-
-
-def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses).
-
-    Parameters
-    ----------
-    responses
-        Of the loop's designs.
-    spec
-        The loop as the job asks for it.
-    nutation
-        Nutation frequency, rad/s.
-    period
-        Sample period, s.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The upper half plane.
-
-    Notes
-    -----
-    The arguments are not judged.
-
-    References
-    ----------
-    As `damping`.
-    """
-    names = design_names(responses)
-    figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))
-    nyquist = np.pi / period
-    handles = []
-    for axes in (wide, close):
-        for k, one in enumerate(responses.designs):
-            spread, faults, own = (_upper(s) for s in (one.spread_poles, one.fault_poles, one.poles))
-            style: dict[str, Any] = {"color": SERIES[k % 8], "linestyle": "none", "marker": MARKERS[k % 8]}
-            axes.plot(spread.real, spread.imag, **style | {"markersize": 1.8, "alpha": 0.35, "markeredgewidth": 0})
-            crossed = {"marker": "x", "markersize": 2.6, "alpha": 0.75, "markeredgewidth": 0.7}
-            axes.plot(faults.real, faults.imag, **style | crossed)
-            drawn = axes.plot(
-                own.real, own.imag, **style | {"markersize": 6, "markerfacecolor": "none", "markeredgewidth": 1.3}
-            )
-            handles += drawn if axes is wide else []
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
-    extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
-    wide.set_title("all poles up to the Nyquist frequency")
-    close.set_title("around the nutation frequency and below")
-    legend_above(figure, handles, names)
-    return figure
-
-
-def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Poles of the closed design while its gain goes from 0 to twice its value.
-
-    Parameters
-    ----------
-    locus
-        Of the closed design.
-    spec
-        The loop as the job asks for it.
-    nutation
-        Nutation frequency, rad/s.
-    period
-        Sample period, s.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The upper half plane.
-
-    Notes
-    -----
-    The arguments are not judged.
-
-    References
-    ----------
-    W. R. Evans, Trans. AIEE 67, 1948.
-    """
-    figure, [[wide, close]] = panels(1, 2, 3.9, legend=1)
-    nyquist = np.pi / period
-    handles: list[Any] = []
-    marks = [int(np.argmin(np.abs(locus.gains - g))) for g in _LABELLED_GAINS if g <= locus.gains[-1]]
-    for axes in (wide, close):
-        for branch in locus.branches.T:
-            shown = np.where(branch.imag > -1e-6 * nyquist, branch, np.nan)
-            if np.isfinite(shown.real).any():
-                axes.plot(shown.real, shown.imag, "-", color=SERIES[0], linewidth=1.1)
-        for n, k in enumerate(marks):
-            points = _upper(locus.branches[k])
-            nominal = abs(locus.gains[k] - 1.0) < 1e-9
-            drawn = axes.plot(
-                points.real,
-                points.imag,
-                linestyle="none",
-                marker=MARKERS[n % 8],
-                markersize=6.5 if nominal else 4.0,
-                color=SERIES[1] if nominal else SERIES[0],
-                markerfacecolor="none",
-            )
-            handles += drawn if axes is wide else []
-    _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
-    extent = 1.7 * nutation
-    _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
-    _label_gains(close, locus, marks, extent)
-    legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
-    wide.set_title("all branches up to the Nyquist frequency")
-    close.set_title("around the nutation frequency and below")
-    return figure
-
-
-def _label_gains(axes: Axes, locus: RootLocus, marks: list[int], extent: float) -> None:
-    """Write the gains along the two branches that matter: the least damped one and the slowest oscillating one."""
-    at_one = locus.branches[int(np.argmin(np.abs(locus.gains - 1.0)))]
-    inside = (at_one.imag > 0.02 * extent) & (at_one.imag < extent) & (at_one.real > -1.2 * extent)
-    if not inside.any():
-        return
-    ratio = np.where(inside, -at_one.real / np.abs(at_one), np.inf)
-    branch = locus.branches[:, int(np.argmin(ratio))]
-    last: complex | None = None
-    for k in marks:
-        s = branch[k]
-        visible = 0.0 <= s.imag < extent and -1.2 * extent < s.real < 0.18 * extent
-        if visible and (last is None or abs(s - last) > 0.045 * extent):
-            axes.annotate(
-                f"{locus.gains[k]:g}", (s.real, s.imag), (6, 3), textcoords="offset points", fontsize=7.5, color=INK
-            )
-            last = s
-
-
-def _s_plane(axes: Axes, left: float, right: float, top: float, spec: LoopSpec, period: float, *, named: bool) -> None:
-    """Axes of the upper half plane; fast poles to the right of a damping line are damped too little."""
-    axes.axvline(0.0, color=REFERENCE, linewidth=0.8)
-    axes.axvspan(0.0, right, color=BAND, linewidth=0, zorder=0)
-    damping_lines(axes, spec, top, named)
-    fastest_pole_line(axes, spec, period)
-    axes.set_xlim(left, right)
-    axes.set_ylim(0.0, top)
-    linear_axis(axes.xaxis, 6)
-    linear_axis(axes.yaxis, 6)
-    axes.set_xlabel("real part, 1/s")
-    axes.set_ylabel("imaginary part, rad/s")
 
 
 def _open_and_closed(
@@ -418,8 +270,3 @@ def phase_axes(axes: Axes, f: FloatArray) -> None:
     step = 90.0 if high - low <= 540.0 else 180.0
     axes.set_yticks(np.arange(step * np.ceil(low / step), high + 1.0, step))
     axes.axhline(-180.0, color=REFERENCE, linewidth=0.8)
-
-
-def _upper(s: ComplexArray) -> ComplexArray:
-    """Poles of the closed upper half plane that are finite."""
-    return np.asarray(s[np.isfinite(s.real) & (s.imag >= -1e-9 * np.maximum(np.abs(s), 1.0))])

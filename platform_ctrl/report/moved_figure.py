@@ -18,6 +18,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.failure_text import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,
     FULL_WIDTH,
@@ -34,7 +35,6 @@ from platform_ctrl.report.style import (
 )
 from platform_ctrl.report.svg_pieces import text_width
 
-_HZ = 1.0 / (2.0 * np.pi)
 _DPI = 150
 # No more bars than a page holds, and none longer than this many tolerances.
 _BARS, _LONGEST = 24, 8.0
@@ -158,9 +158,9 @@ def _draw_loop(axes: Axes, before: LoopMatrices, now: LoopMatrices) -> None:
         axes.text(0.5, 0.5, "the baseline's matrices\nclose no loop", ha="center", transform=axes.transAxes)
         return
     frequency, *curves = found
-    axes.plot(frequency * _HZ, curves[0], color=SERIES[1], linestyle=(0, (5, 2)), linewidth=1.3, label="before")
-    axes.plot(frequency * _HZ, curves[1], color=SERIES[0], linewidth=1.8, label="now")
-    frequency_axes(axes, frequency[0] * _HZ, frequency[-1] * _HZ)
+    axes.plot(frequency * HZ, curves[0], color=SERIES[1], linestyle=(0, (5, 2)), linewidth=1.3, label="before")
+    axes.plot(frequency * HZ, curves[1], color=SERIES[0], linewidth=1.8, label="now")
+    frequency_axes(axes, frequency[0] * HZ, frequency[-1] * HZ)
     gain_limits(axes, curves, low=1e-3, high=1e2)
     axes.axhline(np.sqrt(0.5), color=REFERENCE, linewidth=0.8)
     axes.set_ylabel("largest singular value, 1")

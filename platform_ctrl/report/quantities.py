@@ -7,6 +7,10 @@ import math
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
 
+# What a frequency in rad/s is multiplied with to be drawn and named in Hz, a speed in rpm.
+HZ = 1.0 / (2.0 * math.pi)
+RPM = 60.0 * HZ
+
 MINUS, DASH = "\u2212", "\u2013"
 MET, NOT_MET = "\u2713", "\u2717"
 BOUND = {"at least": "\u2265", "at most": "\u2264"}

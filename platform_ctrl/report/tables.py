@@ -123,7 +123,9 @@ def terminal_table(result: JobResult) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(result.job.name), title_justify="left", title_style="bold", header_style="bold", expand=False)
+    table = Table(
+        title=Text(result.job.name), title_justify="left", title_style="bold", header_style="bold", expand=False
+    )
     for name in ("subject", "requirement"):
         table.add_column(name, overflow="fold")
     for name in ("value", "limit", "margin"):

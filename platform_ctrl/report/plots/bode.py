@@ -17,7 +17,6 @@ from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, e
 from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import (
-    HZ,
     blocks,
     draw,
     frequency_panels,
@@ -31,7 +30,7 @@ from platform_ctrl.report.plots.panels import (
 )
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, LinearSystem, drawable, drawn_systems, unit_of_gain
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, SERIES, standalone
 
 if TYPE_CHECKING:

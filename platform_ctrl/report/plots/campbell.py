@@ -20,6 +20,7 @@ from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import drawable
+from platform_ctrl.report.quantities import HZ, RPM
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     LIMIT,
@@ -36,8 +37,6 @@ from platform_ctrl.report.style import (
 )
 from platform_ctrl.state_space import state_space, subsystems, whole_subsystems
 
-_HZ = 1.0 / (2.0 * np.pi)
-_RPM = 60.0 / (2.0 * np.pi)
 # Speeds at which the modes are worked out, at least.
 _SPEEDS = 401
 # A frequency this small against the fastest is none: poles at zero come out that large.
@@ -135,22 +134,22 @@ def campbell(
     chosen = {model.gimbal_names[k] for k in whole_subsystems(model, gimbals)}
     modes = [m for group in subsystems(model) if set(group) <= chosen for m in _modes(model, still, group, speed)]
 
-    unit = _RPM * reference[0] if len(reference) == 1 else 1.0
+    unit = RPM * reference[0] if len(reference) == 1 else 1.0
     labels = [
-        f"{m.kind} of {drawable('-'.join(m.gimbals))}: {number(m.nominal * _HZ, 3)} Hz at nominal speed" for m in modes
+        f"{m.kind} of {drawable('-'.join(m.gimbals))}: {number(m.nominal * HZ, 3)} Hz at nominal speed" for m in modes
     ]
     rows = legend_rows(labels) if modes else 0
     figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, width=_WIDTH, legend=rows, titles=False)
     handles: list[Any] = []
     x = unit * speed
     for k, mode in enumerate(modes):
-        handles += axes.plot(x, mode.frequency * _HZ, **line_style(k))
+        handles += axes.plot(x, mode.frequency * HZ, **line_style(k))
         if speed[0] <= 1.0 <= speed[-1]:
             mark = MARKERS[k % len(MARKERS)]
-            axes.plot([unit], [mode.nominal * _HZ], mark, color=SERIES[k % len(SERIES)], markersize=5)
+            axes.plot([unit], [mode.nominal * HZ], mark, color=SERIES[k % len(SERIES)], markersize=5)
     highest = max((float(m.frequency.max()) for m in modes), default=0.0)
     lowest_line = float(multiples.min(initial=1.0)) * min(reference) * float(speed[-1])
-    top = 1.18 * _HZ * (highest or lowest_line)
+    top = 1.18 * HZ * (highest or lowest_line)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(0.0, top)
     linear_axis(axes.xaxis, 8)
@@ -234,9 +233,9 @@ def _spin_lines(
     named = []
     for spin in reference:
         for order in orders:
-            slope = order * spin * _HZ
+            slope = order * spin * HZ
             axes.plot(unit * speed, slope * speed, color=MUTED, linewidth=0.9, linestyle=(0, (6, 2)), zorder=1.5)
-            text = f"{order:g}×" if len(reference) == 1 else f"{order:g}× {number(spin * _RPM, 4)} rpm"
+            text = f"{order:g}×" if len(reference) == 1 else f"{order:g}× {number(spin * RPM, 4)} rpm"
             end = min(0.96 * right / unit, 0.96 * top / slope)
             named.append((text, unit * end, slope * end))
     places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])
@@ -249,12 +248,10 @@ def _spin_lines(
         for order in orders:
             for mode in modes:
                 for at, frequency in _meetings(mode.frequency, speed, order * spin):
-                    axes.plot(
-                        [unit * at], [frequency * _HZ], "D", color=LIMIT, markersize=5, zorder=5, linestyle="none"
-                    )
-                    places.reserve(unit * at, frequency * _HZ)
+                    axes.plot([unit * at], [frequency * HZ], "D", color=LIMIT, markersize=5, zorder=5, linestyle="none")
+                    places.reserve(unit * at, frequency * HZ)
                     where = f"{number(unit * at, 4)} rpm" if len(reference) == 1 else f"× {number(at, 3)}"
-                    marks.append((f"{order:g}× meets {mode.kind}: {where}", unit * at, frequency * _HZ))
+                    marks.append((f"{order:g}× meets {mode.kind}: {where}", unit * at, frequency * HZ))
     for text, x, y in marks:
         places.put(text, x, y, colour=LIMIT, size=7.5)
 

@@ -23,7 +23,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.bode import degrees_words, gain_words
 from platform_ctrl.report.plots.frequencies import grid
-from platform_ctrl.report.plots.panels import HZ, blocks, curve_style, legend, line_array
+from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import (
     DrawnSystem,
@@ -33,7 +33,7 @@ from platform_ctrl.report.plots.systems import (
     drawn_systems,
     gaps,
 )
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, standalone
 
 if TYPE_CHECKING:

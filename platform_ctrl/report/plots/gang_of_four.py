@@ -15,7 +15,6 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import (
-    HZ,
     blocks,
     bound,
     curve_style,
@@ -38,7 +37,7 @@ from platform_ctrl.report.plots.systems import (
     ratio_unit,
     unit,
 )
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, standalone
 
 if TYPE_CHECKING:

@@ -18,10 +18,10 @@ from platform_ctrl.greek import greek
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
 from platform_ctrl.report.plots.frequencies import grid
-from platform_ctrl.report.plots.panels import HZ, blocks, curve_style, gains, legend, line_array
+from platform_ctrl.report.plots.panels import blocks, curve_style, gains, legend, line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import LinearSystem, drawable, drawn_systems
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
-from platform_ctrl.report.quantities import count
+from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     BAND,
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
     from platform_ctrl.report.plots.systems import LinearSystem
 
-_HZ = 1.0 / (2.0 * np.pi)
 # How far from the origin the view goes; larger |L| lies on the rim.
 _REACH = 3.0
 # Radius of the way round a pole on the axis, of its frequency.
@@ -320,7 +319,7 @@ def _arrow(axes: Axes, shown: ComplexArray, radius: float, colour: str) -> None:
 
 def _frequencies(axes: Axes, places: Places, curve: ChannelCurve, radius: float, colour: str) -> None:
     """Write the margin's frequency and round ones in Hz along the curve, wherever there is room."""
-    hz, L = curve.frequency * _HZ, curve.loop_transfer
+    hz, L = curve.frequency * HZ, curve.loop_transfer
     if np.isfinite(curve.margin_frequency) and curve.margin > 0.0:
         k = int(np.argmin(np.abs(curve.frequency - curve.margin_frequency)))
         if abs(L[k]) < radius:

@@ -19,7 +19,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.limit_lines import DASHED
 from platform_ctrl.report.plots.systems import DrawnSystem, near
-from platform_ctrl.report.quantities import plain
+from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import (
     BEYOND,
     DASHES,
@@ -35,7 +35,6 @@ from platform_ctrl.report.style import (
     log_axis,
 )
 
-HZ = 1.0 / (2.0 * np.pi)
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
 _LEFT, _RIGHT, _BOTTOM, _GAP_X = 0.66, 0.2, 0.46, 0.76

@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8)
-_HZ = 1.0 / (2.0 * np.pi)
 _BELOW, _RIGHT, _MOST_RIGHT = 0.05, 0.17, 0.75
 # Width of a panel over the height above the real axis, about; room beyond the outermost pole; a gap between poles.
 _ASPECT, _BEYOND, _GAP = 1.95, 1.2, 8.0
@@ -67,8 +67,8 @@ def s_plane(axes: Axes, view: View) -> Places:
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
     turn = np.linspace(0.5 * np.pi, np.pi, 181)
     places = Places(axes)
-    for hz in round_steps(reach * _HZ):
-        radius = hz / _HZ
+    for hz in round_steps(reach * HZ):
+        radius = hz / HZ
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
         if radius < 0.97 * reach:
             places.later(f"{hz:g} Hz", 0.0, radius, (0,))
@@ -101,7 +101,7 @@ def z_plane(axes: Axes, period: float) -> Places:
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
     places = Places(axes)
     for hz in round_steps(0.5 / period, 5):
-        angle = hz / _HZ * period
+        angle = hz / HZ * period
         ray = np.array([0.0, np.exp(1j * angle)])
         axes.plot(ray.real, ray.imag, color=FRAME, linewidth=0.6, linestyle=_DASHES, zorder=1)
         at = np.exp(1j * min(angle, 0.985 * np.pi))

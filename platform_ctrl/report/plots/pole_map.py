@@ -18,7 +18,7 @@ from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.planes import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
-from platform_ctrl.report.quantities import count
+from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, legend_above, legend_rows, panels, standalone
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from platform_ctrl.report.plots.systems import LinearSystem
 
-_HZ = 1.0 / (2.0 * np.pi)
 _HEIGHT = 5.4
 # Poles of a system whose damping is written, at most, and up to which damping ratio.
 _WRITTEN, _DAMPED = 3, 0.5
@@ -171,7 +170,7 @@ def _written(places: Places, system: DrawnSystem, s: ComplexArray, plane: str) -
         if (ratio[k] > _DAMPED and pole.real <= 0.0) or pole == 0.0:
             continue
         at = np.exp(pole * system.dt) if plane == "z" else pole
-        hz = f"{number(abs(pole) * _HZ, 3)} Hz"
+        hz = f"{number(abs(pole) * HZ, 3)} Hz"
         if pole.real > 0.0:
             text = f"grows by {number(pole.real, 3)}/s" + (f", {hz}" if pole.imag else "")
             places.put(text, at.real, at.imag, colour=LIMIT, bold=True, anyway=True)

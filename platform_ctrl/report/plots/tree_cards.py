@@ -15,6 +15,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.greek import greek
 from platform_ctrl.report.axes_bodies import signs, spin_direction
 from platform_ctrl.report.plots.systems import drawable
+from platform_ctrl.report.quantities import RPM
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.structure_scheme import direction_text
 from platform_ctrl.report.style import BAND, FRAME, INK, MUTED, REFERENCE, SERIES
@@ -25,7 +26,6 @@ CROSS = 52.0  # side of the square that holds the cross of axes
 _PAD, _SIGN, _AFTER = 7.0, 12.0, 5.0
 _NAME, _LINE, _SMALL = 8.5, 7.5, 6.5
 _LEAST, _MOST = 66.0, 150.0  # width of the text
-_RPM = 60.0 / (2.0 * np.pi)
 
 # Borders by the level of nesting, as in the pictures of axes.
 LEVELS = (INK, SERIES[7], SERIES[6], SERIES[3], REFERENCE)
@@ -92,7 +92,7 @@ def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
 
 def rotor_card(rotor: Rotor) -> Card:
     """Return the card of a rotor."""
-    spin = f"{number(abs(rotor.spin) * _RPM, 4)} rpm, {rotor.control}"
+    spin = f"{number(abs(rotor.spin) * RPM, 4)} rpm, {rotor.control}"
     lines = [(f"L = {number(abs(rotor.angular_momentum), 3)} N m s", SPIN), (spin, MUTED)]
     return _card(rotor.name, "rotor", lines, [], spin_direction(rotor), SPIN, CONTROL[rotor.control])
 
