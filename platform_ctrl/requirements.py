@@ -325,12 +325,13 @@ class LoopRequirement(Requirement):
             where = plants.labels[np.flatnonzero(plants.of(self.over))[worst]]
         else:
             where = "nominal plant"
+        number = len(plants.labels)
         return self.judge(
             float(figures[worst]),
             subject=subject,
             design=design,
             stage="decoupled",
-            evidence=f"{where}; {len(plants.labels)} plants, sampled with delay and torquer lag",
+            evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag",
         )
 
     def check(
