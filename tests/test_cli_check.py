@@ -8,25 +8,10 @@ from pathlib import Path
 import pytest
 from junitparser import JUnitXml
 
+from one_gyro_job import JOB, SLOWER, TOO_MUCH
 from platform_ctrl.cli import main
 from refused_command import refused
 from test_cli import undrawn  # noqa: F401
-
-JOB = """
-schema = 1
-name = "gyro 9-10"
-plant = "three_gyro_platform"
-operation = { Omega = [0.0, 0.0, 0.0] }
-sampling = { rate_hz = 2000, delay = 0.0005 }
-
-[[loop]]
-name = "caging 9-10"
-kind = "caging"
-gimbals = ["9", "10"]
-use = "classical"
-limits = { bandwidth_hz = 20, disk_margin = 0.4 }
-design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
-"""
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -35,8 +20,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
     """A folder with job.toml, its controllers, gyro.json, and slower.json: the controllers of a slower loop."""
     monkeypatch.chdir(tmp_path)
-    slower = JOB.replace("crossover_hz = 40", "crossover_hz = 35")
-    for name, text, out in (("slower.toml", slower, "slower"), ("job.toml", JOB, "out")):
+    for name, text, out in (("slower.toml", SLOWER, "slower"), ("job.toml", JOB, "out")):
         (tmp_path / name).write_text(text, encoding="utf-8")
         assert main(["design", name, "-o", out, "--quiet"]) == 0
     assert main(["check", "job.toml", "--baseline", "gyro.json", "--update-baseline", "--quiet"]) == 0
@@ -78,7 +62,7 @@ def test_what_is_better_passes(there: Path, capsys: pytest.CaptureFixture[str]) 
 def test_a_requirement_that_is_missed_is_not_made_up_for_by_its_baseline(
     there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (there / "job.toml").write_text(JOB.replace("bandwidth_hz = 20", "bandwidth_hz = 35"), encoding="utf-8")
+    (there / "job.toml").write_text(TOO_MUCH, encoding="utf-8")
     assert main(["check", "job.toml", "--baseline", "gyro.json", "--junit", "made/check.xml", "-q"]) == 1
     assert "FAILED: 1 of 7 requirements not met" in capsys.readouterr().out
     suites = {suite.name: suite for suite in JUnitXml.fromfile(str(there / "made" / "check.xml"))}

@@ -19,45 +19,11 @@ from typing import Any
 
 import pytest
 
+import public_modules
 from platform_ctrl.report import figures
 
 ROOT = Path(__file__).parents[1]
-# The modules that users import from, as tests/test_public_docstrings.py has them, and those that show and test.
-MODULES = (
-    "platform_ctrl",
-    *(
-        f"platform_ctrl.{module}"
-        for module in (
-            "analysis",
-            "baselines",
-            "campaign",
-            "certificates",
-            "check",
-            "description",
-            "design",
-            "design.measured",
-            "errors",
-            "force_elements",
-            "job",
-            "linearisation",
-            "mechanics",
-            "parameter_varying",
-            "parameters",
-            "precession",
-            "reading",
-            "report",
-            "report.figures",
-            "requirements",
-            "scenario",
-            "simulation",
-            "state_space",
-            "symbolic",
-            "terms",
-            "testing",
-            "variation",
-        )
-    ),
-)
+MODULES = tuple(f"platform_ctrl.{module}".rstrip(".") for module in public_modules.MODULES)
 # Drawn for the report, from its values; `show` draws nothing.
 OF_THE_REPORT = re.compile(r"_figure$|^show$")
 

@@ -10,28 +10,12 @@ from xml.etree import ElementTree
 import pytest
 
 import platform_ctrl as pc
+from one_gyro_job import JOB, SLOWER, TOO_MUCH
 from platform_ctrl.testing.asked import asked_of
 from plugged import plugged_in
 
 pytest_plugins = ["pytester"]
 
-JOB = """
-schema = 1
-name = "gyro 9-10"
-plant = "three_gyro_platform"
-operation = { Omega = [0.0, 0.0, 0.0] }
-sampling = { rate_hz = 2000, delay = 0.0005 }
-
-[[loop]]
-name = "caging 9-10"
-kind = "caging"
-gimbals = ["9", "10"]
-use = "classical"
-limits = { bandwidth_hz = 20, disk_margin = 0.4 }
-design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
-"""
-SLOWER = JOB.replace("crossover_hz = 40", "crossover_hz = 35")
-TOO_MUCH = JOB.replace("bandwidth_hz = 20", "bandwidth_hz = 35")
 ITEMS = 7
 
 HELD = """
