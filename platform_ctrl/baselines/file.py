@@ -12,12 +12,13 @@ from typing import Any, cast
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.baselines.comparison import Comparison, compare
-from platform_ctrl.baselines.judging import Table, parsed
+from platform_ctrl.baselines.judging import Table
 from platform_ctrl.baselines.record import AcceptedFigure, Baseline, LoopMatrices, Tolerance, accepted
 from platform_ctrl.check import JobResult
 from platform_ctrl.check.records import SCHEMA, laid_out
 from platform_ctrl.check.records import plain as plain_types
 from platform_ctrl.frozen import value
+from platform_ctrl.reading.json_file import read_json
 from platform_ctrl.reading.mistakes import given
 from platform_ctrl.requirements import Sense
 from platform_ctrl.writing import write_whole
@@ -94,7 +95,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     ----------
     See docs/regression-tests.md.
     """
-    label, data = parsed(Path(path))
+    label, data = read_json(path, "the JSON of a baseline")
     table = Table(label, data, _KEYS)
     schema = table.item("schema", f"{SCHEMA}, the format that this version reads")
     if isinstance(schema, bool) or schema != SCHEMA:

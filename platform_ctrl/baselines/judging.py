@@ -1,21 +1,16 @@
-"""Judging the JSON of a baseline: each mistake is one line that names the file, the entry and the key."""
+"""Judging the tables of a baseline: each mistake is one line that names the file, the entry and the key."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.reading.json_file import finite
 from platform_ctrl.reading.mistakes import given, one_line, suggestion
-from platform_ctrl.reading.source import read_text
-
-EXPECTED = "the JSON of a baseline"
 
 
 class Table:
@@ -104,35 +99,3 @@ class Table:
             name = entry.get("name", entry.get("loop")) if isinstance(entry, Mapping) else None
             title = f" {given(name)}" if isinstance(name, str) else ""
             yield Table(f"{self.where}: {key} {number}{title}", entry, known)
-
-
-def finite(item: object) -> float | None:
-    """Return `item` as a finite number; None where it is none."""
-    if isinstance(item, bool) or not isinstance(item, int | float):
-        return None
-    try:
-        out = float(item)
-    except OverflowError:
-        return None
-    return out if math.isfinite(out) else None
-
-
-def parsed(path: Path) -> tuple[str, object]:
-    """Return a file's name for messages, and its JSON.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is not JSON.
-    """
-    label, text = one_line(str(path)), read_text(path, EXPECTED)
-    try:
-        return label, json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            f"{label}: is not JSON: {error.msg} (line {error.lineno}, column {error.colno}); expected {EXPECTED}"
-        ) from None
-    except RecursionError:
-        raise InputError(f"{label}: is not JSON that can be read: nested too deeply") from None
-    except ValueError as error:  # more digits than Python reads
-        raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None

@@ -5,11 +5,9 @@ Nothing that a file claims is believed.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +21,8 @@ from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job, LoopSpec
+from platform_ctrl.reading.json_file import finite, read_json
 from platform_ctrl.reading.mistakes import given, one_line, suggestion
-from platform_ctrl.reading.source import read_text
 
 if TYPE_CHECKING:
     import control
@@ -97,16 +95,7 @@ def opened(source: str | os.PathLike[str]) -> tuple[str, Any]:
     InputError
         It cannot be read, or is not JSON.
     """
-    path = Path(source)
-    label, text = one_line(str(path)), read_text(path, "a JSON file with controllers")
-    try:
-        return label, json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{label}: is not JSON: {error.msg} (line {error.lineno}, column {error.colno})") from None
-    except RecursionError:
-        raise InputError(f"{label}: is not JSON that can be read: nested too deeply") from None
-    except ValueError as error:  # more digits than Python reads
-        raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+    return read_json(source, "a JSON file with controllers")
 
 
 class _Entry:
@@ -183,7 +172,7 @@ class _Entry:
 
     def _number(self, key: str) -> float:
         item = self._item(key, "a number, s")
-        number = _finite(item)
+        number = finite(item)
         if number is None:
             raise self._mistake(key, f"given {given(item)}; expected a finite number, s")
         return number
@@ -210,21 +199,11 @@ class _Entry:
                 wrong = f"row {i + 1} has {len(row)} element{'' if len(row) == 1 else 's'}"
                 raise self._mistake(key, f"{wrong}; expected {shape}")
             for j, entry in enumerate(row):
-                number = _finite(entry)
+                number = finite(entry)
                 if number is None:
                     raise self._mistake(key, f"element ({i + 1}, {j + 1}) is {given(entry)}; expected a finite number")
                 out[i, j] = number
         return out
-
-
-def _finite(item: object) -> float | None:
-    if isinstance(item, bool) or not isinstance(item, int | float):
-        return None
-    try:
-        out = float(item)
-    except OverflowError:
-        return None
-    return out if math.isfinite(out) else None
 
 
 def outcomes_from(
