@@ -46,7 +46,7 @@ def write_junit(
     """
     written = BytesIO()
     _suites(result, comparison, baseline).write(written, pretty=True)
-    return write_whole(path, written.getvalue().decode("utf-8"))
+    return write_whole(path, written.getvalue())
 
 
 def _library() -> ModuleType:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
 from platform_ctrl.analysis.feedback import closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.baselines import Change, Comparison, LoopMatrices
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.failure_text import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
@@ -34,6 +35,7 @@ from platform_ctrl.report.style import (
     standalone,
 )
 from platform_ctrl.report.svg_pieces import text_width
+from platform_ctrl.writing import write_whole
 
 _DPI = 150
 # No more bars than a page holds, and none longer than this many tolerances.
@@ -96,19 +98,9 @@ def write_moved_figure(comparison: Comparison, title: str, path: str | os.PathLi
     figure = moved_figure(comparison, title)
     with settings():
         figure.savefig(drawn, format="png", dpi=_DPI, facecolor="white")
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.write_bytes(drawn.getvalue())
-            os.replace(unfinished, target)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written: {error.strerror or error}; expected a path that may be written to"
-        ) from None
-    return target
+    with suppress(OSError):  # said by what writes
+        target.parent.mkdir(parents=True, exist_ok=True)
+    return write_whole(target, drawn.getvalue())
 
 
 def _size(change: Change) -> float:
