@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import tomllib
@@ -12,6 +13,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import check, design
 from platform_ctrl.cli import main
+from platform_ctrl.cli.together import together
 from platform_ctrl.reading import shipped_models
 from refused_command import refused
 
@@ -165,3 +167,20 @@ def test_both_files_appear_or_neither(there: Path, monkeypatch: pytest.MonkeyPat
 def test_a_folder_that_cannot_be_written_to_is_one_line(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "closed").mkdir(mode=0o500)
     assert "cannot be written to" in refused(capsys, "new", "gyro", "-o", "closed")
+
+
+def test_a_name_too_long_for_a_file_is_told_before_anything_is_written(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "File name too long" in refused(capsys, "new", 300 * "x")
+    assert names(there) == []
+
+
+def test_a_full_disk_is_told_by_the_name_that_the_file_was_to_have(there: Path) -> None:
+    (there / "out").mkdir()
+    with (
+        pytest.raises(pc.PlatformCtrlError, match=r"^out/report\.html: cannot be written: No space left"),
+        together(Path("out")) as unfinished,
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(unfinished / "report.html"))
+    assert names(there / "out") == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +54,7 @@ class Held:
 
         if update:
             writable("--baseline", file)
-        elif not file.exists():
+        elif not os.path.exists(file):
             raise InputError(f"{file}: there is no such file; --update-baseline writes it")
         return cls(file, update, read_baseline(file) if file.exists() else None)
 
@@ -107,9 +108,9 @@ def writable(option: str, file: Path) -> None:
     InputError
         It is a folder, or cannot be written.
     """
-    if file.is_dir():
-        raise InputError(f"{option} {file}: is a folder; expected a file")
     try:
+        if file.is_dir():
+            raise InputError(f"{option} {file}: is a folder; expected a file")
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=file.parent):
             pass

@@ -146,5 +146,5 @@ def prepared(folder: Path, files: Sequence[str] = ()) -> None:
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written to: {error.strerror or error}") from None
     for name in files:
-        if (folder / name).is_dir():
+        if os.path.isdir(folder / name):
             raise InputError(f"-o {folder}: {name} is a folder there; expected a file or nothing")

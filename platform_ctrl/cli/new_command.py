@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -64,7 +65,7 @@ def new(
     title = _title(name)
     files = (f"{title}_plant.toml", f"{title}.toml")
     for file in files:
-        if (out / file).exists() and not force:
+        if os.path.exists(out / file) and not force:
             raise InputError(
                 f"{out / file}: is there already; choose another NAME or -o DIR, or overwrite with --force"
             )

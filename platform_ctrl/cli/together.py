@@ -34,7 +34,13 @@ def together(folder: Path) -> Iterator[Path]:
                 unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
             except OSError as error:
                 raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from None
-        yield unfinished
+        try:
+            yield unfinished
+        except InputError as error:  # a full disk: named as the file was to be
+            raise InputError(str(error).replace(str(unfinished), str(folder))) from None
+        except OSError as error:
+            file = str(error.filename or folder).replace(str(unfinished), str(folder))
+            raise InputError(f"{file}: cannot be written: {error.strerror or error}") from None
         with _uninterrupted():
             for file in sorted(unfinished.iterdir()):
                 try:
