@@ -39,8 +39,8 @@ def together(folder: Path) -> Iterator[Path]:
         except InputError as error:  # a full disk: named as the file was to be
             raise InputError(str(error).replace(str(unfinished), str(folder))) from None
         except OSError as error:
-            file = str(error.filename or folder).replace(str(unfinished), str(folder))
-            raise InputError(f"{file}: cannot be written: {error.strerror or error}") from None
+            meant = str(error.filename or folder).replace(str(unfinished), str(folder))
+            raise InputError(f"{meant}: cannot be written: {error.strerror or error}") from None
         with _uninterrupted():
             for file in sorted(unfinished.iterdir()):
                 try:
