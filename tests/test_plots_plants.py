@@ -19,7 +19,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.greek import greek
 from platform_ctrl.job import Manoeuvre
 from platform_ctrl.reading import shipped_models
-from platform_ctrl.report import figures
+from platform_ctrl.report import figures, style
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
 
 HZ = 1.0 / (2.0 * np.pi)
@@ -367,3 +367,9 @@ def test_nothing_is_registered_with_pyplot_and_everything_is_on_white(gyro, flow
     made = [figures.campbell(gyro), figures.gimbal_tree(gyro), figures.time_run(flown)]
     assert all(isinstance(figure, Figure) and to_hex(figure.get_facecolor()) == "#ffffff" for figure in made)
     assert pyplot.get_fignums() == []
+
+
+def test_a_plot_that_becomes_svg_for_a_page_stays_on_its_white_paper(three):
+    plot = figures.campbell(three)
+    assert "#ffffff" not in style.svg(plot, "Campbell chart")
+    assert to_hex(plot.get_facecolor()) == "#ffffff"

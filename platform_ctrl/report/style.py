@@ -280,9 +280,9 @@ def svg(figure: Figure, description: str) -> str:
         What it shows, in words, for readers who do not see it.
     """
     out = StringIO()
-    figure.set_facecolor("none")  # the page's own ground
     width, height = figure.get_size_inches() * 72.0
-    figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    figure.savefig(out, format="svg", facecolor="none", metadata=nothing)  # on the page's own ground
     text = _STRIP.sub("", out.getvalue())
     # Hundredths of a point are fine enough; numbers between tags are what the reader reads.
     text = _TAG.sub(lambda found: _FRACTION.sub(r"\1", found[0]), text)
