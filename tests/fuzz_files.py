@@ -156,6 +156,28 @@ def put(data: dict[str, Any], place: Place, item: Any) -> dict[str, Any]:
     return changed
 
 
+MISHAPS = ("drop", "misspell", "other letters", "again", "inside")
+
+
+def with_key(data: dict[str, Any], place: Place, mishap: str) -> str:
+    """Return a file as TOML with a mishap to one key; a table does not stand twice: it is left as it is."""
+    changed = copy.deepcopy(data)
+    table, key = at(changed, place[:-1]), str(place[-1])
+    match mishap:
+        case "drop":
+            del table[key]
+        case "misspell":
+            table[f"{key}s"] = table.pop(key)
+        case "other letters":
+            table[key.swapcase()] = table.pop(key)
+        case "inside":
+            table[key] = {key: table[key]}
+        case "again":
+            line = f"{key} = {value(table[key])}\n"
+            return written(changed).replace(line, line * 2, 1)
+    return written(changed)
+
+
 def key_of(place: Place) -> str:
     """Return the key at a place, or of the array that it is in."""
     return next(step for step in reversed(place) if isinstance(step, str))

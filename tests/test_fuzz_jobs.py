@@ -17,16 +17,16 @@ from fuzz_files import (
     EVERY_PLANT_KEY,
     HERE,
     JOBS,
+    MISHAPS,
     NEVER_RIGHT,
     SOMETIMES_RIGHT,
     Place,
     Seed,
-    at,
     key_of,
     meaning,
     places,
     put,
-    value,
+    with_key,
     written,
 )
 from fuzz_rules import rule_at, rules
@@ -37,8 +37,6 @@ RULES = rules("job-file.md")
 MEANT = {job.name: meaning(read_job(job.data, folder=HERE)) for job in JOBS}
 PLACES = [(job, place) for job in JOBS for place in places(job.data)]
 KEYS = [(job, place) for job, place in PLACES if isinstance(place[-1], str) and rule_at(RULES, place) is not None]
-# Where a table's keys are the user's own.
-OWN_NAMES = ("initial",)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -107,30 +105,16 @@ def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: obj
 
 
 @cases(600)
-@given(st.sampled_from(KEYS), st.sampled_from(["drop", "misspell", "upper", "again", "inside"]))
-def test_keys_are_known_and_needed(where: tuple[Seed, Place], how: str) -> None:
+@given(st.sampled_from(KEYS), st.sampled_from(MISHAPS))
+def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> None:
     job, place = where
     rule = rule_at(RULES, place)
     assert rule is not None
-    data = job.data
-    table, key = at(data, place[:-1]), str(place[-1])
-    text = ""
-    match how:
-        case "drop":
-            del table[key]
-        case "misspell":
-            table[f"{key}s"] = table.pop(key)
-        case "upper":
-            table[key.swapcase()] = table.pop(key)
-        case "inside":
-            table[key] = {key: table[key]}
-        case "again":
-            line = f"{key} = {value(table[key])}\n"
-            text = written(data).replace(line, line * 2, 1)
-    accepted, error = read(text or written(data))
-    if how == "again":
-        assert "is not TOML" in error or text == written(data)
-    elif how != "drop" or rule.needed:
+    key, text = str(place[-1]), with_key(job.data, place, mishap)
+    accepted, error = read(text)
+    if mishap == "again":
+        assert "is not TOML" in error or text == written(job.data)
+    elif mishap != "drop" or rule.needed:
         assert not accepted
         assert key in error or key.swapcase() in error
 
