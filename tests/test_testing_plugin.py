@@ -252,6 +252,7 @@ def test_a_marked_test_runs_once_for_every_requirement_and_the_baseline(runs: py
         ("", "requirement", "missing a required argument: 'job'"),
         ('"gyro.toml", goals=1', "requirement", "expected (job, controllers=, baseline=)"),
         ('"missing.toml"', "requirement", "missing.toml: there is no such file"),
+        ('"gyro.toml", baseline=3', "requirement", "baseline: given 3; expected the path of a file"),
     ],
 )
 def test_a_wrong_marker_is_one_line(runs: pytest.Pytester, marker: str, argument: str, said: str) -> None:
@@ -331,6 +332,31 @@ def test_a_missing_baseline_says_what_writes_it(runs: pytest.Pytester) -> None:
     done = run(runs)
     done.assert_outcomes(failed=1)
     done.stdout.fnmatch_lines(["E*gyro.json: there is no such file; pytest --update-baselines writes it"])
+
+
+def test_what_is_no_result_or_no_file_is_told_in_one_line(runs: pytest.Pytester) -> None:
+    runs.makepyfile(
+        """
+        from platform_ctrl.testing import assert_requirements
+
+        def test_no_file(closed_loop, assert_baseline):
+            assert_baseline(closed_loop("gyro.toml"), 3)
+
+        def test_no_result(assert_baseline):
+            assert_baseline("gyro.toml", "gyro.json")
+
+        def test_nothing():
+            assert_requirements(None)
+        """
+    )
+    done = run(runs)
+    done.assert_outcomes(failed=3)
+    for said in (
+        "baseline: given 3; expected the path of a file",
+        "'gyro.toml'; expected a JobResult",
+        "given None; e",
+    ):
+        done.stdout.fnmatch_lines([f"E*ArgumentError: *{said}*"])
 
 
 def test_a_corrupted_baseline_is_one_line_and_is_not_overwritten(runs: pytest.Pytester) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from platform_ctrl.arguments import short
 from platform_ctrl.baselines import Comparison, Update, compare, plot_beside, read_baseline, update_baseline
 from platform_ctrl.check import JobResult
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.errors import ArgumentError, PlatformCtrlError
 from platform_ctrl.report.failure_text import missed_text, moved_text, requirement_text
 from platform_ctrl.requirements import CheckResult
 
@@ -26,12 +27,15 @@ def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
     ------
     AssertionError
         With a table of what is missed: value, limit, margin, and where the worst value was found.
+    ArgumentError
+        `result` is no result of a job.
 
     References
     ----------
     See docs/regression-tests.md.
     """
     __tracebackhide__ = True
+    _judge("assert_requirements", result)
     asked = [one for one in result.requirements if one.hard]
     texts = [missed_text(asked, result.job.name)]
     if goals:
@@ -84,13 +88,16 @@ def assert_baseline(
         now, its change, tolerance and limit, which plant or controller has changed, and where the plot is.
     InputError
         The file is no baseline, or cannot be written.
+    ArgumentError
+        `result` is no result of a job, or `file` no path.
 
     References
     ----------
     See docs/regression-tests.md.
     """
     __tracebackhide__ = True
-    path = Path(file)
+    _judge("assert_baseline", result)
+    path = baseline_path(file)
     plot = plot_beside(path, plots)
     if update:
         written = update_baseline(result, path)
@@ -103,6 +110,18 @@ def assert_baseline(
         plot.unlink(missing_ok=True)
         return comparison
     raise AssertionError(_failure(comparison, result, path, plot))
+
+
+def baseline_path(file: object) -> Path:
+    """Return the path of a baseline; ArgumentError if it is none."""
+    if not isinstance(file, str | os.PathLike):
+        raise ArgumentError(f"baseline: given {short(file)}; expected the path of a file")
+    return Path(file)
+
+
+def _judge(name: str, result: object) -> None:
+    if not isinstance(result, JobResult):
+        raise ArgumentError(f"{name}: given {short(result)}; expected a JobResult, as closed_loop(job) gives it")
 
 
 def _failure(comparison: Comparison, result: JobResult, path: Path, plot: Path) -> str:

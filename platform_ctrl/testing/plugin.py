@@ -118,7 +118,9 @@ def assert_baseline(pytestconfig: pytest.Config) -> Callable[..., Comparison | U
 
     def asserted(result: JobResult, file: str | Path) -> Comparison | Update:
         __tracebackhide__ = True
-        return _session(pytestconfig).compare(result, _folder_of_caller() / file)
+        from platform_ctrl.testing.assertions import baseline_path
+
+        return _session(pytestconfig).compare(result, _folder_of_caller() / baseline_path(file))
 
     return asserted
 
@@ -191,8 +193,10 @@ def _job(marker: pytest.Mark, config: pytest.Config, node: Any) -> JobUnderTest:
         pytest.fail(f"{node.nodeid}: {_MARKER}: {error}; expected (job, controllers=, baseline=)", pytrace=False)
     given = {"controllers": None, "baseline": None} | options.arguments
     folder = node.path.parent
-    file = None if given["baseline"] is None else folder / given["baseline"]
+    from platform_ctrl.testing.assertions import baseline_path
+
     try:
+        file = None if given["baseline"] is None else folder / baseline_path(given["baseline"])
         return JobUnderTest(_session(config), given["job"], given["controllers"], folder, file)
     except PlatformCtrlError as error:
         pytest.fail(f"{node.nodeid}: {error}", pytrace=False)
