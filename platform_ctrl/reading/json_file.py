@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
 
 from platform_ctrl.errors import InputError
+from platform_ctrl.reading import fields
 from platform_ctrl.reading.mistakes import one_line
 from platform_ctrl.reading.source import read_text
 
@@ -42,10 +42,7 @@ def read_json(path: str | os.PathLike[str], expected: str) -> tuple[str, object]
 
 def finite(item: object) -> float | None:
     """Return `item` as a finite number; None where it is none."""
-    if isinstance(item, bool) or not isinstance(item, int | float):
-        return None
     try:
-        out = float(item)
-    except OverflowError:
+        return fields.finite(item)
+    except fields.Unfit:
         return None
-    return out if math.isfinite(out) else None
