@@ -110,6 +110,11 @@ def test_wrong_input_is_one_line_before_any_work(there: Path, capsys: pytest.Cap
     assert "--baseline out: is a folder" in refused(capsys, *check, "--baseline", "out", "--update-baseline")
     assert "--junit job.toml/x.xml: cannot be written" in refused(capsys, *check, "--junit", "job.toml/x.xml")
     assert "--junit out: is a folder" in refused(capsys, *check, "--junit", "out")
+    before = Path("job.toml").read_text()
+    for taken in ("job.toml", "./out/result.json", "gyro.json", "check/report.html", "check/result.json"):
+        held = ["--baseline", "gyro.json", "--junit", taken]
+        assert "for something else; expected another" in refused(capsys, *check, *held)
+    assert Path("job.toml").read_text() == before
 
 
 def test_a_baseline_is_a_file_of_controllers_too(there: Path, capsys: pytest.CaptureFixture[str]) -> None:

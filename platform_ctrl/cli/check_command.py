@@ -93,7 +93,7 @@ def check(
             counted(read, closed, campaign)  # before the work on what would be refused
         prepared(folder, extras.files)
         if junit is not None:
-            writable("--junit", junit)
+            writable("--junit", junit, [job, file, baseline, *(folder / name for name in extras.files)])
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]

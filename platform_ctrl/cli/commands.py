@@ -134,7 +134,7 @@ def design(
         extras = Extras.given(read, pdf, campaign)
         prepared(out, extras.files)
         if junit is not None:
-            writable("--junit", junit)
+            writable("--junit", junit, [job, *(out / name for name in extras.files)])
         from platform_ctrl.check import checked
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.warming import warm_up

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,17 +101,21 @@ class Held:
         return Outcome(comparison, f"baseline {words}", record)
 
 
-def writable(option: str, file: Path) -> None:
+def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> None:
     """Make the folder of a file and try to write there: before the work, not after it.
+
+    None of `others` may be that file: the command reads or writes them.
 
     Raises
     ------
     InputError
-        It is a folder, or cannot be written.
+        It is a folder, one of `others`, or cannot be written.
     """
     try:
         if file.is_dir():
             raise InputError(f"{option} {file}: is a folder; expected a file")
+        if file.resolve() in [other.resolve() for other in others if other is not None]:
+            raise InputError(f"{option} {file}: the command reads or writes that for something else; expected another")
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=file.parent):
             pass
