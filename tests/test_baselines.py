@@ -190,9 +190,8 @@ def test_what_is_worse_fails_and_says_which_matrices_are_others(slower: JobResul
     assert "caging 9-10: changed since the baseline: its controller" in text
     assert "caging 4-5-7: plant and controller are those of the baseline" in text
     [bandwidth] = [one for one in comparison.of("worse") if one.name == "bandwidth"]
-    assert change_text(bandwidth) in (
-        "caging 9-10: bandwidth: 27.68 Hz -> 24.03 Hz (-13 %), tolerance 0.5536 Hz: worse",
-    )
+    words = "caging 9-10: bandwidth: 27.68 Hz -> 24.03 Hz (-13 %), tolerance 0.5536 Hz: worse"
+    assert change_text(bandwidth) == words
     assert bandwidth.share == pytest.approx(24.03 / 27.68 - 1.0, abs=1e-3)
 
 
@@ -285,7 +284,7 @@ def test_a_figure_that_is_missing_fails_and_a_new_one_does_not(result: JobResult
 
 
 def test_an_update_keeps_tolerances_and_every_number_that_rounding_alone_has_moved(
-    result: JobResult, slower: JobResult, file: Path
+    slower: JobResult, file: Path
 ) -> None:
     def change(data: dict[str, Any]) -> None:
         entry(data, "caging 9-10", "damping")["absolute"] = 0.05

@@ -144,7 +144,7 @@ def bode(
             if j == 0 or (not as_loops and not dB):
                 pair[0].set_ylabel(gain_label("gain", _shared_unit(block), dB))
             if number > 1 and measured:
-                _corner(pair[0], block, [_words(measured[id(one)], written) for one in block.curves])
+                _corner(pair[0], [_words(measured[id(one)], written) for one in block.curves])
             if j == 0:
                 pair[1].set_ylabel("phase, degrees")
     for j in range(len(found[-1]), columns):
@@ -349,7 +349,7 @@ def _with(label: str, words: str) -> str:
     return f"{label}: {words}" if label and words else label or words
 
 
-def _corner(axes: Axes, block: _Block, words: Sequence[str]) -> None:
+def _corner(axes: Axes, words: Sequence[str]) -> None:
     """Write what the margins come to into the lower left corner, where loops do not go."""
     lines = [(word, k) for k, word in enumerate(words) if word]
     for rank, (word, k) in enumerate(reversed(lines)):

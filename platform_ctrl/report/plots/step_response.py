@@ -14,6 +14,7 @@ from platform_ctrl.analysis.time_response import time_response
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.greek import greek
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, ratio_unit, unit
 from platform_ctrl.report.quantities import power_of_ten
@@ -182,7 +183,7 @@ def _labelled(axes: Axes, system: DrawnSystem, i: int, j: int, end: float, *, bo
     linear_axis(axes.yaxis, 5)
     axes.axhline(0.0, color=REFERENCE, linewidth=0.6, zorder=1)
     output, source = system.outputs[i], system.inputs[j]
-    axes.set_title(f"{drawable(source)} → {drawable(output)}")
+    axes.set_title(f"{drawable(greek(source))} → {drawable(greek(output))}")
     per = ratio_unit(unit(output), unit(source))
     values = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.lines])
     values = values[np.isfinite(values)]
