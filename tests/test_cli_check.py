@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -92,6 +93,19 @@ def test_json_has_the_comparison_and_is_alone_on_standard_output(
     assert (states["bandwidth"], states["slowest decay"]) == ("worse", "within")
     assert "3 worse" in err
     assert "baseline" not in json.loads((there / "check" / "result.json").read_text(encoding="utf-8"))
+
+
+def test_nothing_is_accepted_where_the_report_cannot_be_written(
+    there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "report.html")
+
+    monkeypatch.setattr("platform_ctrl.report.write_page", full)
+    before = Path("gyro.json").read_bytes()
+    arguments = ["check", "job.toml", "--controllers", "slower/result.json", "--baseline", "gyro.json", "-q"]
+    assert "No space left" in refused(capsys, *arguments, "--update-baseline")
+    assert Path("gyro.json").read_bytes() == before
 
 
 def test_without_a_baseline_there_is_no_word_of_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:

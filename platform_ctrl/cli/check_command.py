@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -97,8 +97,10 @@ def check(
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
-        outcome = held.outcome(result)
-        show = delivered(result, folder, as_json, say, command, outcome.record, extras)
+        compared: dict[str, Any] = {}
+        show = delivered(result, folder, as_json, say, command, compared, extras)
+        outcome = held.outcome(result)  # last: nothing is accepted of which there is no report
+        compared |= outcome.record or {}
         if junit is not None:
             from platform_ctrl.report.junit import write_junit
 
