@@ -14,7 +14,7 @@ from platform_ctrl.check.given import read_controllers
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job import CoupledLimits, Job, Sampling, Spread
 from platform_ctrl.linearisation import linearise
-from platform_ctrl.report.coupled_figures import platform_compliance
+from platform_ctrl.report.coupled_figures import platform_compliance, platform_disturbance_figure
 from platform_ctrl.state_space import state_space
 
 PERIOD = 0.001
@@ -77,6 +77,14 @@ def test_a_bare_platform_held_by_its_rate_sensors_has_the_poles_of_the_textbook(
     assert found.plant.output_labels == OMEGA
     # Without gimbals there is nothing that reacts, and nothing that coupling costs.
     np.testing.assert_allclose(found.cost, 0.0, atol=1e-9)
+
+
+def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
+    job = job_of(plant())
+    model = linearise(job.platform)
+    result = types.SimpleNamespace(job=job, model=model, coupled=check.coupled_check(job, model, [SERVO]))
+    [axes] = platform_disturbance_figure(result).axes
+    assert "its own angle" in axes.get_title()
 
 
 def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():

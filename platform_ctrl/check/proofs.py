@@ -53,7 +53,8 @@ class Proofs:
             return ()
         failed = [f"{one.statement}: {one.reason}" for one in self.verifications if not one.proved] + [*self.unproved]
         bits = max((one.precision for one in self.verifications), default=0)
-        evidence = failed[0] if failed else f"{self.of} certificates in interval arithmetic, {bits} bits"
+        many = "" if self.of == 1 else "s"
+        evidence = failed[0] if failed else f"{self.of} certificate{many} in interval arithmetic, {bits} bits"
         return (
             PROVED.judge(
                 self.proved / self.of,

@@ -249,7 +249,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Two panels.
+        Two panels; one where there are no gimbals.
 
     Notes
     -----
@@ -261,7 +261,8 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     """
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
-    figure, [[platform, gimbals]] = panels(1, 2, 3.0, legend=1)
+    carried = len(result.model.angle_names) > 0
+    figure, [[platform, *others]] = panels(1, 1 + carried, 3.0, legend=1)
     handles, labels = [], []
     f = w * HZ
     for axis in range(3):
@@ -270,19 +271,21 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
         )
         handles += platform.plot(f, closed[:, -3 + axis, axis], **line_style(axis))
         labels.append(f"torque about axis {axis + 1}")
-        gimbals.plot(f, np.linalg.norm(closed[:, :-3, axis], axis=1), **line_style(axis))
     handles += platform.plot([], [], color=REFERENCE, linewidth=0.9)
     labels.append("no controller")
     frequency_axes(platform, f[0], f[-1])
-    frequency_axes(gimbals, f[0], f[-1])
     axes_closed = closed[:, [-3, -2, -1], [0, 1, 2]]
     gain_limits(platform, [axes_closed], low=1e-7 * float(axes_closed.max()), high=30.0 * float(axes_closed.max()))
-    moved = np.linalg.norm(closed[:, :-3], axis=1)
-    gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
     platform.set_ylabel("mrad per mN m")
-    gimbals.set_ylabel("mrad per mN m")
     platform.set_title("torque on the platform → its own angle")
-    gimbals.set_title("torque on the platform → gimbal angles")
+    for gimbals in others:
+        moved = np.linalg.norm(closed[:, :-3], axis=1)
+        for axis in range(3):
+            gimbals.plot(f, moved[:, axis], **line_style(axis))
+        frequency_axes(gimbals, f[0], f[-1])
+        gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
+        gimbals.set_ylabel("mrad per mN m")
+        gimbals.set_title("torque on the platform → gimbal angles")
     legend_above(figure, handles, labels)
     return figure
 

@@ -174,14 +174,21 @@ def _summary(result: JobResult, campaign: Summary | None) -> tuple[Block, ...]:
     return (banner, lead, Paragraph(text=" ".join(details))) if details else (banner, lead)
 
 
-def _plant(result: JobResult) -> Section:
+def _groups_in_words(result: JobResult) -> str:
     groups = ["-".join(group) for group in result.subsystems]
-    words = (
-        f"The gimbals turn independently of one another in {count(len(groups), 'group')} as long as the platform's "
-        f"rate is given: {', '.join(groups)}."
-    )
+    if len(groups) > 1:
+        return (
+            f"The gimbals turn independently of one another in {count(len(groups), 'group')} as long as the platform's "
+            f"rate is given: {', '.join(groups)}."
+        )
+    if len(result.job.platform.gimbals) > 1:
+        return f"Also where the platform's rate is given all gimbals act on one another: {groups[0]}."
+    return "It has one gimbal." if groups else "It has no gimbals."
+
+
+def _plant(result: JobResult) -> Section:
     blocks: list[Block] = [
-        Paragraph(text=words),
+        Paragraph(text=_groups_in_words(result)),
         _axes_plate(result),
         Part(title="Gimbals", blocks=(made.gimbal_table(result),)),
     ]
