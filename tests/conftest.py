@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,3 +31,13 @@ def shipped_job() -> Callable[[Path], tuple[JobResult, list[str]]]:
         return check.checked(job, design.loops(job, said.append), said.append), said
 
     return done
+
+
+@pytest.fixture(scope="module")
+def untraced() -> Iterator[None]:
+    """Thousands of cases, of lines that other tests cover: coverage would take twice their time."""
+    # pytest-cov's marker no_cover comes to nothing in the processes of pytest-xdist.
+    tracer = sys.gettrace()
+    sys.settrace(None)
+    yield
+    sys.settrace(tracer)

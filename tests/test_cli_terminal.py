@@ -156,8 +156,8 @@ def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
             if fail is not None:
                 raise fail
 
-    for failure in (KeyboardInterrupt, OSError):
-        with pytest.raises(failure):
+    for failure, told in ((KeyboardInterrupt, KeyboardInterrupt), (OSError, InputError)):
+        with pytest.raises(told):
             write(failure)
         assert [path.name for path in tmp_path.iterdir()] == ["one"]
         assert (tmp_path / "one").read_text() == "old"

@@ -80,7 +80,7 @@ def test_a_file_of_any_size_is_refused_by_its_size() -> None:
         "a = " + "9" * 1_000_000,
         "".join(f"k{k} = 1\n" for k in range(90_000)),
         "[campaign]\n" + "".join(f"[[campaign.vary]]\nk{k} = 1\n" for k in range(40_000)),
-        "loop = [" + "1, " * 300_000 + "]",
+        "loop = [" + "1, " * 200_000 + "]",
         "".join(f"[[manoeuvre]]\nfaults = [{', '.join(repr(f'f{j}') for j in range(90))}]\n" for _ in range(900)),
     ],
     ids=lambda text: text[:20].strip(),

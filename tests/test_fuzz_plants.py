@@ -30,6 +30,8 @@ from fuzz_rules import rule_at, rules
 from fuzz_run import cases, chances, ended
 from platform_ctrl import read_platform
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 # A job whose last line is wrong: a plant that is refused is told first, one that is accepted leaves that line to blame.
 JOB = """
 schema = 1

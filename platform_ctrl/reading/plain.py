@@ -11,6 +11,7 @@ from platform_ctrl.reading.mistakes import Mistake, Path, given
 
 # A job with an inline plant needs six. What contains itself would never end.
 DEEPEST = 8
+_PLAIN_ALREADY = frozenset({bool, int, float, str})
 
 
 def plain(source: Mapping[Any, Any]) -> tuple[dict[str, Any], list[Mistake]]:
@@ -48,7 +49,10 @@ def _plain(item: object, path: Path, inside: tuple[int, ...], mistakes: list[Mis
     if isinstance(item, np.ndarray):
         item = item.tolist()
     if isinstance(item, list | tuple):
-        return [_plain(entry, (*path, k), inside, mistakes) for k, entry in enumerate(item)]
+        return [
+            entry if type(entry) in _PLAIN_ALREADY else _plain(entry, (*path, k), inside, mistakes)
+            for k, entry in enumerate(item)
+        ]
     if isinstance(item, np.floating):
         return float(item)
     if isinstance(item, np.integer):
