@@ -28,6 +28,7 @@ from platform_ctrl.baselines import (
     update_baseline,
     write_baseline,
 )
+from platform_ctrl.baselines.file import remove_plot
 from platform_ctrl.check import JobResult
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.failure_text import change_text, moved_text
@@ -499,3 +500,10 @@ def test_junit_holds_names_that_xml_cannot(result: JobResult, tmp_path: Path) ->
     [suite] = root
     assert suite.get("name") == "<a> & b"
     assert suite.get("failures") == "1"
+
+
+def test_a_plot_that_cannot_be_removed_is_no_error(tmp_path: Path) -> None:
+    plot = plot_beside(tmp_path / "gyro.json")
+    plot.mkdir()
+    remove_plot(plot)
+    assert plot.is_dir()

@@ -223,6 +223,12 @@ def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | N
     return (file.parent if folder is None else Path(folder)) / f"{file.stem}.moved.png"
 
 
+def remove_plot(plot: Path) -> None:
+    """Remove the figure of an earlier failure; where that cannot be done it stays, and nothing else suffers."""
+    with suppress(OSError):
+        plot.unlink(missing_ok=True)
+
+
 def _tolerance(table: Table, default: Tolerance) -> Tolerance | None:
     """Return the tolerance that a table names; one bound alone is the whole of it."""
     found = {key: table.positive(key, "a number >= 0") for key in _TOLERANCE if key in table.data}

@@ -98,7 +98,7 @@ def check(
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
         compared: dict[str, Any] = {}
-        show = delivered(result, folder, as_json, say, command, compared, extras)
+        show = delivered(result, folder, as_json, say, command, compared, extras=extras)
         outcome = held.outcome(result)  # last: nothing is accepted of which there is no report
         compared |= outcome.record or {}
         if junit is not None:

@@ -70,32 +70,24 @@ class Held:
         if self.file is None:
             return Outcome()
         from platform_ctrl.baselines import compare, plot_beside, update_baseline
+        from platform_ctrl.baselines.file import remove_plot
 
         plot = plot_beside(self.file)
         if self.update or self.baseline is None:
             made = update_baseline(result, self.file)
-            plot.unlink(missing_ok=True)
+            remove_plot(plot)
             before = made.comparison.changes if made.comparison is not None else ()
             record = _record(self.file, before, passed=True, updated=made.written)
             return Outcome(None, f"baseline: {made.summary}", record)
         comparison = compare(result, self.baseline)
-        from platform_ctrl.report.failure_text import moved_text
+        from platform_ctrl.report.failure_text import failure_text, moved_text
 
-        words = moved_text(comparison, str(self.file))
         if comparison.passed:
-            plot.unlink(missing_ok=True)
+            remove_plot(plot)
             record = _record(self.file, comparison.changes, passed=True, updated=False)
-            return Outcome(comparison, f"baseline {words}", record)
-        from platform_ctrl.report.moved_figure import write_moved_figure
-
-        title = moved_text(comparison, f"{result.job.name}, {self.file.name}").partition("\n")[0]
-        drawn: Path | None = None
-        try:
-            drawn = write_moved_figure(comparison, title, plot)
-            words += f"\n  plot: {drawn}"
-        except InputError as error:  # what moved is told all the same
-            words += f"\n  plot: none ({error})"
-        words += "\n  to accept this: the same command with --update-baseline"
+            return Outcome(comparison, f"baseline {moved_text(comparison, str(self.file))}", record)
+        accept = "the same command with --update-baseline"
+        words, drawn = failure_text(comparison, result.job.name, self.file, plot, accept)
         shown = None if drawn is None else str(drawn)
         record = _record(self.file, comparison.changes, passed=False, updated=False, plot=shown)
         return Outcome(comparison, f"baseline {words}", record)

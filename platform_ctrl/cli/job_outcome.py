@@ -65,7 +65,8 @@ def delivered(
     say: Callable[[str], None],
     command: list[str],
     more: Mapping[str, object] | None = None,
-    extras: Extras | None = None,
+    *,
+    extras: Extras,
 ) -> Shown:
     """Write all files or none; return what shows the result and gives the exit code, for when the spinner has gone.
 
@@ -91,7 +92,6 @@ def delivered(
     from platform_ctrl.cli.together import together
     from platform_ctrl.report import prepared, write_page, write_pdf
 
-    extras = extras or Extras()
     record = result_record(result)
     about: dict[str, Any] = {"command": shlex.join(["platform-ctrl", *command, *extras.words])}
     refused: InputError | None = None

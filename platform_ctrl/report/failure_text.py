@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from platform_ctrl.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.report.quantities import count, handy_unit, listed
 from platform_ctrl.requirements import CheckResult
 
@@ -67,6 +69,23 @@ def moved_text(comparison: Comparison, name: str) -> str:
     lines += _others("better by more than its tolerance", comparison.of("better"))
     lines += _others("not in the baseline", comparison.of("new"))
     return "\n".join(lines)
+
+
+def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accept: str) -> tuple[str, Path | None]:
+    """Return what has moved, in words that end with how to accept it, and where it is drawn.
+
+    A place that cannot be written to does not hide what moved: the words say why there is no plot.
+    """
+    from platform_ctrl.report.moved_figure import write_moved_figure
+
+    title = moved_text(comparison, f"{job}, {file.name}").partition("\n")[0]
+    drawn: Path | None = None
+    try:
+        drawn = write_moved_figure(comparison, title, plot)
+        place = str(drawn)
+    except PlatformCtrlError as error:
+        place = f"none ({error})"
+    return f"{moved_text(comparison, str(file))}\n  plot: {place}\n  to accept this: {accept}", drawn
 
 
 def change_text(change: Change) -> str:

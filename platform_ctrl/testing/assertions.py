@@ -7,9 +7,10 @@ from pathlib import Path
 
 from platform_ctrl.arguments import short
 from platform_ctrl.baselines import Comparison, Update, compare, plot_beside, read_baseline, update_baseline
+from platform_ctrl.baselines.file import remove_plot
 from platform_ctrl.check import JobResult
-from platform_ctrl.errors import ArgumentError, PlatformCtrlError
-from platform_ctrl.report.failure_text import missed_text, moved_text, requirement_text
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.failure_text import failure_text, missed_text, requirement_text
 from platform_ctrl.requirements import CheckResult
 
 
@@ -101,15 +102,15 @@ def assert_baseline(
     plot = plot_beside(path, plots)
     if update:
         written = update_baseline(result, path)
-        plot.unlink(missing_ok=True)
+        remove_plot(plot)
         return written
     if not path.exists():
         raise AssertionError(f"{path}: there is no such file; pytest --update-baselines writes it")
     comparison = compare(result, read_baseline(path))
     if comparison.passed:
-        plot.unlink(missing_ok=True)
+        remove_plot(plot)
         return comparison
-    raise AssertionError(_failure(comparison, result, path, plot))
+    raise AssertionError(failure_text(comparison, result.job.name, path, plot, "pytest --update-baselines")[0])
 
 
 def baseline_path(file: object) -> Path:
@@ -122,19 +123,3 @@ def baseline_path(file: object) -> Path:
 def _judge(name: str, result: object) -> None:
     if not isinstance(result, JobResult):
         raise ArgumentError(f"{name}: given {short(result)}; expected a JobResult, as closed_loop(job) gives it")
-
-
-def _failure(comparison: Comparison, result: JobResult, path: Path, plot: Path) -> str:
-    text = moved_text(comparison, str(path))
-    title = moved_text(comparison, f"{result.job.name}, {path.name}").partition("\n")[0]
-    return f"{text}\n  plot: {_drawn(comparison, title, plot)}\n  to accept this: pytest --update-baselines"
-
-
-def _drawn(comparison: Comparison, title: str, plot: Path) -> str:
-    """Draw what moved and return where; a folder that cannot be written to does not hide what moved."""
-    from platform_ctrl.report.moved_figure import write_moved_figure
-
-    try:
-        return str(write_moved_figure(comparison, title, plot))
-    except PlatformCtrlError as error:
-        return f"none ({error})"
