@@ -1,0 +1,1 @@
+"""The way out: controllers and plants as C, FMU, MJCF, MATLAB data, JSON and CSV."""
