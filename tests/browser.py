@@ -1,0 +1,92 @@
+"""A real Chromium without a window, the user's or Debian's, driven by Playwright; without one the test is skipped."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+VARIABLE = "PLATFORM_CTRL_CHROMIUM"
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--no-sandbox",  # as root in a container there is none
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+# Milliseconds that a page has for whatever is waited for: the machine may be busy.
+PATIENCE = 30_000
+
+
+def executable() -> str:
+    """Return Chromium's path; skip the test, with a reason, where there is none."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        found = shutil.which(named)
+        assert found is not None, f"{VARIABLE}={named}: expected Chromium's executable"
+        return found
+    for name in NAMES:
+        found = shutil.which(name)
+        if found is not None:
+            return found
+    pytest.skip(f"no Chromium: none of {', '.join(NAMES)} is on the PATH, and {VARIABLE} is not set")
+
+
+def chromium() -> Iterator[Browser]:
+    """Yield a browser with a profile of its own; a fixture of a test file: ``pytest.fixture(scope="module")(chromium)``."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    path = executable()
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Screen:
+    """A page, and what happened on it: addresses it asked for (whole, in order), and what it complained about."""
+
+    page: Page
+    requests: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+    def hosts(self) -> set[str]:
+        """Return HOST:PORT of everything that was loaded from, without what the page holds itself (data, blob)."""
+        return {parts.netloc for parts in map(urlsplit, self.requests) if parts.scheme not in ("data", "blob")}
+
+
+@contextmanager
+def screen(
+    browser: Browser, address: str | None = None, *, dark: bool = False, width: int = 1440, height: int = 900
+) -> Iterator[Screen]:
+    """Yield a page in a window of its own (no cookies of others), at an address if one is given; closed at the end."""
+    context = browser.new_context(
+        viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light", reduced_motion="reduce"
+    )
+    context.set_default_timeout(PATIENCE)
+    try:
+        seen = Screen(context.new_page())
+        seen.page.on("request", lambda request: seen.requests.append(request.url))
+        seen.page.on("websocket", lambda socket: seen.requests.append(socket.url))
+        seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+        seen.page.on(
+            "console",
+            lambda said: seen.complaints.append(said.text) if said.type in ("error", "warning") else None,
+        )
+        if address is not None:
+            seen.page.goto(address)
+        yield seen
+    finally:
+        context.close()
