@@ -13,10 +13,10 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
 from platform_ctrl.analysis.sampled import held_input, sampled_arrays
 from platform_ctrl.arguments import known_name
-from platform_ctrl.description import OMEGA_NAMES, Platform
+from platform_ctrl.description import OMEGA_NAMES, PickOff, Platform, Torquer
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.job import Job, LoopSpec
+from platform_ctrl.job import Job, LoopSpec, Sampling
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
 from platform_ctrl.state_space import state_space
@@ -174,6 +174,82 @@ def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
         raise InputError(f"loop {spec.name!r}: {error}") from None
 
 
+@value
+class LinearPlants:
+    """The plants of a loop before they are sampled: torques and platform rate → angles.
+
+    Attributes
+    ----------
+    cases
+        What each of them is, the nominal plant first.
+    torquers, pickoffs
+        Of the loop's gimbals, in the loop's order.
+    A, B, C, D, B_Omega
+        Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3).
+    """
+
+    cases: tuple[Case, ...]
+    torquers: tuple[Torquer, ...]
+    pickoffs: tuple[PickOff, ...]
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    B_Omega: FloatArray
+
+
+def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence[Case]) -> LinearPlants:
+    """Linearise `plants`: one torquer and one pick-off on each of `gimbals`, in that order.
+
+    Raises
+    ------
+    ArgumentError
+        `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
+    """
+    torquers = [platform.torquer_on(name) for name in gimbals]
+    pickoffs = [platform.pickoff_on(name) for name in gimbals]
+    torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
+    systems = [state_space(linearise(one.platform, Omega=one.Omega), gimbals=gimbals) for one in plants]
+    acting = [system[angles, torques] for system in systems]
+    A, B, C, D = (np.array([getattr(system, name) for system in acting]) for name in "ABCD")
+    return LinearPlants(
+        cases=tuple(plants),
+        torquers=tuple(torquers),
+        pickoffs=tuple(pickoffs),
+        A=A,
+        B=B * np.array([one.torque for one in plants])[:, None, :],
+        C=C,
+        D=D,
+        B_Omega=np.array([system[angles, list(OMEGA_NAMES)].B for system in systems]),
+    )
+
+
+def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) -> PlantSet:
+    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
+
+    Raises
+    ------
+    InputError
+        A plant moves too fast for the sample rate.
+    """
+    torques, angles = (tuple(one.name for one in part) for part in (linear.torquers, linear.pickoffs))
+    A, lags = linear.A, np.array([t.lag for t in linear.torquers])
+    _expect_slow(A, linear.cases, sampling.period)
+    arrays = sampled_arrays(A, linear.B, linear.C, linear.D, sampling.period, sampling.delay, lags)
+    return plant_set(
+        StateArrays(*arrays, dt=sampling.period),
+        labels=tuple(one.label for one in linear.cases),
+        torques=torques,
+        angles=angles,
+        nutation=_reference(A[0], sampling.period),
+        noise=np.array([s.sampled_noise(sampling.period) for s in linear.pickoffs]),
+        groups=tuple(one.group for one in linear.cases),
+        B_Omega=_held_rate(A, linear.B_Omega, sampling.period, arrays[0].shape[-1]),
+        Omega=Omega,
+        torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
+    )
+
+
 def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order.
 
@@ -184,30 +260,7 @@ def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
     InputError
         A plant moves too fast for the sample rate.
     """
-    plants = cases(job, gimbals)
-    torquers = [job.platform.torquer_on(name) for name in gimbals]
-    pickoffs = [job.platform.pickoff_on(name) for name in gimbals]
-    torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
-    systems = [state_space(linearise(one.platform, Omega=one.Omega), gimbals=gimbals) for one in plants]
-    acting = [system[angles, torques] for system in systems]
-    A, B, C, D = (np.array([getattr(system, name) for system in acting]) for name in "ABCD")
-    B = B * np.array([one.torque for one in plants])[:, None, :]
-    turning = np.array([system[angles, list(OMEGA_NAMES)].B for system in systems])
-    sampling, lags = job.sampling, np.array([t.lag for t in torquers])
-    _expect_slow(A, plants, sampling.period)
-    arrays = sampled_arrays(A, B, C, D, sampling.period, sampling.delay, lags)
-    return plant_set(
-        StateArrays(*arrays, dt=sampling.period),
-        labels=tuple(one.label for one in plants),
-        torques=tuple(torques),
-        angles=tuple(angles),
-        nutation=_reference(A[0], sampling.period),
-        noise=np.array([s.sampled_noise(sampling.period) for s in pickoffs]),
-        groups=tuple(one.group for one in plants),
-        B_Omega=_held_rate(A, turning, sampling.period, arrays[0].shape[-1]),
-        Omega=job.Omega,
-        torque_limit=np.array([np.inf if t.limit is None else t.limit for t in torquers]),
-    )
+    return sampled_plants(linear_plants(job.platform, gimbals, cases(job, gimbals)), job.sampling, job.Omega)
 
 
 def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:

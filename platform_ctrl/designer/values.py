@@ -56,6 +56,8 @@ class Settings:
         Torquer at which the loop is shown broken, all others closed.
     axis
         Root axis of the responses to Omega, or to a torque on the platform: 1 to 3.
+    closed
+        Loop → name of the design that is closed there, while another loop is worked on and in what is saved.
 
     References
     ----------
@@ -77,6 +79,7 @@ class Settings:
     overlays: tuple[str, ...] = ()
     channel: str = ""
     axis: int = 1
+    closed: Mapping[str, str] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
         """Return these settings with some of them changed.
@@ -122,6 +125,7 @@ class Settings:
             loop: {design: sorted(parts) for design, parts in designs.items()}
             for loop, designs in self.optional.items()
         }
+        out["closed"] = dict(self.closed)
         out["spins"], out["Omega"] = dict(self.spins), list(self.Omega)
         out["fixed"], out["overlays"] = sorted(self.fixed), list(self.overlays)
         return out
