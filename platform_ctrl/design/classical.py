@@ -17,10 +17,13 @@ Every block is sampled by Tustin's rule; channels share their states, so that no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from platform_ctrl.design.blocks import Block, first_order, gain, notch, series, side_by_side, stacked
+from platform_ctrl.design.blocks import Block, first_order, gain, notch
 from platform_ctrl.design.channels import Channels
+from platform_ctrl.design.diagram import Stage, flattened
 from platform_ctrl.design.options import completed
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray
@@ -120,33 +123,114 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     period
         s.
     """
+    directions, torques = (
+        [_measured(k) for k in range(len(channel.basis))],
+        [_set(k) for k in range(len(channel.basis))],
+    )
+    A, B, C, D = flattened(classical_stages(options, channel, period), directions, torques)
+    basis: FloatArray = channel.basis
+    return A, B @ basis, basis.T @ C, basis.T @ D @ basis
+
+
+def classical_diagram(
+    options: dict[str, float], channel: Channels, period: float, angles: Sequence[str], torques: Sequence[str]
+) -> tuple[Stage, ...]:
+    """Return the same controller block by block, from the `angles` to the `torques` of the gimbals."""
+    count = range(len(channel.basis))
+    into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
+    return (
+        Stage("directions", "mix", "angles in the directions of the gyros", gain(channel.basis), tuple(angles), into),
+        *classical_stages(options, channel, period),
+        Stage("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, tuple(torques)),
+    )
+
+
+def classical_stages(options: dict[str, float], channel: Channels, period: float) -> list[Stage]:
+    """Return the blocks between the measured directions and the torques in these directions."""
     rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
+    pairs = len(channel.momenta)
+    inputs = [_measured(k) for k in range(len(channel.basis))]
+    out: list[Stage] = []
+    if "spin_notch_hz" in options:
+        spin = notch(rad["spin_notch_hz"], options["spin_notch_depth"], options["spin_notch_width"], period)
+        for k, source in enumerate(inputs):
+            inputs[k] = f"quiet_{k + 1}"
+            note = "at the spin frequency: " + _notch_note(options, "spin_notch")
+            out.append(Stage(f"spin_notch_{k + 1}", "notch", note, spin, (source,), (inputs[k],)))
     integral = first_order(1.0, rad["integral_hz"], 1.0, 0.0, period)
-    if "lag_hz" in options:
-        integral = series(integral, first_order(1.0, rad["lag_hz"], 1.0, rad["lag_hz"] / options["lag_ratio"], period))
-    parts: list[Block] = []
-    for k, h in enumerate(channel.momenta):
-        lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
-        cross = integral
+    for k in range(2 * pairs):
+        name, source = f"{k // 2 + 1}_{k % 2 + 1}", inputs[k]
+        last = _integrated(out, options, integral, name, source, period)
         if "notch_hz" in options:
             sharp = notch(rad["notch_hz"], options["notch_depth"], options["notch_width"], period)
-            cross = series(integral, sharp)
-        one, two = (
-            stacked(cross, series(lead, gain(channel.inertias[2 * k + i] * rad[name])))
-            for i, name in enumerate(("damping_hz", "damping2_hz"))
-        )
-        # Outputs of both channels: [cross 1, direct 1, cross 2, direct 2].
-        strength = h * rad["crossover_hz"]
-        mix = np.array([[0.0, -1.0, -strength, 0.0], [strength, 0.0, 0.0, -1.0]])
-        parts.append(series(side_by_side(one, two), gain(mix)))
-    for k in range(2 * len(channel.momenta), len(channel.inertias)):
+            out.append(
+                Stage(f"notch_{name}", "notch", _notch_note(options, "notch"), sharp, (last,), (f"cross_{name}",))
+            )
+            last = f"cross_{name}"
+        lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
+        note = f"s + ω over s/ωr + 1: zero at {options['lead_hz']:.6g} Hz, pole at {options['rolloff_hz']:.6g} Hz"
+        out.append(Stage(f"lead_{name}", "lead", note, lead, (source,), (f"rate_{name}",)))
+        if k % 2:
+            # A torque about one axis turns the other: integrals act across, leads directly.
+            h = channel.momenta[k // 2]
+            strength = h * rad["crossover_hz"]
+            one, two = (
+                -channel.inertias[k - 1 + i] * rad[option] for i, option in enumerate(("damping_hz", "damping2_hz"))
+            )
+            mix = np.array([[0.0, one, -strength, 0.0], [strength, 0.0, 0.0, two]])
+            cross = (last.removesuffix(name) + f"{k // 2 + 1}_1", f"rate_{k // 2 + 1}_1")
+            note = (
+                f"across: h = {h:.6g} N m s times {options['crossover_hz']:.6g} Hz; direct: inertia times "
+                f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
+            )
+            out.append(
+                Stage(
+                    f"pair_{k // 2 + 1}",
+                    "mix",
+                    note,
+                    gain(mix),
+                    (*cross, last, f"rate_{name}"),
+                    (_set(k - 1), _set(k)),
+                )
+            )
+    for k in range(2 * pairs, len(channel.inertias)):
+        name = f"inertial_{k + 1 - 2 * pairs}"
         w0, wz = rad["inertial_crossover_hz"], rad["inertial_lead_hz"]
         strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
         lead = first_order(1.0 / wz, 1.0, 1.0 / rad["inertial_rolloff_hz"], 1.0, period)
-        parts.append(series(integral, lead, gain(-strength)))
-    if "spin_notch_hz" in options:
-        spin = notch(rad["spin_notch_hz"], options["spin_notch_depth"], options["spin_notch_width"], period)
-        parts = [series(side_by_side(*[spin] * len(channel.basis)), side_by_side(*parts))]
-    A, B, C, D = side_by_side(*parts)
-    basis: FloatArray = channel.basis
-    return A, B @ basis, basis.T @ C, basis.T @ D @ basis
+        last = _integrated(out, options, integral, name, inputs[k], period)
+        zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
+        note = f"s/ωz + 1 over s/ωr + 1: zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
+        out.append(Stage(f"lead_{name}", "lead", note, lead, (last,), (f"rate_{name}",)))
+        note = f"inertia {channel.inertias[k]:.6g} kg m², crossover at {options['inertial_crossover_hz']:.6g} Hz"
+        out.append(Stage(name, "mix", note, gain(-strength), (f"rate_{name}",), (_set(k),)))
+    return out
+
+
+def _integrated(
+    out: list[Stage], options: dict[str, float], integral: Block, name: str, source: str, period: float
+) -> str:
+    """Append integral and lag of a direction and return the name of what they give."""
+    corner = options["integral_hz"]
+    last = f"integral_{name}"
+    out.append(Stage(f"pi_{name}", "integral", f"1 + ωi/s: corner at {corner:.6g} Hz", integral, (source,), (last,)))
+    if "lag_hz" not in options:
+        return last
+    zero, pole = options["lag_hz"], options["lag_hz"] / options["lag_ratio"]
+    lag = first_order(1.0, 2.0 * np.pi * zero, 1.0, 2.0 * np.pi * zero / options["lag_ratio"], period)
+    note = f"s + ωl over s + ωl/ratio: zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
+    out.append(Stage(f"lag_{name}", "lag", note, lag, (last,), (f"lagged_{name}",)))
+    return f"lagged_{name}"
+
+
+def _notch_note(options: dict[str, float], name: str) -> str:
+    depth, width = options[f"{name}_depth"], options[f"{name}_width"]
+    return f"notch at {options[f'{name}_hz']:.6g} Hz, depth {depth:.6g}, width {width:.6g}"
+
+
+def _measured(k: int) -> str:
+    return f"direction_{k + 1}"
+
+
+def _set(k: int) -> str:
+    return f"torque_{k + 1}"

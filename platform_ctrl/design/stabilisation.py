@@ -9,10 +9,13 @@ second-order low-pass keeps the pick-offs' noise out of the root's torquers; the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_space
-from platform_ctrl.design.blocks import Block, first_order, gain, series, side_by_side, stacked
+from platform_ctrl.design.blocks import Block, first_order, gain, series
+from platform_ctrl.design.diagram import Stage, flattened
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.design.options import completed
 from platform_ctrl.errors import DesignError
@@ -76,14 +79,9 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
         wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
         raise DesignError(f"{spec.name}: no torquer on {wanted}; expected one in the plant file", model)
     period = job.sampling.period
-    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
-    axis = series(
-        low_pass(rad["filter_hz"], options["filter_damping"], period),
-        stacked(gain(1.0), first_order(0.0, 1.0, 1.0, 0.0, period)),
-        gain(np.array([[1.0, rad["position_hz"]]])),
-    )
-    strength = -rad["crossover_hz"] * model.root_inertia
-    servo = series(gain(estimate), side_by_side(axis, axis, axis), gain(strength))
+    turns, speeds = _per_axis("turn"), _per_axis("speed")
+    axes = flattened(_axis_stages(options, period), turns, speeds)
+    servo = series(gain(estimate), axes, gain(_strength(options, model)))
     controller = state_space(
         StateArrays(*servo, dt=period),
         [torquers[model.gimbal_names[k]] for k in used],
@@ -97,6 +95,53 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
         controller=controller,
         options=options,
     )
+
+
+def servo_diagram(
+    options: dict[str, float], model: LinearModel, period: float, torques: Sequence[str], roots: Sequence[str]
+) -> tuple[Stage, ...]:
+    """Return the servo block by block, from the torques of the gyros (in `rate_estimate`'s order) to those on the root.
+
+    Raises
+    ------
+    DesignError
+        The gyros do not see all three rates.
+    """
+    estimate, _ = rate_estimate(model)
+    turns, speeds = _per_axis("turn"), _per_axis("speed")
+    note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
+    return (
+        Stage("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), tuple(torques), turns),
+        *_axis_stages(options, period),
+        Stage("servo", "mix", note, gain(_strength(options, model)), speeds, tuple(roots)),
+    )
+
+
+def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
+    """Return low-pass, integral and their sum for every axis."""
+    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
+    low = low_pass(rad["filter_hz"], options["filter_damping"], period)
+    integral = first_order(0.0, 1.0, 1.0, 0.0, period)
+    mix = gain(np.array([[1.0, rad["position_hz"]]]))
+    filtered = f"low-pass at {options['filter_hz']:.6g} Hz, damping {options['filter_damping']:.6g}"
+    summed = f"Omega + ωp angle: corner at {options['position_hz']:.6g} Hz"
+    out = []
+    for k, (turn, speed) in enumerate(zip(_per_axis("turn"), _per_axis("speed"), strict=True), 1):
+        rate, angle = f"rate_{k}", f"angle_{k}"
+        out.append(Stage(f"low_pass_{k}", "low-pass", filtered, low, (turn,), (rate,)))
+        out.append(Stage(f"integral_{k}", "integral", "1/s: angle from rate", integral, (rate,), (angle,)))
+        out.append(Stage(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
+    return out
+
+
+def _strength(options: dict[str, float], model: LinearModel) -> FloatArray:
+    """Return −J ωc, (3, 3)."""
+    out: FloatArray = -(2.0 * np.pi * options["crossover_hz"]) * model.root_inertia
+    return out
+
+
+def _per_axis(name: str) -> tuple[str, str, str]:
+    return f"{name}_1", f"{name}_2", f"{name}_3"
 
 
 def low_pass(frequency: float, damping: float, period: float) -> Block:
