@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,6 +15,8 @@ import pytest
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
+
+    from platform_ctrl.designer.server import Make, PageServer
 
 VARIABLE = "PLATFORM_CTRL_CHROMIUM"
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -45,7 +48,10 @@ def executable() -> str:
 
 
 def chromium() -> Iterator[Browser]:
-    """Yield a browser with a profile of its own; a fixture of a test file: ``pytest.fixture(scope="module")(chromium)``."""
+    """Yield a browser with a profile of its own.
+
+    A fixture of a test file: ``browser = pytest.fixture(scope="module")(chromium)``.
+    """
     playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     path = executable()
     with playwright.sync_playwright() as driver:
@@ -90,3 +96,22 @@ def screen(
         yield seen
     finally:
         context.close()
+
+
+@contextmanager
+def served(workbench: object = None, make: Make | None = None, **more: object) -> Iterator[PageServer]:
+    """Yield a server that answers, at a free port: of the designer's page, or of what `make` puts into documents."""
+    pytest.importorskip("bokeh", reason="Bokeh is not installed")
+    from platform_ctrl.designer.server import PageServer
+
+    server = PageServer(workbench, port=0, make=make, **more)  # type: ignore[arg-type]
+    ready = threading.Event()
+    running = threading.Thread(target=server.run, args=(ready.set,))
+    running.start()
+    try:
+        assert ready.wait(30.0), "the server did not start"
+        yield server
+    finally:
+        server.end()
+        running.join(30.0)
+        assert not running.is_alive(), "the server did not end"

@@ -1,0 +1,302 @@
+"""The server behind `platform-ctrl serve`: listens, hands out pages, ends cleanly. Bokeh is loaded when it starts."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.designer.hosts import Hosts, is_loopback
+from platform_ctrl.errors import InputError, PlatformCtrlError
+
+if TYPE_CHECKING:
+    import socket
+
+    from platform_ctrl.designer.web import PageApplication
+
+# The port that is tried first, and how many after it before any free one is taken.
+PORT = 5006
+_TRIED = 16
+# Seconds between looks whether it is to end.
+_LOOK = 0.2
+_LIBRARIES = ("asyncio", "bokeh", "tornado")
+
+Make = Callable[[Any, Any], None]
+
+
+class PageServer:
+    """A server that is bound to its port; it answers once it runs.
+
+    Parameters
+    ----------
+    workbench
+        `Workbench` that all pages share; handed on to `make`.
+    host
+        Address to listen on.
+    port
+        Port; None: the first free one from `PORT` on; 0: any.
+    allow
+        Names by which browsers may ask, besides this machine's own ones where it listens to itself alone.
+    make
+        Called with the workbench and every new document, which it fills; default: `designer.page.app.page`.
+
+    Raises
+    ------
+    InputError
+        It cannot listen there, a name is none, or Bokeh is not installed.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    def __init__(
+        self,
+        workbench: object,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        allow: Sequence[str] = (),
+        make: Make | None = None,
+    ) -> None:
+        self.hosts = Hosts.of(host, allow)
+        require_bokeh()
+        self._sockets = _bound(host, port)
+        self.port: int = self._sockets[0].getsockname()[1]
+        self.application: PageApplication | None = None
+        self._workbench, self._make = workbench, make
+        self._ended = threading.Event()
+
+    @property
+    def address(self) -> str:
+        """Address of the page: what is opened in a browser.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        name = self.hosts.listening
+        if not is_loopback(name):
+            name = sorted(self.hosts.names)[0]
+        elif ":" in name:
+            name = f"[{name.strip('[]')}]"
+        return f"http://{name}:{self.port}/"
+
+    @property
+    def sessions(self) -> int:
+        """Number of sessions: pages that are open, or were a moment ago.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        return 0 if self.application is None else len(self.application.sessions)
+
+    def run(self, ready: Callable[[], None] | None = None, heed: Callable[[], None] | None = None) -> None:
+        """Answer until `end` is called, or `heed` raises.
+
+        Parameters
+        ----------
+        ready
+            Called once it answers.
+        heed
+            Called some times a second.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        with _one_line_each():
+            asyncio.run(self._answer(ready, heed))
+
+    def end(self) -> None:
+        """Let `run` return; from any thread.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        self._ended.set()
+
+    async def _answer(self, ready: Callable[[], None] | None, heed: Callable[[], None] | None) -> None:
+        from bokeh.server.server import BaseServer
+        from tornado.ioloop import IOLoop
+
+        from platform_ctrl.designer.web import BODY_BYTES, HEADER_BYTES, PATIENCE, Listening, PageApplication
+
+        self.application = PageApplication(self._filled, self.hosts)
+        listening = Listening(
+            self.application,
+            max_body_size=BODY_BYTES,
+            max_header_size=HEADER_BYTES,
+            max_buffer_size=HEADER_BYTES + (1 << 20),
+            idle_connection_timeout=PATIENCE,
+            body_timeout=PATIENCE,
+        )
+        server = BaseServer(IOLoop.current(), self.application, listening)
+        listening.add_sockets(self._sockets)
+        server.start()
+        if self._make is None:
+            # While the browser opens: what the page needs is loaded before it is asked for.
+            threading.Thread(target=_page, daemon=True).start()
+        try:
+            if ready is not None:
+                ready()
+            while not self._ended.is_set():
+                if heed is not None:
+                    heed()
+                await asyncio.sleep(_LOOK)
+        finally:
+            server.stop()
+            for client in list(self.application._clients):
+                client._socket.close(1001)
+            await listening.close_all_connections()
+
+    def _filled(self, document: Any) -> None:
+        """Fill a new document; where that fails the page says so in a line, and so does the terminal."""
+        from bokeh.models.widgets import Div
+
+        try:
+            (self._make or _page())(self._workbench, document)
+        except Exception as error:
+            words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
+            _say(f"a page could not be made: {words}")
+            document.clear()
+            document.add_root(Div(text="This page could not be made; the terminal says why.", disable_math=True))
+
+
+def serve(
+    workbench: object,
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    allow: Sequence[str] = (),
+    ready: Callable[[PageServer], None] | None = None,
+) -> None:
+    """Serve the pages of a job until Ctrl-C.
+
+    Parameters
+    ----------
+    workbench
+        `Workbench` that all pages share.
+    host, port, allow
+        As `PageServer` takes them.
+    ready
+        Called with the server once it answers.
+
+    Raises
+    ------
+    InputError
+        It cannot listen there, a name is none, or Bokeh is not installed.
+    KeyboardInterrupt
+        Ctrl-C.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+    server = PageServer(workbench, host=host, port=port, allow=allow)
+    server.run(None if ready is None else lambda: ready(server))
+
+
+def require_bokeh() -> None:
+    """Make sure that the pages' library is there.
+
+    Raises
+    ------
+    InputError
+        It is not.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+    try:
+        import bokeh.server.tornado  # noqa: F401
+        import tomlkit  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the designer's page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
+        ) from None
+
+
+def _page() -> Make:
+    from platform_ctrl.designer.page.app import page
+
+    made: Make = page
+    return made
+
+
+def _bound(host: str, port: int | None) -> list[socket.socket]:
+    """Return the sockets, bound; the port that was asked for, or a free one."""
+    ports = [*range(PORT, PORT + _TRIED), 0] if port is None else [port]
+    for tried in ports:
+        try:
+            return _listening(host, tried)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE and tried != ports[-1]:
+                continue
+            if error.errno == errno.EADDRINUSE:
+                raise InputError(
+                    f"--port {tried}: taken by another program; expected a free one, or no --port: then one is found"
+                ) from None
+            what = f"--port {tried}" if error.errno == errno.EACCES else f"--host {host}"
+            raise InputError(f"{what}: cannot be listened on: {error.strerror or error}") from None
+    raise AssertionError("the last port ends the loop")
+
+
+def _listening(host: str, port: int) -> list[socket.socket]:
+    import socket
+
+    from tornado.netutil import bind_sockets
+
+    try:
+        return bind_sockets(port, host.strip("[]"))
+    except (UnicodeError, ValueError):
+        raise OSError(errno.EINVAL, "not a host's name or address") from None
+    except socket.gaierror as error:
+        raise OSError(errno.EADDRNOTAVAIL, error.strerror) from None
+
+
+def _say(words: str) -> None:
+    print(f"platform-ctrl: {' '.join(words.split())[:400]}", file=sys.stderr, flush=True)
+
+
+class _Telling(logging.Handler):
+    """A line where the page's own code failed; nothing about what others send."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error = record.exc_info[1] if record.exc_info else None
+        trace = None if error is None else error.__traceback__
+        while trace is not None:
+            if trace.tb_frame.f_globals.get("__name__", "").startswith("platform_ctrl.designer.page"):
+                words = f"{type(error).__name__}: {error} ({trace.tb_frame.f_code.co_name}, line {trace.tb_lineno})"
+                _say(f"a page failed: {words}")
+                return
+            trace = trace.tb_next
+
+
+@contextmanager
+def _one_line_each() -> Iterator[None]:
+    """Have the libraries' loggers tell what matters here, and nothing besides."""
+    loggers = [logging.getLogger(name) for name in _LIBRARIES]
+    before = [(logger.handlers[:], logger.propagate, logger.level) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [_Telling(logging.ERROR)], False
+        logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        for logger, (handlers, propagate, level) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+            logger.setLevel(level)
