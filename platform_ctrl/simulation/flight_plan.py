@@ -268,6 +268,7 @@ def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controlle
         velocity=take(2 * n + 3),
         table=take(9),
         alive=take(1),
+        contact=take(1),
         random=take(4),
         spare_state=take(2 * at.size),
         spare_block=take(at.block),

@@ -119,7 +119,7 @@ def _flight(links: Links, at: At, slots: int, free: bool) -> Any:
             mem[i] = plants[run, i]
         for i in range(given.shape[1]):
             mem[at.end + i] = given[run, i]
-        fly(links, shared, keys[run : run + 1], mem, 0, at, flight, free, record)
+        fly(links, shared, keys[run : run + 1], mem, 0, at, flight, free, 0, flight.samples, record)
         for i in range(figures.shape[1]):
             figures[run, i] = mem[flight.figures + i]
 

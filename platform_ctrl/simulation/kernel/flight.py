@@ -89,6 +89,7 @@ class Flight(NamedTuple):
     velocity: int  # rates at the sample
     table: int  # three rows of the time table's torque
     alive: int
+    contact: int  # whether any gimbal lies on a stop
     random: int
     spare_state: int  # two of them
     spare_block: int

@@ -146,24 +146,11 @@ def _segment(
 
 
 @internal
-def fly(
-    links: Links,
-    shared: Shared,
-    keys: Keys,
-    mem: FloatArray,
-    lane: int,
-    at: At,
-    flight: Flight,
-    free: bool,
-    record: FloatArray,
+def _begin(
+    links: Links, shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool
 ) -> None:
-    """Fly the scenarios of the memory from t = 0 to the end; the figures stand in the memory then.
-
-    At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
-    command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
-    """
-    n, nu, period = at.n, shared.targets.shape[0], shared.period
-    zero = 0.0 * load(mem, flight.start, lane)
+    """Put the scenarios of the memory at t = 0."""
+    n, zero = at.n, 0.0 * load(mem, flight.start, lane)
     for i in range(flight.given, flight.end):
         store(mem, i, lane, zero)
     for i in range(at.size):
@@ -192,38 +179,94 @@ def fly(
             store(mem, at.state + n + 3 + i, lane, load(mem, flight.velocity + i, lane))
         for i in range(at.size):
             store(mem, flight.start + i, lane, load(mem, at.state + i, lane))
-    contact = at.no
-    for k in range(flight.samples):
-        t = k * period
-        strike(links, shared, mem, lane, at, flight, free, k)
-        _survey(links, mem, lane, at, flight, free)
-        read(shared, keys, mem, lane, at, flight, k, t)
-        _control(shared, keys, mem, lane, at, flight, k, t)
-        going = judge(mem, lane, at, flight, shared)
-        note_figures(shared, mem, lane, at, flight)
-        for i in range(nu):
-            slot = flight.torquer + i * TORQUER
-            limit = load(mem, slot + LIMIT, lane)
-            command = lesser(greater(load(mem, flight.command + i, lane), -limit), limit)
-            ring = flight.ring + k % (flight.whole + 2) * nu + i
-            store(mem, ring, lane, command)
-        if record.shape[0] > 0:
-            note_sample(links, shared, mem, at, flight, record[k])
-        if not going:
-            return
-        start, noted = zero + t, False
-        for segment in range(2):
-            count = flight.before if segment == 0 else flight.after
-            if count == 0:
-                continue
-            source = k - flight.whole - 1 + segment
+
+
+@inlined
+def _sample(
+    links: Links,
+    shared: Shared,
+    keys: Keys,
+    mem: FloatArray,
+    lane: int,
+    at: At,
+    flight: Flight,
+    free: bool,
+    k: int,
+    row: int,
+    record: FloatArray,
+) -> bool:
+    """Take sample k, note it in a row of the record, and return whether any scenario is still going."""
+    nu, t = shared.targets.shape[0], k * shared.period
+    strike(links, shared, mem, lane, at, flight, free, k)
+    _survey(links, mem, lane, at, flight, free)
+    read(shared, keys, mem, lane, at, flight, k, t)
+    _control(shared, keys, mem, lane, at, flight, k, t)
+    going = judge(mem, lane, at, flight, shared)
+    note_figures(shared, mem, lane, at, flight)
+    for i in range(nu):
+        slot = flight.torquer + i * TORQUER
+        limit = load(mem, slot + LIMIT, lane)
+        command = lesser(greater(load(mem, flight.command + i, lane), -limit), limit)
+        ring = flight.ring + k % (flight.whole + 2) * nu + i
+        store(mem, ring, lane, command)
+    if record.shape[0] > 0:
+        note_sample(links, shared, mem, at, flight, record[row])
+    if going:
+        segment = 0 if flight.before > 0 else 1
+        start = 0.0 * load(mem, flight.start, lane) + t
+        new_torque(shared, mem, lane, flight, segment, k - flight.whole - 1 + segment, start)
+        note_torques(shared, mem, at, flight, record, row)
+    return going
+
+
+@internal
+def _period(
+    links: Links, shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, free: bool, k: int, contact: bool
+) -> bool:
+    """Go on from sample k to the next; return whether any gimbal lies on a stop then."""
+    start = 0.0 * load(mem, flight.start, lane) + k * shared.period
+    for segment in range(2):
+        count = flight.before if segment == 0 else flight.after
+        if count == 0:
+            continue
+        source = k - flight.whole - 1 + segment
+        if segment > 0 and flight.before > 0:
             new_torque(shared, mem, lane, flight, segment, source, start)
-            if not noted:
-                note_torques(shared, mem, at, flight, record, k)
-                noted = True
-            if k < flight.samples - 1:
-                contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, source, start, contact)
-                start = start + count * load(mem, flight.segments + segment, lane)
+        contact = _segment(links, shared, mem, lane, at, flight, free, segment, count, source, start, contact)
+        start = start + count * load(mem, flight.segments + segment, lane)
+    return contact
+
+
+@internal
+def fly(
+    links: Links,
+    shared: Shared,
+    keys: Keys,
+    mem: FloatArray,
+    lane: int,
+    at: At,
+    flight: Flight,
+    free: bool,
+    first: int,
+    until: int,
+    record: FloatArray,
+) -> None:
+    """Fly the scenarios of the memory over the samples from `first`, 0 at t = 0, to before `until`.
+
+    A memory that has been flown up to a sample is flown on from there. The figures up to then stand in it.
+
+    At sample k the sensors are read and the controllers evaluated. A period has two segments, before and after the
+    command changes: the first holds the command of `whole` + 1 samples ago, the second that of `whole` samples ago.
+    """
+    if first == 0:
+        _begin(links, shared, keys, mem, lane, at, flight, free)
+    contact = bool(anywhere(load(mem, flight.contact, lane) > 0.5))
+    for k in range(first, until):
+        if k > 0:
+            contact = _period(links, shared, mem, lane, at, flight, free, k - 1, contact)
+        if not _sample(links, shared, keys, mem, lane, at, flight, free, k, k - first, record):
+            return
+    store(mem, flight.contact, lane, 0.0 * load(mem, flight.start, lane) + (1.0 if contact else 0.0))
 
 
 @compiled
@@ -236,24 +279,27 @@ def fly_groups(
     at: At,
     flight: Flight,
     free: bool,
+    first: int,
+    until: int,
     plants: FloatArray,
     flights: FloatArray,
     figures: FloatArray,
     record: FloatArray,
 ) -> None:
-    """Fly group after group of scenarios in the same memory.
+    """Fly group after group of scenarios in the same memory, over the samples from `first` to before `until`.
 
-    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `flights` (G, given, LANES): what the host gives of each;
-    `figures` (G, figures, LANES): what comes out; `record` (samples, columns), of the first scenario, or no rows.
+    `keys` (G, LANES, 2); `plants` (G, at.work, LANES) and `flights` (G, given, LANES): what the host gives of each, no
+    rows where a memory is flown on; `figures` (G, figures, LANES): what comes out; `record` (samples, columns), of the
+    first scenario, or no rows.
     """
-    for g in range(plants.shape[0]):
+    for g in range(keys.shape[0]):
         for i in range(plants.shape[1]):
             for j in range(plants.shape[2]):
                 mem[i, j] = plants[g, i, j]
         for i in range(flights.shape[1]):
             for j in range(flights.shape[2]):
                 mem[at.end + i, j] = flights[g, i, j]
-        fly(links, shared, keys[g], mem, lane, at, flight, free, record)
+        fly(links, shared, keys[g], mem, lane, at, flight, free, first, until, record)
         for i in range(figures.shape[1]):
             for j in range(figures.shape[2]):
                 figures[g, i, j] = mem[flight.figures + i, j]
