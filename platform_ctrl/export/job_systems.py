@@ -1,0 +1,204 @@
+"""What a job has to give away: its controllers, its plants as linear systems, and the responses of its loops."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis import gang, joined
+from platform_ctrl.check.coupled import coupled_plant
+from platform_ctrl.check.given import outcomes_from
+from platform_ctrl.design.loop import sampled_plant
+from platform_ctrl.design.plants import plants_of
+from platform_ctrl.export.linear_system import LinearSystem, linear_system, signal_units
+from platform_ctrl.export.responses import response_data
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Faults, Job, Spread
+from platform_ctrl.linearisation import linearise
+from platform_ctrl.state_space import state_space
+
+if TYPE_CHECKING:
+    import control
+
+# Frequencies of a table, and its lowest one as a share of the Nyquist frequency.
+_POINTS, _LOWEST = 400, 1e-4
+
+
+@value
+class ResponseTable:
+    """A frequency response of a job, and what it is.
+
+    Attributes
+    ----------
+    name
+        ``"plant caging 9-10"``, ``"controller ..."`` or ``"loop ..."``.
+    response
+        With named signals.
+    notes
+        What it is, with its units.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+
+    name: str
+    response: control.FRD
+    notes: tuple[str, ...]
+
+
+def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[LinearSystem, ...]:
+    """Return a job's controllers with units and delay.
+
+    Parameters
+    ----------
+    job
+        Whose controllers they are.
+    controllers
+        u = K y, as ``read_controllers`` of `platform_ctrl.check` gives them.
+
+    Returns
+    -------
+    tuple of LinearSystem
+        In their order; what a controller takes in and gives is as in ``result.json``.
+
+    Raises
+    ------
+    ArgumentError
+        One is no state space.
+
+    References
+    ----------
+    See docs/result-file.md.
+    """
+    note = "controller u = K y without hidden sign; u acts the delay after the sample and is held"
+    return tuple(linear_system(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
+
+
+def model_systems(job: Job) -> tuple[LinearSystem, ...]:
+    """Return the linear models of a job's plant about rest.
+
+    Parameters
+    ----------
+    job
+        Whose plant it is.
+
+    Returns
+    -------
+    tuple of LinearSystem
+        ``plant``: torques and platform rates to angles, continuous; ``plant with free root``: the platform reacts;
+        then for each caging loop its sampled plant, dead time, torquer lag and hold included.
+
+    Raises
+    ------
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
+    InputError
+        A loop's gimbals cut through a subsystem.
+
+    References
+    ----------
+    See docs/theory.md.
+    """
+    model = linearise(job.platform)
+    about = f"{job.platform.name}, linear about rest"
+    whole, free = state_space(model), state_space(model, root="free")
+    out = [
+        linear_system(whole, "plant", platform=job.platform, note=f"{about}, Omega prescribed"),
+        linear_system(free, "plant with free root", platform=job.platform, note=f"{about}, the platform reacts"),
+    ]
+    for name, plant in _loop_plants(job):
+        note = "sampled with hold; dead time and torquer lag are in it"
+        out.append(linear_system(plant, f"plant {name}", platform=job.platform, note=note))
+    return tuple(out)
+
+
+def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[ResponseTable, ...]:
+    """Return the frequency responses of a job: plants, controllers and loops.
+
+    Parameters
+    ----------
+    job
+        Whose loops they are.
+    controllers
+        As ``read_controllers`` of `platform_ctrl.check` gives them, one for each loop.
+
+    Returns
+    -------
+    tuple of ResponseTable
+        For every caging loop its sampled plant; every controller; and for every caging loop L of each torquer, broken
+        there with all other torquers of the loop closed: −K P of a loop with one torquer, −1 the critical point. Then
+        the same of the coupled plant with all loops closed.
+
+    Raises
+    ------
+    InputError
+        The controllers do not belong to the job's loops.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
+
+    References
+    ----------
+    See docs/export.md.
+    """
+    units = signal_units(job.platform)
+    nyquist = np.pi / job.sampling.period
+    frequency = np.geomspace(_LOWEST * nyquist, 0.999 * nyquist, _POINTS)
+    closed = dict(zip((one.spec.name for one in outcomes_from(job, controllers)), controllers, strict=True))
+    out = []
+    for name, plant in _loop_plants(job):
+        notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
+        out.append(ResponseTable(name=f"plant {name}", response=response_data(plant, frequency), notes=notes))
+    for name, K in closed.items():
+        notes = (f"{job.name}: controller of {name}, u = K y, its delay not in it", _units(K, units))
+        out.append(ResponseTable(name=f"controller {name}", response=response_data(K, frequency), notes=notes))
+    for name, plant in _loop_plants(job):
+        what = f"{job.name}: {name} broken at one torquer, its others closed"
+        out += _broken(f"loop {name}", plant, closed[name], frequency, what)
+    if len(controllers) > 1:
+        plant, K = _all_closed(job, controllers)
+        what = f"{job.name}: broken at one torquer, everything else closed, on the coupled plant"
+        out += _broken("all loops", plant, K, frequency, what)
+    return tuple(out)
+
+
+def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
+    """Go through the caging loops with their nominal sampled plants."""
+    nominal = dataclasses.replace(job, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
+    for spec in job.loops:
+        plants = plants_of(nominal, spec)
+        if plants is not None:
+            yield spec.name, sampled_plant(plants)
+
+
+def _all_closed(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[control.StateSpace, control.StateSpace]:
+    """Return the coupled sampled plant, and all controllers as one."""
+    plant = coupled_plant(job, linearise(job.platform), controllers)
+    used = {name for K in controllers for name in K.output_labels}
+    torquers = [name for name in plant.input_labels if name in used]
+    seen = [sensor.name for sensor in job.platform.sensors if sensor.name in plant.output_labels]
+    return plant, joined(controllers, seen, torquers, job.sampling.period)
+
+
+def _broken(
+    name: str, plant: control.StateSpace, K: control.StateSpace, frequency: FloatArray, what: str
+) -> Iterator[ResponseTable]:
+    """Go through the torquers: L = 1/S - 1 at each, -K P where it is the only one."""
+    S = gang(plant, K, frequency).S_input
+    for k, torquer in enumerate(K.output_labels):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            L = 1.0 / S[k, k] - 1.0
+        response = import_module("control").FRD(
+            L[None, None], frequency, K.dt, inputs=[torquer], outputs=[f"L({torquer})"]
+        )
+        notes = (what, f"L = 1/S - 1 at {torquer}, dimensionless, the critical point is -1")
+        yield ResponseTable(name=f"{name} at {torquer}", response=response, notes=notes)
+
+
+def _units(system: control.StateSpace, units: Mapping[str, str]) -> str:
+    names = dict.fromkeys([*system.output_labels, *system.input_labels])
+    return "units: " + ", ".join(f"{name} in {units.get(name, '?')}" for name in names)

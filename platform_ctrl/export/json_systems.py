@@ -1,0 +1,146 @@
+"""Controllers and models as JSON: the form of result.json's controllers, with units and the names of states."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.check.records import SCHEMA, laid_out, plain
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, linear_system, system_of
+from platform_ctrl.reading.json_file import read_json
+from platform_ctrl.reading.mistakes import given
+from platform_ctrl.reading.source import path_of
+from platform_ctrl.writing import write_whole
+
+if TYPE_CHECKING:
+    import control
+
+_EXPECTED = "a JSON file with systems or controllers"
+
+
+def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> Path:
+    """Write systems as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    systems
+        As from `linear_system` or `job_systems`.
+    path
+        Of the file; its folder is there.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ArgumentError
+        There are none, or more than 1000.
+    InputError
+        The file cannot be written there.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+    expect_systems(systems, "write_systems")
+    return write_whole(path, laid_out(plain({"schema": SCHEMA, "systems": [_entry(one) for one in systems]})) + "\n")
+
+
+def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
+    """Write controllers as ``check``, ``simulate`` and ``campaign`` read them, whole or not at all.
+
+    Parameters
+    ----------
+    controllers
+        u = K y, sampled, in the order in which they are computed.
+    path
+        Of the file; its folder is there.
+    delay
+        From the sample to the torque, s.
+
+    Returns
+    -------
+    Path
+        Of the file: ``read_controllers`` of `platform_ctrl.check` reads it.
+
+    Raises
+    ------
+    ArgumentError
+        There are none, one is no state space, or `delay` is negative.
+    InputError
+        The file cannot be written there.
+
+    References
+    ----------
+    See docs/result-file.md.
+    """
+    systems = [linear_system(K, delay=delay) for K in controllers]
+    expect_systems(systems, "write_controllers")
+    keys = ("name", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
+    entries = [{key: getattr(one, key) for key in keys} for one in systems]
+    return write_whole(path, laid_out(plain({"schema": SCHEMA, "controllers": entries})) + "\n")
+
+
+def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
+    """Read systems from JSON: a file of `write_systems`, a ``result.json``, or one with its controllers alone.
+
+    Parameters
+    ----------
+    path
+        Of the file, at most 64 MiB.
+
+    Returns
+    -------
+    tuple of LinearSystem
+        In the file's order; what has no names gets u1, y1, x1 and so on.
+
+    Raises
+    ------
+    InputError
+        One line: the file, the system and the key, what was given, what is expected.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+    label, data = read_json(path_of(path, "the path of a JSON file"), _EXPECTED)
+    if not isinstance(data, Mapping):
+        raise InputError(f"{label}: given {given(data)}; expected {_EXPECTED}")
+    schema = data.get("schema")
+    if isinstance(schema, bool) or schema != SCHEMA:
+        raise InputError(f'{label}: "schema" is {given(schema)}; expected {SCHEMA}, the format that this version reads')
+    key = "systems" if "systems" in data else "controllers"
+    entries = data.get(key)
+    if not isinstance(entries, list) or not 0 < len(entries) <= MOST_SYSTEMS:
+        raise InputError(f'{label}: "{key}" is {given(entries)}; expected a list of 1 to {MOST_SYSTEMS} systems')
+    return tuple(_system(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
+
+
+def expect_systems(systems: Sequence[LinearSystem], where: str) -> None:
+    """Judge what has to be a list of systems.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else, empty or too long.
+    """
+    if isinstance(systems, LinearSystem) or not all(isinstance(one, LinearSystem) for one in systems):
+        raise ArgumentError(f"{where}: expected a list of LinearSystem, for example from linear_system")
+    if not 0 < len(systems) <= MOST_SYSTEMS:
+        raise ArgumentError(f"{where}: given {len(systems)} systems; expected 1 to {MOST_SYSTEMS}")
+
+
+def _entry(one: LinearSystem) -> dict[str, Any]:
+    first = ("name", "note", "dt", "delay", "inputs", "input_units", "outputs", "output_units", "states")
+    return {key: getattr(one, key) for key in (*first, "A", "B", "C", "D")}
+
+
+def _system(where: str, entry: object) -> LinearSystem:
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{where}: given {given(entry)}; expected a table with name, dt, A, B, C, D, ...")
+    return system_of(where, entry)

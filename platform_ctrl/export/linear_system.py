@@ -1,0 +1,256 @@
+"""Linear systems on their way out and in: state space with names, units, sample period and delay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.arguments import positive, short
+from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.reading.json_file import finite
+from platform_ctrl.reading.mistakes import given, one_line
+
+if TYPE_CHECKING:
+    import control
+
+# States and signals of a system: with as many its matrices have a million elements.
+MOST = 1000
+# Systems in a file.
+MOST_SYSTEMS = 1000
+
+
+@value
+class LinearSystem:
+    """A state space as other tools know it.
+
+    Attributes
+    ----------
+    name
+        What it is called.
+    A, B, C, D
+        x' = A x + B u, y = C x + D u; sampled: x[k+1] = ... In the units of the signals. Shapes (n, n), (n, m), (p, n),
+        (p, m).
+    dt
+        Sample period, s; 0: continuous.
+    delay
+        Time by which the outputs act later than the matrices say, s: of a controller from sample to torque.
+    inputs, outputs, states
+        Names.
+    input_units, output_units
+        Units of the signals, "" where none is known.
+    note
+        What it is, in a line.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+
+    name: str
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    dt: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    delay: float = 0.0
+    note: str = ""
+
+    @property
+    def state_space(self) -> control.StateSpace:
+        """The system for python-control; its delay is not in it."""
+        arrays = StateArrays(self.A, self.B, self.C, self.D, self.dt)
+        return state_space(arrays, self.inputs, self.outputs, self.states, name=self.name)
+
+
+def linear_system(
+    system: control.StateSpace,
+    name: str | None = None,
+    *,
+    platform: Platform | None = None,
+    delay: float = 0.0,
+    note: str = "",
+) -> LinearSystem:
+    """Return a state space with what other tools want to know of it.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled.
+    name
+        What it is called; default its own name.
+    platform
+        Whose signals these are: they get their units.
+    delay
+        Time by which the outputs act later than the matrices say, s.
+    note
+        What it is, in a line.
+
+    Returns
+    -------
+    LinearSystem
+        With the names of its signals and states.
+
+    Raises
+    ------
+    ArgumentError
+        It is no state space, is not finite, or has more than 1000 states or signals.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+    where = "linear_system"
+    A, B, C, D, dt = state_arrays(system, where)
+    if max(*A.shape, *D.shape) > MOST:
+        raise ArgumentError(
+            f"{where}: has {len(A)} states, {D.shape[1]} inputs and {D.shape[0]} outputs; at most {MOST}"
+        )
+    units = {} if platform is None else signal_units(platform)
+    inputs, outputs = tuple(map(str, system.input_labels)), tuple(map(str, system.output_labels))
+    title = str(system.name) if name is None else name
+    for kind, text in (("name", title), ("note", note)):
+        if not isinstance(text, str) or not text.isprintable() or (kind == "name" and not text.strip()):
+            raise ArgumentError(f"{where}: {kind}: given {short(text)}; expected text in one line")
+    return LinearSystem(
+        name=title,
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        dt=dt,
+        delay=positive(f"{where}: delay", delay, zero=True),
+        inputs=inputs,
+        outputs=outputs,
+        states=tuple(map(str, system.state_labels)),
+        input_units=tuple(units.get(one, "") for one in inputs),
+        output_units=tuple(units.get(one, "") for one in outputs),
+        note=note,
+    )
+
+
+def signal_units(platform: Platform) -> dict[str, str]:
+    """Return the units of everything that a plant's signals can be, by name."""
+    units = dict.fromkeys(platform.angle_names, "rad")
+    units |= dict.fromkeys([*map(gimbal_rate, platform.angle_names), *OMEGA_NAMES], "rad/s")
+    units |= dict.fromkeys(FORCE_NAMES, "m/s^2")
+    return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
+
+
+def system_of(where: str, data: Mapping[str, Any]) -> LinearSystem:
+    """Return the system that a file describes, or refuse it in one line.
+
+    Parameters
+    ----------
+    where
+        The file and the entry, for messages.
+    data
+        ``A`` to ``D`` as arrays or lists of rows, ``dt``; ``delay``, names, units and ``note`` may be missing.
+
+    Raises
+    ------
+    InputError
+        The matrices do not fit each other, something is not finite, or names are not as many as signals.
+    """
+    D = _rows(where, "D", data)
+    A = _rows(where, "A", data)
+    B, C = _rows(where, "B", data), _rows(where, "C", data)
+    n = 0 if A.size == 0 else len(A)
+    p = max(len(C) if C.size else 0, len(D) if D.size else 0)
+    m = max(B.shape[1] if B.size else 0, D.shape[1] if D.size else 0)
+    if max(n, m, p) > MOST:
+        raise InputError(f"{where}: has {n} states, {m} inputs and {p} outputs; expected at most {MOST} of each")
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+    arrays = {}
+    for key, item in (("A", A), ("B", B), ("C", C), ("D", D)):
+        wanted = shapes[key]
+        if item.size == 0 and 0 in wanted:
+            item = np.zeros(wanted)
+        if item.shape != wanted:
+            raise InputError(
+                f"{where}: {key}: is {item.shape[0]} x {item.shape[1]}; expected {wanted[0]} x {wanted[1]}"
+            )
+        arrays[key] = item
+    if not p or not m:
+        raise InputError(f"{where}: has {m} inputs and {p} outputs; expected some of both")
+    dt, delay = (_time(where, key, data) for key in ("dt", "delay"))
+    return LinearSystem(
+        **arrays,
+        name=_text(where, "name", data) or "system",
+        dt=dt,
+        delay=delay,
+        inputs=_names(where, "inputs", data, m, "u"),
+        outputs=_names(where, "outputs", data, p, "y"),
+        states=_names(where, "states", data, n, "x"),
+        input_units=_names(where, "input_units", data, m, None),
+        output_units=_names(where, "output_units", data, p, None),
+        note=_text(where, "note", data),
+    )
+
+
+def _rows(where: str, key: str, data: Mapping[str, Any]) -> FloatArray:
+    """Return a matrix; one without elements has the shape (0, 0)."""
+    item = data.get(key)
+    if item is None:
+        raise InputError(f'{where}: missing "{key}"; expected a matrix')
+    if isinstance(item, np.ndarray):
+        if item.dtype.kind not in "iufb" or item.ndim != 2:
+            raise InputError(f"{where}: {key}: is no matrix of real numbers; expected one")
+        array = item.astype(np.float64)
+    else:
+        if not isinstance(item, list) or not all(isinstance(row, list) for row in item):
+            raise InputError(f"{where}: {key}: given {given(item)}; expected a list of rows")
+        widths = {len(row) for row in item}
+        if len(widths) > 1 or max([len(item), *widths]) > MOST:
+            expected = f"rows of one length, at most {MOST} of at most {MOST} numbers"
+            raise InputError(
+                f"{where}: {key}: has {len(item)} rows of {sorted(widths)[:3]} numbers; expected {expected}"
+            )
+        numbers = [[finite(element) for element in row] for row in item]
+        array = np.array([[np.nan if x is None else x for x in row] for row in numbers], dtype=np.float64)
+    if array.size == 0:
+        return np.zeros((0, 0))
+    if not np.isfinite(array).all():
+        i, j = np.argwhere(~np.isfinite(array))[0]
+        raise InputError(f"{where}: {key}: element ({i + 1}, {j + 1}) is no finite number; expected one")
+    return array
+
+
+def _time(where: str, key: str, data: Mapping[str, Any]) -> float:
+    item = data.get(key, 0.0)
+    number = finite(item)
+    if number is None or number < 0.0:
+        raise InputError(f"{where}: {key}: given {given(item)}; expected a finite number >= 0, s")
+    return number
+
+
+def _text(where: str, key: str, data: Mapping[str, Any]) -> str:
+    item = data.get(key, "")
+    if not isinstance(item, str) or not item.isprintable():
+        raise InputError(f"{where}: {key}: given {given(item)}; expected text in one line")
+    return item
+
+
+def _names(where: str, key: str, data: Mapping[str, Any], count: int, default: str | None) -> tuple[str, ...]:
+    """Return names of signals, each once; units (`default` None) may be alike, and are "" where there are none."""
+    item = data.get(key) or []
+    if not isinstance(item, Sequence) or isinstance(item, str) or not all(isinstance(name, str) for name in item):
+        raise InputError(f"{where}: {key}: given {given(item)}; expected a list of names")
+    if not any(item):
+        return ("",) * count if default is None else tuple(f"{default}{k}" for k in range(1, count + 1))
+    if len(item) != count:
+        raise InputError(f"{where}: {key}: has {len(item)} names; expected {count}, as the matrices have")
+    for k, name in enumerate(item):
+        if not name.isprintable() or (default is not None and (not name.strip() or name in item[:k])):
+            wrong = f"name {k + 1} is {given(name)}"
+            raise InputError(one_line(f"{where}: {key}: {wrong}; expected each name once, in one line"))
+    return tuple(item)
