@@ -1,0 +1,396 @@
+"""The picture of a caging loop: Omega is prescribed, one torquer is shown broken while all others stay closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.feedback import sensitivities
+from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.design.loop import asked_of, judged
+from platform_ctrl.designer.curves import (
+    channel_response,
+    degrees,
+    degrees_beside,
+    dense_grid,
+    gain_crossings,
+    gain_locus,
+    gain_range,
+    held_responses,
+    round_up,
+    sample_times,
+)
+from platform_ctrl.designer.values import (
+    Bode,
+    FrequencyGain,
+    Locus,
+    Margins,
+    Nichols,
+    Settings,
+    TimeResponse,
+)
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.requirements import CheckResult
+from platform_ctrl.scenario import HalfCosine
+
+# Groups that a band shows: a part that fails is another story.
+_BAND = ("nominal", "spread", "Omega")
+_POINTS = 240
+# Sensitivities next to this frequency, against Nyquist's, belong to the edge of what is sampled.
+_EDGE = 0.999
+
+
+@value
+class CagedLoop:
+    """A caging loop with its plants and a controller.
+
+    Attributes
+    ----------
+    job
+        With the settings' spins, sampling and range of Omega.
+    spec, design
+        Which loop and design.
+    plants, shown
+        The whole set, and the plant that is shown alone.
+    controller
+        u = K y.
+    """
+
+    job: Job
+    spec: LoopSpec
+    design: str
+    plants: PlantSet
+    shown: PlantSet
+    controller: StateArrays
+
+
+@value
+class CagedParts:
+    """What a picture of a caging loop is made of."""
+
+    bode: Bode
+    nichols: Nichols
+    locus: Locus
+    step: TimeResponse
+    Omega_time: TimeResponse
+    Omega_frequency: FrequencyGain
+    margins: Margins
+    requirements: tuple[CheckResult, ...]
+    goals: tuple[CheckResult, ...]
+    stable: bool
+    all_stable: bool
+    notes: tuple[str, ...]
+
+
+def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
+    """Return what is drawn for a caging loop."""
+    spec, plants, K = loop.spec, loop.plants, loop.controller
+    channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
+    shown = LoopFigures(loop.shown, K)
+    measures = exact_measures(plants, K, asked_of(spec))
+    requirements, goals = judged(spec, loop.design, plants, measures)
+    banded = bool(settings.band and len(plants.labels) > 1)
+    kept = np.flatnonzero(plants.of(_BAND)) if banded else np.array([0])
+    every = LoopFigures(plants.only(kept) if len(kept) < len(plants.labels) else plants, K) if banded else None
+    s = continuous_poles(shown.poles[0], plants.period)
+    grid = _grid(loop.shown, s)
+    response = shown_channel(loop.shown, K, grid, channel)
+    phase = degrees(response)
+    bode, nichols = _frequency_parts(loop, settings, channel, grid, response, phase, every, kept)
+    stable = bool(shown.decay[0] > 0.0)
+    inside = plants.of(_BAND)
+    return CagedParts(
+        bode=bode,
+        nichols=nichols,
+        locus=_locus(loop, s, every),
+        step=_step(loop, shown, every, channel, s, stable),
+        Omega_time=_manoeuvre(loop, shown, every, settings.axis),
+        Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
+        margins=_margins(loop, measures, shown, grid, response, stable),
+        requirements=requirements,
+        goals=goals,
+        stable=stable,
+        all_stable=bool(np.all(measures.decay[inside] > 0.0)),
+        notes=(),
+    )
+
+
+def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
+    nyquist = math.pi / plant.period
+    own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
+    low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
+    grid = dense_grid(np.concatenate([s, own]), low, _EDGE * nyquist)
+    # The band's own frequencies among them: its phases are those of this curve and a difference.
+    return np.union1d(grid, plant.frequency)
+
+
+def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: int) -> ComplexArray:
+    """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
+    P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid)
+    return channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+
+
+def _frequency_parts(
+    loop: CagedLoop,
+    settings: Settings,
+    channel: int,
+    grid: FloatArray,
+    response: ComplexArray,
+    phase: FloatArray,
+    every: LoopFigures | None,
+    kept: np.ndarray,
+) -> tuple[Bode, Nichols]:
+    plants = loop.plants
+    magnitude = np.abs(response)
+    none = np.zeros(0)
+    w, low, high, phase_low, phase_high = none, none, none, none, none
+    labels = (settings.plant,)
+    phases, sizes, where = phase[None], magnitude[None], grid
+    if every is not None:
+        w = every.plants.frequency
+        at = np.searchsorted(grid, w)
+        responses = channel_response(every.S_input, channel)
+        sizes = np.abs(responses)
+        phases = degrees_beside(responses, response[at], phase[at])
+        low, high = np.minimum(sizes.min(axis=0), magnitude[at]), np.maximum(sizes.max(axis=0), magnitude[at])
+        phase_low, phase_high = np.minimum(phases.min(axis=0), phase[at]), np.maximum(phases.max(axis=0), phase[at])
+        first = [k for k, label in enumerate(every.plants.labels) if label == settings.plant][:1]
+        order = [*first, *(k for k in range(len(kept)) if k not in first)]
+        labels, sizes, phases, where = tuple(every.plants.labels[k] for k in order), sizes[order], phases[order], w
+    bode = Bode(
+        channel=plants.torques[channel],
+        frequency=grid,
+        response=response,
+        magnitude=magnitude,
+        phase=phase,
+        band_frequency=w,
+        magnitude_low=low,
+        magnitude_high=high,
+        phase_low=phase_low,
+        phase_high=phase_high,
+        crossovers=gain_crossings(grid, response)[0],
+        nyquist=math.pi / plants.period,
+    )
+    return bode, Nichols(
+        labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=loop.spec.limits.disk_margin
+    )
+
+
+def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None) -> Locus:
+    plants = loop.shown
+    P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+    gains, branches = gain_locus(P, loop.controller)
+    nyquist = math.pi / plants.period
+    finite = np.isfinite(s)
+    size = np.where(finite, np.abs(s), np.inf)
+    # What swings, and what is about as fast as nutation: faster poles would squeeze everything else together.
+    swings = size[finite & (s.imag > 1e-6 * size) & (size < 0.7 * nyquist)]
+    reach = min(1.25 * max(swings.max(initial=0.0), 1.5 * min(plants.nutation, 0.3 * nyquist)), nyquist)
+    others = np.zeros(0, dtype=np.complex128) if every is None else continuous_poles(every.poles, plants.period).ravel()
+    return Locus(
+        gains=gains,
+        branches=branches,
+        present=s,
+        draggable=np.asarray(finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
+        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
+        reach=reach,
+        damping=loop.spec.limits.damping,
+    )
+
+
+def _step(
+    loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, channel: int, s: ComplexArray, stable: bool
+) -> TimeResponse:
+    plants = loop.plants
+    size = step_size(float(plants.torque_limit[channel]))
+    duration = settling(s, shown.plants.nutation, plants.period, stable)
+    t, sampled_every = sample_times(duration, plants.period, _POINTS)
+    u = np.full(sampled_every * (len(t) - 1) + 1, size)
+    m = shown.m
+
+    def responses(loops: LoopFigures) -> FloatArray:
+        A, B, C, D, _ = loops.own_arrays
+        return held_responses(A, B[..., channel : channel + 1], C, D[..., channel : channel + 1], u, sampled_every)
+
+    order = [*range(m, m + shown.p), *range(m)]
+    own = responses(shown)[0][order]
+    low, high = _band(None if every is None else responses(every)[:, order], own)
+    return TimeResponse(
+        title=f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
+        t=t,
+        signals=(*plants.angles, *plants.torques),
+        units=("rad",) * shown.p + ("N m",) * m,
+        values=own,
+        low=low,
+        high=high,
+        drive=np.ones(len(t)),
+    )
+
+
+def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, axis: int) -> TimeResponse:
+    plants = loop.plants
+    title, duration, limit, rate = caged_rate(loop.job, axis, plants.nutation)
+    t, sampled_every = sample_times(duration, plants.period, _POINTS)
+    u = rate(np.arange(sampled_every * (len(t) - 1) + 1) * plants.period)
+    m, p = shown.m, shown.p
+    largest = np.abs(u).max()
+
+    def responses(loops: LoopFigures) -> FloatArray:
+        A, B, C, D, _ = loops.arrays
+        column = slice(m + axis - 1, m + axis)
+        rows = slice(0, m + p)
+        return held_responses(A, B[..., column], C[..., rows, :], D[..., rows, column], u, sampled_every)
+
+    order = [*range(m, m + p), *range(m)]
+    own = responses(shown)[0][order]
+    low, high = _band(None if every is None else responses(every)[:, order], own)
+    return TimeResponse(
+        title=title,
+        t=t,
+        signals=(*plants.angles, *plants.torques),
+        units=("rad",) * p + ("N m",) * m,
+        values=own,
+        low=low,
+        high=high,
+        drive=u[::sampled_every] / (largest if largest > 0.0 else 1.0),
+        limit=limit,
+    )
+
+
+def _band(every: FloatArray | None, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if every is None:
+        return np.zeros((len(own), 0)), np.zeros((len(own), 0))
+    return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
+
+
+def caged_rate(
+    job: Job, axis: int, nutation: float
+) -> tuple[str, float, float | None, Callable[[FloatArray], FloatArray]]:
+    """Return title, duration, allowed angle and the rate over time of the job's caged manoeuvre about `axis`."""
+    found = next((one for one in job.manoeuvres if one.mode == "caged" and one.axis == axis and _turns(one)), None)
+    if found is None:
+        rate = float(job.Omega[axis - 1]) or 1.0
+        rise = round_up(40.0 / nutation)
+        profile = HalfCosine(axis=axis, rate=rate, rise=rise, hold=2.0 * rise)
+        return f"{rate:g} rad/s about axis {axis}", 5.0 * rise, None, lambda t: half_cosine(profile, t)
+    scenario = manoeuvre_scenario(job, found)
+
+    def given(t: FloatArray) -> FloatArray:
+        out = np.zeros(len(t))
+        if scenario.profile is not None:
+            out += half_cosine(scenario.profile, t)
+        if scenario.Omega_table is not None:
+            out += scenario.Omega_table.at(t)[:, axis - 1]
+        return out
+
+    return found.name, found.duration, found.limits.get("angle"), given
+
+
+def _turns(manoeuvre: Manoeuvre) -> bool:
+    table = manoeuvre.Omega_table
+    return bool(manoeuvre.rate) or (table is not None and bool(np.any(table.values[:, manoeuvre.axis - 1])))
+
+
+def half_cosine(profile: HalfCosine, t: FloatArray) -> FloatArray:
+    """Return the rate of a profile at times t (N,), rad/s."""
+    end = 2.0 * profile.rise + profile.hold
+    inside = np.minimum(np.minimum(t, end - t), profile.rise)
+    share = np.clip(inside, 0.0, None) / profile.rise if profile.rise > 0.0 else (inside >= 0.0).astype(np.float64)
+    return np.asarray(profile.rate * 0.5 * (1.0 - np.cos(np.pi * share)))
+
+
+def _Omega_gain(
+    loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, grid: FloatArray, axis: int
+) -> FrequencyGain:
+    m, p = shown.m, shown.p
+    A, B, C, D, dt = shown.arrays
+    column, rows = slice(m + axis - 1, m + axis), slice(m, m + p)
+    own = frequency_response_arrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt, grid)
+    none = np.zeros(0)
+    w, low, high = none, none, none
+    if every is not None:
+        w = every.plants.frequency
+        responses = every.S_output @ every.plants.Omega_response[..., axis - 1 : axis]
+        gains = np.linalg.norm(responses[..., 0], axis=-1)
+        low, high = gains.min(axis=0), gains.max(axis=0)
+    return FrequencyGain(
+        title=f"rate Omega{axis} → angles",
+        unit="rad s/rad",
+        frequency=grid,
+        gain=np.asarray(np.linalg.norm(own[..., 0], axis=-1)),
+        band_frequency=w,
+        low=low,
+        high=high,
+        limit=loop.spec.limits.Omega_rejection,
+    )
+
+
+def _margins(
+    loop: CagedLoop,
+    measures: LoopMeasures,
+    shown: LoopFigures,
+    grid: FloatArray,
+    response: ComplexArray,
+    stable: bool,
+) -> Margins:
+    plants = loop.plants
+    inside = np.flatnonzero(plants.of(_BAND))
+    worst = int(inside[np.argmin(measures.disk_margin[inside])])
+    w, above = gain_crossings(grid, response)
+    down, up = gain_range(response) if stable else (math.nan, math.nan)
+    found = min(
+        bandwidth_of_response(shown.plants.frequency, S[0]) if stable else 0.0 for S in (shown.S_output, shown.S_input)
+    )
+    # Phase that may be lost: how far above -180 degrees, taken upwards from there.
+    lead = np.radians(above % 360.0)
+    return Margins(
+        disk=shown.exact(DISK, 0),
+        worst_disk=float(measures.disk_margin[worst]),
+        worst_plant=plants.labels[worst],
+        gain_up=up,
+        gain_down=down,
+        phase=float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
+        delay=float((lead / w).min(initial=math.inf)) if stable else math.nan,
+        crossover=float(w[-1]) if len(w) else None,
+        bandwidth=float(found),
+        damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
+    )
+
+
+@value
+class _DiskMargin:
+    """A figure that is asked for."""
+
+    kind: str = "disk margin"
+    over: tuple[str, ...] = ()
+    frequency: float | None = None
+    channel: None = None
+
+
+DISK = _DiskMargin()
+
+
+def step_size(limit: float) -> float:
+    """Return the torque step that is shown, N m: about a tenth of what the torquer can do, 1 mN m without a limit."""
+    if not math.isfinite(limit):
+        return 1e-3
+    return round_up(0.05 * limit)
+
+
+def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:
+    """Return how long a step response is worth seeing, s: 1, 2 or 5 times a power of ten."""
+    shortest = max(40.0 * period, 2.0 * math.pi / nutation)
+    if not stable:
+        return round_up(10.0 * shortest)
+    decay = -s.real[np.isfinite(s)]
+    slowest = float(decay.min(initial=math.inf))
+    return round_up(float(np.clip(5.0 / slowest if slowest > 0.0 else math.inf, shortest, 400.0 * shortest)))

@@ -1,0 +1,201 @@
+"""The plants of a loop again and again, for other rotor speeds, sample rates and platform rates, in milliseconds.
+
+The linear equations are affine in the momenta of the rotors and linear in the platform rate with them,
+
+    G = G0 + sum L_r G_r,        K = K0 + sum L_r sum Omega_a K_ra,        G_Omega = G_Omega0 + sum L_r G_Omega_r,
+
+whatever the inertias: what a rotor contributes is found once, and every plant of the set is changed by it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.description import Platform
+from platform_ctrl.design.channels import Channels, channels
+from platform_ctrl.design.plants import Case, LinearPlants, cases, linear_plants, rows_of, sampled_plants
+from platform_ctrl.designer.bounded import Bounded
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Job, Sampling
+from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.state_space import whole_subsystems
+
+
+def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
+    """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
+    rotors = tuple(
+        dataclasses.replace(r, angular_momentum=r.axial_inertia * spins[r.name])
+        if r.name in spins and spins[r.name] != r.spin
+        else r
+        for r in platform.rotors
+    )
+    return dataclasses.replace(platform, rotors=rotors)
+
+
+@value
+class _Share:
+    """What 1 N m s of a rotor's momentum adds: G (n, n), K for unit rates about each root axis (3, n, n), G_Omega."""
+
+    G: FloatArray
+    K: FloatArray
+    G_Omega: FloatArray
+
+
+class QuickPlants:
+    """Plants of one caging loop.
+
+    Parameters
+    ----------
+    job
+        As it was read.
+    gimbals
+        Of the loop.
+    """
+
+    def __init__(self, job: Job, gimbals: tuple[str, ...]) -> None:
+        self.job, self.gimbals = job, gimbals
+        self.model = linearise(job.platform)
+        self.rows = whole_subsystems(self.model, gimbals)
+        self.momenta = {r.name: r.angular_momentum for r in job.platform.rotors}
+        self.shares = {name: self._share(name) for name in self.momenta}
+        self._linear: Bounded[LinearPlants] = Bounded(4)
+        self._cases: Bounded[tuple[Case, ...]] = Bounded(4)
+        self._moved: Bounded[LinearPlants] = Bounded(4)
+        self._sets: Bounded[PlantSet] = Bounded(6)
+        self._shown: Bounded[PlantSet] = Bounded(6)
+        self._spun: Bounded[LinearModel] = Bounded(6)
+
+    def plants(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> PlantSet:
+        """Return the set of plants: `loop_plants` of the job with these spins, sampling and largest platform rate."""
+        key = (*self._key(spins), sampling.period, sampling.delay, *map(float, Omega))
+        return self._sets.get(key, lambda: sampled_plants(self.linear(spins, Omega), sampling, Omega))
+
+    def shown(
+        self, label: str, at: FloatArray, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray
+    ) -> PlantSet:
+        """Return one plant of that set alone, by its label, linearised at the rate `at` on top of its own."""
+        key = (label, *map(float, at), *self._key(spins), sampling.period, sampling.delay, *map(float, Omega))
+        return self._shown.get(key, lambda: self._one(label, at, spins, sampling, Omega))
+
+    def labels(self, Omega: FloatArray) -> tuple[str, ...]:
+        """Return the labels of the set."""
+        return tuple(one.label for one in self._all(Omega))
+
+    def channels(self, spins: Mapping[str, float]) -> Channels:
+        """Return how the gyros couple the gimbals at these spins."""
+        return channels(self.spun(spins), rows_of(self.model, self.gimbals))
+
+    def spun(self, spins: Mapping[str, float]) -> LinearModel:
+        """Return the linear model of the whole platform at rest at these spins."""
+        return self._spun.get(self._key(spins), lambda: linearise(with_spins(self.job.platform, spins)))
+
+    def linear(self, spins: Mapping[str, float], Omega: FloatArray) -> LinearPlants:
+        """Return the plants before they are sampled."""
+        return self._moved.get(
+            (*self._key(spins), *map(float, Omega)), lambda: self._with_spins(self._base(Omega), spins)
+        )
+
+    def _one(
+        self, label: str, at: FloatArray, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray
+    ) -> PlantSet:
+        every = self._all(Omega)
+        case = next((one for one in every if one.label == label), every[0])
+        turned = dataclasses.replace(case, Omega=case.Omega + at)
+        return sampled_plants(
+            self._with_spins(linear_plants(self.job.platform, self.gimbals, (turned,)), spins), sampling, Omega
+        )
+
+    def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
+        key = tuple(map(float, Omega))
+        return self._cases.get(key, lambda: tuple(cases(dataclasses.replace(self.job, Omega=Omega), self.gimbals)))
+
+    def _base(self, Omega: FloatArray) -> LinearPlants:
+        key = tuple(map(float, Omega))
+        return self._linear.get(key, lambda: self._widened(Omega))
+
+    def _widened(self, Omega: FloatArray) -> LinearPlants:
+        """Linearise all plants; with another range of Omega only those that it moves."""
+        plants = self._all(Omega)
+        if np.array_equal(Omega, self.job.Omega):
+            return linear_plants(self.job.platform, self.gimbals, plants)
+        own = self._base(np.asarray(self.job.Omega))
+        known = {case.label: k for k, case in enumerate(own.cases)}
+        new = tuple(case for case in plants if case.label not in known)
+        fresh = linear_plants(self.job.platform, self.gimbals, new) if new else own
+        place = {case.label: k for k, case in enumerate(fresh.cases)} if new else {}
+
+        def picked(name: str) -> FloatArray:
+            old, other = getattr(own, name), getattr(fresh, name)
+            return np.array([other[place[c.label]] if c.label in place else old[known[c.label]] for c in plants])
+
+        return dataclasses.replace(
+            own, cases=plants, A=picked("A"), B=picked("B"), C=picked("C"), D=picked("D"), B_Omega=picked("B_Omega")
+        )
+
+    def _changes(self, spins: Mapping[str, float]) -> dict[str, float]:
+        """Return by how much the momentum of each rotor is larger than the job's, N m s."""
+        inertias = {r.name: r.axial_inertia for r in self.job.platform.rotors}
+        nominal = {r.name: r.spin for r in self.job.platform.rotors}
+        return {
+            name: inertias[name] * spin - self.momenta[name]
+            for name, spin in spins.items()
+            if name in inertias and spin != nominal[name]
+        }
+
+    def _key(self, spins: Mapping[str, float]) -> tuple[float, ...]:
+        changes = self._changes(spins)
+        return tuple(changes.get(name, 0.0) for name in self.momenta)
+
+    def _with_spins(self, linear: LinearPlants, spins: Mapping[str, float]) -> LinearPlants:
+        changes = self._changes(spins)
+        if not any(changes.values()):
+            return linear
+        n = len(self.rows)
+        A, B_Omega = linear.A.copy(), linear.B_Omega.copy()
+        mobility = A[:, :n, n:]
+        # q̇ = M⁻¹ (p − M_Omega ω): the upper rows of the input of Omega are −M⁻¹ M_Omega.
+        turned = B_Omega[:, :n]
+        rates = np.array([case.Omega for case in linear.cases])
+        for name, change in changes.items():
+            share = self.shares[name]
+            # A plant of the spread has this rotor's L larger by a factor.
+            factor = np.array([_factor(case.platform, name, self.momenta[name]) for case in linear.cases]) * change
+            G = factor[:, None, None] * share.G
+            K = factor[:, None, None] * np.einsum("ka,aij->kij", rates, share.K)
+            A[:, n:, :n] -= K
+            A[:, n:, n:] -= G @ mobility
+            B_Omega[:, n:] -= G @ turned + factor[:, None, None] * share.G_Omega
+        return dataclasses.replace(linear, A=A, B_Omega=B_Omega)
+
+    def _share(self, rotor: str) -> _Share:
+        platform, unit = self.job.platform, 1.0
+        scale = max((abs(x) for x in self.momenta.values()), default=0.0) or unit
+        with_it, without = (
+            _with_momentum(platform, rotor, momentum) for momentum in (self.momenta[rotor] + scale, self.momenta[rotor])
+        )
+        part = np.ix_(self.rows, self.rows)
+        still = linearise(with_it), linearise(without)
+        K = []
+        for axis in range(3):
+            rate = np.eye(3)[axis]
+            more, less = linearise(with_it, Omega=rate), linearise(without, Omega=rate)
+            K.append((more.K[part] - less.K[part]) / scale)
+        return _Share(
+            G=(still[0].G[part] - still[1].G[part]) / scale,
+            K=np.array(K),
+            G_Omega=(still[0].G_Omega[self.rows] - still[1].G_Omega[self.rows]) / scale,
+        )
+
+
+def _with_momentum(platform: Platform, rotor: str, momentum: float) -> Platform:
+    rotors = tuple(dataclasses.replace(r, angular_momentum=momentum) if r.name == rotor else r for r in platform.rotors)
+    return dataclasses.replace(platform, rotors=rotors)
+
+
+def _factor(platform: Platform, rotor: str, nominal: float) -> float:
+    momentum = next(r.angular_momentum for r in platform.rotors if r.name == rotor)
+    return momentum / nominal if nominal else 1.0
