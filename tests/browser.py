@@ -104,7 +104,7 @@ def served(workbench: object = None, make: Make | None = None, **more: object) -
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
     from platform_ctrl.designer.server import PageServer
 
-    server = PageServer(workbench, port=0, make=make, **more)  # type: ignore[arg-type]
+    server = PageServer(workbench, make=make, **({"port": 0} | more))  # type: ignore[arg-type]
     ready = threading.Event()
     running = threading.Thread(target=server.run, args=(ready.set,))
     running.start()

@@ -66,8 +66,8 @@ class PageServer:
     ) -> None:
         self.hosts = Hosts.of(host, allow)
         require_bokeh()
-        self._sockets = _bound(host, port)
-        self.port: int = self._sockets[0].getsockname()[1]
+        self._socket = _bound(host, port)
+        self.port: int = self._socket.getsockname()[1]
         self.application: PageApplication | None = None
         self._workbench, self._make = workbench, make
         self._ended = threading.Event()
@@ -144,7 +144,7 @@ class PageServer:
             body_timeout=PATIENCE,
         )
         server = BaseServer(IOLoop.current(), self.application, listening)
-        listening.add_sockets(self._sockets)
+        listening.add_socket(self._socket)
         server.start()
         if self._make is None:
             # While the browser opens: what the page needs is loaded before it is asked for.
@@ -237,8 +237,8 @@ def _page() -> Make:
     return made
 
 
-def _bound(host: str, port: int | None) -> list[socket.socket]:
-    """Return the sockets, bound; the port that was asked for, or a free one."""
+def _bound(host: str, port: int | None) -> socket.socket:
+    """Return the socket, bound: the port that was asked for, or a free one."""
     ports = [*range(PORT, PORT + _TRIED), 0] if port is None else [port]
     for tried in ports:
         try:
@@ -255,17 +255,16 @@ def _bound(host: str, port: int | None) -> list[socket.socket]:
     raise AssertionError("the last port ends the loop")
 
 
-def _listening(host: str, port: int) -> list[socket.socket]:
+def _listening(host: str, port: int) -> socket.socket:
     import socket
 
-    from tornado.netutil import bind_sockets
-
+    bare = host.strip("[]")
     try:
-        return bind_sockets(port, host.strip("[]"))
-    except (UnicodeError, ValueError):
+        made = socket.create_server((bare, port), family=socket.AF_INET6 if ":" in bare else socket.AF_INET)
+    except UnicodeError:
         raise OSError(errno.EINVAL, "not a host's name or address") from None
-    except socket.gaierror as error:
-        raise OSError(errno.EADDRNOTAVAIL, error.strerror) from None
+    made.setblocking(False)
+    return made
 
 
 def _say(words: str) -> None:

@@ -114,7 +114,7 @@ class PageApplication(BokehTornado):
         if path == "/":
             if any(name in request.arguments for name in _JOINING) or "Bokeh-Session-Id" in request.headers:
                 return by(Line, status=403, words="refused: every page has a state of its own; none can be joined")
-            if len(self.sessions) >= PAGES:
+            if not self._room():
                 return by(Line, status=503, words=f"{PAGES} pages are open already; close one and try again")
             return by(PageHandler, **context)
         if path == "/ws":
@@ -138,6 +138,20 @@ class PageApplication(BokehTornado):
         if left and session.connection_count == 0:
             session.request_expiration()
             self.io_loop.add_callback(self._cleanup_sessions)
+
+    def _room(self) -> bool:
+        """Whether there is room for one more page; the oldest that nobody looks at makes way.
+
+        Should its browser only be slow, then its websocket makes the session again.
+        """
+        if len(self.sessions) < PAGES:
+            return True
+        idle = [session for session in self.sessions if session.connection_count == 0]
+        if not idle:
+            return False
+        max(idle, key=lambda session: session.milliseconds_since_last_unsubscribe).request_expiration()
+        self.io_loop.add_callback(self._cleanup_sessions)
+        return True
 
     def _file(self, part: str, name: str) -> bytes | None:
         key = f"{part}/{name}"
