@@ -168,7 +168,7 @@ def classical_stages(options: dict[str, float], channel: Channels, period: float
             )
             last = f"cross_{name}"
         lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
-        note = f"s + ω over s/ωr + 1: zero at {options['lead_hz']:.6g} Hz, pole at {options['rolloff_hz']:.6g} Hz"
+        note = f"(s + wz)/(s/wr + 1): zero at {options['lead_hz']:.6g} Hz, pole at {options['rolloff_hz']:.6g} Hz"
         out.append(Stage(f"lead_{name}", "lead", note, lead, (source,), (f"rate_{name}",)))
         if k % 2:
             # A torque about one axis turns the other: integrals act across, leads directly.
@@ -200,9 +200,9 @@ def classical_stages(options: dict[str, float], channel: Channels, period: float
         lead = first_order(1.0 / wz, 1.0, 1.0 / rad["inertial_rolloff_hz"], 1.0, period)
         last = _integrated(out, options, integral, name, inputs[k], period)
         zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
-        note = f"s/ωz + 1 over s/ωr + 1: zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
+        note = f"(s/wz + 1)/(s/wr + 1): zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
         out.append(Stage(f"lead_{name}", "lead", note, lead, (last,), (f"rate_{name}",)))
-        note = f"inertia {channel.inertias[k]:.6g} kg m², crossover at {options['inertial_crossover_hz']:.6g} Hz"
+        note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
         out.append(Stage(name, "mix", note, gain(-strength), (f"rate_{name}",), (_set(k),)))
     return out
 
@@ -213,12 +213,12 @@ def _integrated(
     """Append integral and lag of a direction and return the name of what they give."""
     corner = options["integral_hz"]
     last = f"integral_{name}"
-    out.append(Stage(f"pi_{name}", "integral", f"1 + ωi/s: corner at {corner:.6g} Hz", integral, (source,), (last,)))
+    out.append(Stage(f"pi_{name}", "integral", f"1 + wi/s: corner at {corner:.6g} Hz", integral, (source,), (last,)))
     if "lag_hz" not in options:
         return last
     zero, pole = options["lag_hz"], options["lag_hz"] / options["lag_ratio"]
     lag = first_order(1.0, 2.0 * np.pi * zero, 1.0, 2.0 * np.pi * zero / options["lag_ratio"], period)
-    note = f"s + ωl over s + ωl/ratio: zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
+    note = f"(s + wl)/(s + wl/ratio): zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
     out.append(Stage(f"lag_{name}", "lag", note, lag, (last,), (f"lagged_{name}",)))
     return f"lagged_{name}"
 

@@ -124,7 +124,7 @@ def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
     integral = first_order(0.0, 1.0, 1.0, 0.0, period)
     mix = gain(np.array([[1.0, rad["position_hz"]]]))
     filtered = f"low-pass at {options['filter_hz']:.6g} Hz, damping {options['filter_damping']:.6g}"
-    summed = f"Omega + ωp angle: corner at {options['position_hz']:.6g} Hz"
+    summed = f"Omega + wp angle: corner at {options['position_hz']:.6g} Hz"
     out = []
     for k, (turn, speed) in enumerate(zip(_per_axis("turn"), _per_axis("speed"), strict=True), 1):
         rate, angle = f"rate_{k}", f"angle_{k}"

@@ -110,6 +110,8 @@ class Provenance:
         Of the result file, as hexadecimal digits; empty where there is none.
     versions
         Of platform_ctrl and what designed the controller, by name.
+    command
+        The command that wrote the code; or empty.
 
     References
     ----------
@@ -123,6 +125,7 @@ class Provenance:
     method: str = ""
     sha256: str = ""
     versions: dict[str, str] = field(default_factory=dict)
+    command: str = ""
 
 
 @value

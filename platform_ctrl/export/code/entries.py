@@ -1,0 +1,178 @@
+"""Controllers that are to be written out: judged against the job, whatever form they come in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.arguments import short
+from platform_ctrl.check.given import read_controllers
+from platform_ctrl.check.records import SCHEMA
+from platform_ctrl.description import OMEGA_NAMES
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Job
+
+if TYPE_CHECKING:
+    import control
+
+# What `design.anti_windup` calls the inputs through which the excess of a torque goes back into the states.
+_EXCESS = "excess_"
+
+
+@value
+class Entry:
+    """A controller of a job.
+
+    Attributes
+    ----------
+    loop, design, method
+        As in the job file; empty where nothing is known.
+    arrays
+        x⁺ = A x + B y, u = C x + D y; ``dt`` is the sample period, s.
+    inputs, outputs
+        Names of the signals.
+    options
+        The method's numbers as finally used, in the units of the job file.
+    excess : (n, m)
+        E of the anti-windup that the controller brings along, or None.
+
+    References
+    ----------
+    See docs/result-file.md.
+    """
+
+    loop: str
+    design: str = ""
+    method: str = ""
+    arrays: StateArrays
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    options: dict[str, float] = field(default_factory=dict)
+    excess: FloatArray | None = None
+
+
+def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]) -> tuple[Entry, ...]:
+    """Return the controllers of a job, judged.
+
+    Parameters
+    ----------
+    job
+        What they have to fit.
+    given
+        Entries of ``controllers`` in ``result.json``, or `control.StateSpace` with ``dt`` and the names of their
+        signals (that of `design.anti_windup` too, with its inputs ``excess_``), in order of evaluation.
+
+    Returns
+    -------
+    tuple of Entry
+        In the same order.
+
+    Raises
+    ------
+    InputError
+        A controller does not fit the job, or none is given.
+
+    References
+    ----------
+    See docs/result-file.md.
+    """
+    if isinstance(given, Mapping | str) or not isinstance(given, Sequence):
+        raise ArgumentError(f"entries: given {short(given)}; expected a list of controllers")
+    records = [one if isinstance(one, Mapping) else _record(one, job) for one in given]
+    plain, excess = zip(*(_without_excess(one) for one in records), strict=True) if records else ((), ())
+    judged = read_controllers({"schema": SCHEMA, "controllers": list(plain)}, job)
+    return tuple(
+        Entry(
+            loop=str(record["name"]),
+            design=_text(record, "design"),
+            method=_text(record, "method"),
+            arrays=state_arrays(K, "controller"),
+            inputs=tuple(K.input_labels),
+            outputs=tuple(K.output_labels),
+            options=_numbers(record.get("options")),
+            excess=E,
+        )
+        for record, K, E in zip(plain, judged, excess, strict=True)
+    )
+
+
+def unit_of(job: Job, signal: str) -> str:
+    """Return the unit of a signal that controllers take in or set.
+
+    Parameters
+    ----------
+    job
+        Its plant names the signals.
+    signal
+        Name.
+
+    Returns
+    -------
+    str
+        ``rad``, ``rad/s`` or ``N m``.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/result-file.md.
+    """
+    if signal in {pickoff.name for pickoff in job.platform.pickoffs}:
+        return "rad"
+    sensors = {sensor.name for sensor in job.platform.sensors} | set(OMEGA_NAMES)
+    return "rad/s" if signal in sensors else "N m"
+
+
+def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
+    arrays = state_arrays(K, "controller")
+    loop, _, design = str(K.name).partition(", ")
+    return {
+        "name": loop,
+        "design": design,
+        "dt": arrays.dt,
+        **{name: item.tolist() for name, item in zip("ABCD", arrays[:4], strict=True)},
+        "inputs": list(K.input_labels),
+        "outputs": list(K.output_labels),
+        "delay": job.sampling.delay,
+    }
+
+
+def _without_excess(record: Mapping[str, Any]) -> tuple[Mapping[str, Any], FloatArray | None]:
+    """Split a controller from the inputs through which anti-windup acts."""
+    inputs, outputs = record.get("inputs"), record.get("outputs")
+    if not isinstance(inputs, list) or not isinstance(outputs, list):
+        return record, None
+    added = [f"{_EXCESS}{name}" for name in outputs]
+    count = len(inputs) - len(added)
+    if count <= 0 or inputs[count:] != added:
+        return record, None
+    try:
+        B, D = (np.array(record[name], dtype=np.float64) for name in "BD")
+        into, through = B[:, count:], D[:, count:]
+    except (KeyError, TypeError, ValueError, IndexError):
+        return record, None
+    if through.any():
+        raise InputError(
+            f"controller {record.get('name')!r}: the excess of a torque acts on an output of the same step; expected "
+            "it to act on states alone"
+        )
+    plain = {"inputs": inputs[:count], "B": B[:, :count].tolist(), "D": D[:, :count].tolist()}
+    return {**record, **plain}, into
+
+
+def _text(record: Mapping[str, Any], key: str) -> str:
+    item = record.get(key)
+    return item if isinstance(item, str) else ""
+
+
+def _numbers(item: object) -> dict[str, float]:
+    if not isinstance(item, Mapping):
+        return {}
+    return {str(name): float(x) for name, x in item.items() if isinstance(x, int | float) and not isinstance(x, bool)}
