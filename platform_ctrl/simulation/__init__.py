@@ -7,6 +7,7 @@ from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibra
 from platform_ctrl.simulation.batch import Figures, acting, fly
 from platform_ctrl.simulation.closed_loop import Trajectory, flight, simulate
 from platform_ctrl.simulation.free_motion import Rollout, rollout
+from platform_ctrl.simulation.stepping import Stepper
 
 __all__ = [
     "Fault",
@@ -14,6 +15,7 @@ __all__ = [
     "HalfCosine",
     "Rollout",
     "Scenario",
+    "Stepper",
     "TimeTable",
     "Trajectory",
     "Vibration",

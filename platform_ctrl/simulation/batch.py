@@ -287,6 +287,12 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
     return figures.transpose(0, 2, 1).reshape(groups * LANES, slots)[:runs]
 
 
+def columns_of_record(together: Batch) -> int:
+    """Return how many numbers are recorded of a sample."""
+    at, shared = together.packed.at, together.shared
+    return 3 * at.n + 7 + len(shared.sensors) + 2 * len(shared.targets) + 2 * at.servos
+
+
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Fly one scenario alone; return its record, a row a sample, and its figures (slots,).
 
@@ -302,7 +308,7 @@ def recorded(member: Prepared, controller: Controller, period: float, noise: boo
 
     together = batch([member], controller, period, noise)
     at, flight = together.packed.at, together.flight
-    columns = 3 * at.n + 7 + len(together.shared.sensors) + 2 * len(together.shared.targets) + 2 * at.servos
+    columns = columns_of_record(together)
     try:
         record = np.zeros((flight.samples, columns))
     except MemoryError:

@@ -259,17 +259,32 @@ def flight(
     period, step = steps(period, step)
     expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
+    record, figures = recorded(member, merged(scenario.platform, controllers, period, scenario.mode), period, noise)
+    done = int(np.rint(figures[-1]))
+    ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
+    return trajectory_of(record[:done], figures, scenario, first=0, period=period, step=step, ended=ended)
+
+
+def trajectory_of(
+    record: FloatArray,
+    figures: FloatArray,
+    scenario: Scenario,
+    *,
+    first: int,
+    period: float,
+    step: float,
+    ended: str,
+) -> Trajectory:
+    """Return what the kernel recorded of the samples from `first` on as a trajectory."""
     platform = scenario.platform
     n, servos = len(platform.gimbals), servo_rotors(platform)
-    record, figures = recorded(member, merged(platform, controllers, period, scenario.mode), period, noise)
     counts = np.rint(figures[n + 3 + len(platform.torquers) :]).astype(np.int64)
-    saturated, contacts, done = counts[: len(platform.torquers)], counts[-1 - n : -1], int(counts[-1])
     widths = (n, n, 3, n, 4, len(platform.sensors), len(platform.torquers), len(platform.torquers), len(servos))
     angle, rate, Omega, momentum, attitude, reading, command, torque, spin, motor = np.split(
-        record[:done], np.cumsum(widths), axis=1
+        record, np.cumsum(widths), axis=1
     )
     return Trajectory(
-        t=period * np.arange(done, dtype=np.float64),
+        t=period * np.arange(first, first + len(record), dtype=np.float64),
         q=angle,
         rate=rate,
         p=momentum,
@@ -284,9 +299,9 @@ def flight(
         pickoff_names=tuple(s.name for s in platform.sensors),
         torquer_names=tuple(t.name for t in platform.torquers),
         rotor_names=tuple(r.name for r in servos),
-        saturated=saturated,
-        stop_contacts=contacts,
-        ended="completed" if done == len(record) else f"diverged at t = {done * period:.6g} s",
+        saturated=counts[: len(platform.torquers)],
+        stop_contacts=counts[-1 - n : -1],
+        ended=ended,
         mode=scenario.mode,
         period=period,
         delay=scenario.delay,
