@@ -100,7 +100,7 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
     requirements, goals = judged(spec, loop.design, plants, measures)
     banded = bool(settings.band and len(plants.labels) > 1)
     kept = np.flatnonzero(plants.of(_BAND)) if banded else np.array([0])
-    every = LoopFigures(plants.only(kept) if len(kept) < len(plants.labels) else plants, K) if banded else None
+    every = LoopFigures(plants.only(kept.tolist()) if len(kept) < len(plants.labels) else plants, K) if banded else None
     s = continuous_poles(shown.poles[0], plants.period)
     grid = _grid(loop.shown, s)
     response = shown_channel(loop.shown, K, grid, channel)
@@ -153,7 +153,7 @@ def _frequency_parts(
     magnitude = np.abs(response)
     none = np.zeros(0)
     w, low, high, phase_low, phase_high = none, none, none, none, none
-    labels = (settings.plant,)
+    labels: tuple[str, ...] = (settings.plant,)
     phases, sizes, where = phase[None], magnitude[None], grid
     if every is not None:
         w = every.plants.frequency
@@ -240,7 +240,7 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
     plants = loop.plants
     title, duration, limit, rate = caged_rate(loop.job, axis, plants.nutation)
     t, sampled_every = sample_times(duration, plants.period, _POINTS)
-    u = rate(np.arange(sampled_every * (len(t) - 1) + 1) * plants.period)
+    u = rate(np.arange(sampled_every * (len(t) - 1) + 1, dtype=np.float64) * plants.period)
     m, p = shown.m, shown.p
     largest = np.abs(u).max()
 

@@ -98,7 +98,7 @@ def sample_times(duration: float, period: float, points: int) -> tuple[FloatArra
     """Return about `points` times of samples over `duration`, s, and how many periods lie between them."""
     every = max(1, math.ceil(duration / period / points))
     count = max(2, math.ceil(duration / period / every - 1e-9) + 1)
-    return np.arange(count) * (every * period), every
+    return np.asarray(np.arange(count) * (every * period), dtype=np.float64), every
 
 
 def held_responses(

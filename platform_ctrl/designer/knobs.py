@@ -224,8 +224,9 @@ def plant_knobs(settings: Settings, start: Settings, Omega: tuple[float, float, 
     ]
     for name, spin in settings.spins.items():
         first = start.spins[name]
-        ends = sorted((0.0, 1.6 * first)) if first else (-1e3, 1e3)
-        out.append(knob(f"spin {name}", f"rotor {name}", "rad/s", "rotors", *ends, spin, "speed against its carrier"))
+        low, high = (min(0.0, 1.6 * first), max(0.0, 1.6 * first)) if first else (-1e3, 1e3)
+        tip = "speed against its carrier"
+        out.append(knob(f"spin {name}", f"rotor {name}", "rad/s", "rotors", low, high, spin, tip))
     for k, rate_now in enumerate(settings.Omega):
         most = 2.0 * Omega[k] if Omega[k] > 0.0 else 1.0
         tip = "platform rate at which the plants are shown"
@@ -243,21 +244,23 @@ def moved(settings: Settings, knobs: Mapping[str, Knob], name: str, number: floa
     """
     known_name("knob", name, tuple(knobs))
     at = _number(name, number)
+    if name == "rate_hz" and not at > 0.0:
+        raise ArgumentError(f"rate_hz: given {short(number)}; expected a rate > 0, Hz")
     if name in ("rate_hz", "delay"):
-        period = 1.0 / (at if name == "rate_hz" else settings.rate_hz)
-        delay = at if name == "delay" else settings.delay
-        if not (at > 0.0 or name == "delay") or not 0.0 <= delay <= _LONGEST_DELAY * period * (1.0 + 1e-9):
+        new = settings.but(**{name: at})
+        longest = _LONGEST_DELAY / new.rate_hz
+        if not 0.0 <= new.delay <= longest * (1.0 + 1e-9):
             raise ArgumentError(
-                f"{name}: given {short(number)}; expected a rate > 0 and a delay from 0 to {_LONGEST_DELAY:g} periods, "
-                f"here {_LONGEST_DELAY * period if math.isfinite(period) else math.inf:.3g} s"
+                f"{name}: given {short(number)}, so that the delay is {new.delay * new.rate_hz:.4g} periods; expected "
+                f"0 to {_LONGEST_DELAY:g}"
             )
-        return dataclasses.replace(settings, **{name: at})
+        return new
     if name.startswith("spin ") and knobs[name].group == "rotors":
         return dataclasses.replace(settings, spins={**settings.spins, name.removeprefix("spin "): at})
     if knobs[name].group == "Omega":
         rates = list(settings.Omega)
         rates[int(name[-1]) - 1] = at
-        return dataclasses.replace(settings, Omega=tuple(rates))
+        return settings.but(Omega=tuple(rates))
     if not at > 0.0:
         raise ArgumentError(f"{name}: given {short(number)}; expected a number > 0")
     return with_options(settings, {name: float(round(at)) if name in COUNTS else at})

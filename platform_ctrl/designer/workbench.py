@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.arguments import known_name
+from platform_ctrl.arguments import known_name, short
 from platform_ctrl.design.channels import Channels
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.caged import CagedLoop, caged_parts
@@ -17,7 +17,7 @@ from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL, classical_arra
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs
 from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
 from platform_ctrl.designer.values import Knob, Offer, Part, Picture, Settings
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import DesignSpec, Job, LoopSpec, Sampling
 from platform_ctrl.reading import read_job
@@ -93,6 +93,34 @@ class Workbench:
             plant=settings.plant if name == settings.loop else "nominal",
             overlays=tuple(o for o in settings.overlays if o in {d.name for d in spec.designs} - {design}),
         )
+
+    @property
+    def title(self) -> str:
+        """The job's name."""
+        return self.read.name
+
+    def expect_plant(self, settings: Settings) -> None:
+        """Judge the names that no list of a page holds: plant, channel, fixed knobs.
+
+        Raises
+        ------
+        ArgumentError
+            The job has no such thing.
+        """
+        spec, _ = self._design(settings)
+        labels = self.plants(settings)
+        if settings.plant not in labels:
+            raise ArgumentError(f"plant: given {short(settings.plant)}; expected the label of one of {len(labels)}")
+        known_name("channel", settings.channel, self._channels(spec))
+        for name in sorted(settings.fixed):
+            known_name("fixed", name, tuple(knob.name for knob in self.knobs(settings)))
+
+    def plants(self, settings: Settings) -> tuple[str, ...]:
+        """Return the labels of the plants that may be shown."""
+        spec, _ = self._design(settings)
+        if spec.kind != "caging":
+            return ("nominal",)
+        return self._quick[spec.name].labels(self._range(settings))
 
     def knobs(self, settings: Settings) -> tuple[Knob, ...]:
         """Return all knobs of the settings, those of the design first.
