@@ -1,0 +1,101 @@
+// What is shown: mode, loop, design, plant and the rest; verdict and margins.
+import { ask, byId, made, on, shown } from "./wire.js";
+
+const SELECTS = { loop: "loop", design: "design", channel: "channel", axis: "axis", plant: "plant" };
+
+const fill = (select, options, value) => {
+  const now = JSON.stringify(options);
+  if (select.dataset.options !== now) {
+    select.dataset.options = now;
+    select.replaceChildren(...options.map((one) => made("option", { value: String(one.value ?? one) }, String(one.label ?? one))));
+  }
+  if (select.value !== String(value)) select.value = String(value);
+  select.disabled = options.length < 2;
+};
+
+for (const [id, name] of Object.entries(SELECTS)) {
+  byId(id).addEventListener("change", (event) => ask("set", { name, value: name === "axis" ? Number(event.target.value) : event.target.value }));
+}
+byId("band").addEventListener("change", (event) => ask("set", { name: "band", value: event.target.checked }));
+
+// Buttons of which one is chosen: Tab reaches the chosen one, arrows go through them.
+const radios = (group, choose) => {
+  const buttons = [...group.querySelectorAll("button")];
+  const paint = (is) => {
+    for (const button of buttons) {
+      button.setAttribute("aria-checked", String(is(button)));
+      button.tabIndex = is(button) ? 0 : -1;
+    }
+  };
+  for (const [k, button] of buttons.entries()) {
+    button.addEventListener("click", () => choose(button));
+    button.addEventListener("keydown", (event) => {
+      const way = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+      if (!way) return;
+      const next = buttons[(k + way + buttons.length) % buttons.length];
+      next.focus();
+      choose(next);
+      event.preventDefault();
+    });
+  }
+  return paint;
+};
+const paintMode = radios(byId("mode"), (button) => ask("set", { name: "mode", value: button.dataset.mode }));
+const paintTheme = radios(byId("theme"), (button) => window.designerTheme.choose(button.dataset.themeChoice));
+export const themeChanged = () => {
+  paintTheme((button) => button.dataset.themeChoice === window.designerTheme.choice());
+  ask("dark", { dark: window.designerTheme.isDark() });
+};
+window.designerTheme.onChange(themeChanged);
+
+let state = null;
+export const shownState = () => state;
+on("state", (given) => {
+  state = given;
+  paintMode((button) => button.dataset.mode === given.mode);
+  for (const button of byId("mode").children) button.disabled = !given.choices.mode.includes(button.dataset.mode);
+  for (const [id, name] of Object.entries(SELECTS)) fill(byId(id), given.choices[name], given[name]);
+  byId("band").checked = given.band;
+  fill(byId("manoeuvre"), given.choices.manoeuvre, given.manoeuvre);
+  byId("fly").disabled = given.choices.manoeuvre.length === 0;
+  byId("undo").disabled = !given.undo;
+  byId("redo").disabled = !given.redo;
+  byId("tune").disabled = !given.tunable;
+  byId("compare").disabled = given.choices.overlays.length === 0;
+  history.replaceState(null, "", given.link === "" ? location.pathname : `?state=${given.link}`);
+  byId("overlays").replaceChildren(...given.choices.overlays.map((one) => {
+    const box = made("input", { type: "checkbox", checked: given.overlays.includes(one.design) });
+    box.addEventListener("change", () => {
+      const boxes = [...byId("overlays").querySelectorAll("input")];
+      ask("set", { name: "overlays", value: given.choices.overlays.filter((_, k) => boxes[k].checked).map((each) => each.design) });
+    });
+    return made("li", {}, made("label", {}, box, made("span", {}, one.design), made("span", { className: "quiet" }, one.method)));
+  }));
+});
+
+on("bar", (given) => {
+  const verdict = byId("verdict");
+  verdict.className = `verdict ${given.verdict}`;
+  verdict.querySelector(".mark").textContent = { good: "✓", bad: "✗" }[given.verdict] ?? "";
+  verdict.querySelector(".words").replaceChildren(given.words, ...(given.more ? [made("small", { title: given.more }, given.more)] : []));
+  byId("figures").replaceChildren(...given.figures.map((one) =>
+    made("div", { className: one.bad ? "bad" : "", title: one.tip ?? "" }, made("dt", {}, one.label),
+      made("dd", {}, typeof one.value === "string" && one.value !== "inf" ? one.value : shown(one.value, 3), made("small", {}, one.unit)))));
+  byId("elapsed").textContent = given.elapsed;
+});
+
+on("line", (given) => {
+  const line = byId("line");
+  line.textContent = given?.text ?? "";
+  line.title = line.textContent;
+  line.className = given?.kind ?? "";
+});
+on("busy", (given) => {
+  byId("busy").hidden = given === null;
+  if (given === null) return;
+  byId("busy").querySelector(".words").textContent = given.text;
+  const progress = byId("busy").querySelector("progress");
+  if (given.share === null) progress.removeAttribute("value");
+  else progress.value = given.share;
+  byId("cancel").hidden = !given.cancel;
+});

@@ -1,0 +1,85 @@
+// What the page asks of the server, and who listens to what it is told.
+// Moves of sliders are never queued: while one is being worked out, only the newest of each slider waits.
+let send = null;
+let asked = 0, answered = 0, gesture = 0;
+const waiting = new Map();
+const listeners = new Map();
+
+export const byId = (id) => document.getElementById(id);
+
+export const made = (tag, properties = {}, ...children) => {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.includes("-") || name === "role" || name === "for" || name === "scope") element.setAttribute(name, value);
+    else element[name] = value;
+  }
+  element.append(...children);
+  return element;
+};
+
+export const icon = (name) => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const svg = document.createElementNS(SVG, "svg"), use = document.createElementNS(SVG, "use");
+  svg.setAttribute("class", "icon");
+  svg.setAttribute("aria-hidden", "true");
+  svg.setAttribute("viewBox", "0 0 16 16");
+  use.setAttribute("href", `#icon-${name}`);
+  svg.append(use);
+  return svg;
+};
+
+export const ask = (what, more = {}) => {
+  if (send === null) return;
+  asked += 1;
+  send({ n: asked, what, ...more });
+};
+
+const sendWaiting = () => {
+  if (answered < asked || waiting.size === 0) return;
+  const moves = [...waiting.values()];
+  waiting.clear();
+  ask("move", { moves, gesture });
+};
+
+// One gesture is one step of undo: a drag, a series of arrow keys, a number typed.
+export const move = (knob, value) => {
+  waiting.set(knob, { knob, value });
+  sendWaiting();
+};
+export const newGesture = () => { gesture += 1; };
+export const pending = (knob) => waiting.has(knob);
+export const settled = (n) => n >= asked;
+export const traffic = () => ({ asked, answered, waiting: waiting.size });
+export const connect = (given) => { send = given; };
+
+export const on = (part, listen) => {
+  if (!listeners.has(part)) listeners.set(part, []);
+  listeners.get(part).push(listen);
+};
+
+export const hear = (told) => {
+  for (const [part, content] of Object.entries(told)) {
+    for (const listen of listeners.get(part) ?? []) listen(content, told);
+  }
+  if (typeof told.n === "number" && told.n >= answered) {
+    answered = told.n;
+    sendWaiting();
+  }
+};
+
+// Numbers as an instrument shows them: four figures, no exponent where none is needed.
+export const shown = (value, figures = 4) => {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  if (value === "inf" || value === Infinity) return "∞";
+  if (value === "-inf" || value === -Infinity) return "−∞";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  const text = size >= 1e6 || size < 1e-4
+    ? value.toExponential(figures - 2).replace(/\.?0+e/, "e").replace("e+", "e")
+    : String(Number(value.toPrecision(size >= 1000 ? Math.max(figures, 5) : figures)));
+  return text.replace("-", "−");
+};
+export const typed = (text) => {
+  const plain = text.trim().replace("−", "-").replace(/^(-?\d*),(\d+)$/, "$1.$2");
+  return plain === "" ? NaN : Number(plain);
+};

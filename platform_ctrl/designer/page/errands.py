@@ -1,0 +1,210 @@
+"""What takes a page longer than a picture: tuning, the influence of the sliders, saving, a simulated run."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.designer.page.asking import Ask
+from platform_ctrl.designer.page.saving import check_line, target
+from platform_ctrl.designer.page.telling import influence_told
+from platform_ctrl.errors import PlatformCtrlError
+
+if TYPE_CHECKING:
+    from platform_ctrl.designer.page.session import Session
+    from platform_ctrl.designer.values import Settings
+
+# Seconds between two tellings of how far a long task is.
+TOLD = 0.15
+_log = logging.getLogger(__name__)
+
+
+def words_of(error: Exception) -> str:
+    """Return the line that a page shows for an error; one that is no error of input is told to the log as well.
+
+    Parameters
+    ----------
+    error
+        What was raised.
+
+    Returns
+    -------
+    str
+        One line.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+    if isinstance(error, PlatformCtrlError):
+        return str(error)
+    _log.error("the designer's page: %s", " ".join(f"{type(error).__name__}: {error}".split()))
+    return f"This could not be worked out ({type(error).__name__}); the terminal says more."
+
+
+class Errands:
+    """The long tasks of a session, each in a thread of its own.
+
+    Parameters
+    ----------
+    session
+        Whose they are.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._cancelled: threading.Event | None = None
+        self._influence_of: dict[str, Any] | None = None
+        self._measuring = False
+
+    def close(self) -> None:
+        """End what is going on; nothing is told any more."""
+        self.cancel_tuning()
+
+    def told(self) -> dict[str, Any]:
+        """Return what the page has to know for saving and running."""
+        path = self._session.workbench.path
+        stem = "job" if path is None else path.stem
+        manoeuvres = self._session.offer.manoeuvres
+        return {
+            "folder": str(self._folder()),
+            "stem": f"{stem}-tuned",
+            "manoeuvre": manoeuvres[0] if manoeuvres else "",
+        }
+
+    def ask(self, ask: Ask) -> None:
+        """Do what a message asks for."""
+        getattr(self, f"_ask_{ask.what}")(ask)
+
+    def cancel_tuning(self) -> None:
+        """End tuning, if it is going on."""
+        if self._cancelled is not None:
+            self._cancelled.set()
+
+    def influence(self, settings: Settings) -> None:
+        """Work out what each slider does to each requirement of these settings, and tell the page."""
+        session = self._session
+        if self._measuring or self._cancelled is not None:
+            return
+        self._measuring = True
+
+        def measured() -> Callable[[], None]:
+            influence = session.workbench.influence(settings)
+
+            def tell() -> None:
+                self._measuring = False
+                now = session.picture
+                if now is not None and now.settings.data() == settings.data():
+                    session.answer(influence=influence_told(influence))
+                elif now is not None:
+                    self.influence(now.settings)
+
+            return tell
+
+        def failed(line: str) -> None:
+            self._measuring = False
+
+        self._do(measured, failed)
+
+    def _ask_cancel(self, ask: Ask) -> None:
+        self.cancel_tuning()
+        self._session.answer(ask.count)
+
+    def _ask_tune(self, ask: Ask) -> None:
+        session = self._session
+        if self._cancelled is not None:
+            session.say("Tuning is going on already.", count=ask.count)
+            return
+        self._cancelled = cancelled = threading.Event()
+        settings, last = session.settings, [0.0]
+        session.answer(ask.count, busy={"text": "Tuning the rest", "share": 0.0, "cancel": True})
+
+        def progress(share: float) -> None:
+            now = time.monotonic()
+            if now - last[0] < TOLD:
+                return
+            last[0] = now
+            busy = {"text": "Tuning the rest", "share": min(max(float(share), 0.0), 1.0), "cancel": True}
+            session.later(lambda: session.answer(busy=busy) if self._cancelled is cancelled else None)
+
+        def tuned() -> Callable[[], None]:
+            new = session.workbench.tuned(settings, progress, cancelled.is_set)
+
+            def show() -> None:
+                self._cancelled = None
+                session.answer(busy=None)
+                if cancelled.is_set():
+                    session.say("Tuning was cancelled; nothing was moved.")
+                    return
+                session.change("tune", lambda _: new)
+
+            return show
+
+        def failed(line: str) -> None:
+            self._cancelled = None
+            session.answer(busy=None, line={"text": line, "kind": "quiet" if cancelled.is_set() else "error"})
+
+        self._do(tuned, failed)
+
+    def _ask_save(self, ask: Ask) -> None:
+        session = self._session
+        path = target(self._folder(), ask.more["name"])
+        settings, overwrite = session.settings, ask.more["overwrite"]
+        if path.exists() and not overwrite:
+            told = {"kind": "error", "text": f"{path.name} exists already: overwrite it?", "exists": True}
+            session.answer(ask.count, saved=told)
+            return
+        session.answer(ask.count)
+
+        def saved() -> Callable[[], None]:
+            session.workbench.saved(settings, path, overwrite=overwrite)
+            told = {"kind": "good", "text": f"Saved: {path}", "command": check_line(path)}
+            return lambda: session.answer(saved=told, line={"text": f"Saved: {path}", "kind": "good"})
+
+        self._do(saved, lambda line: session.answer(saved={"kind": "error", "text": line}))
+
+    def _ask_fly(self, ask: Ask) -> None:
+        session = self._session
+        manoeuvre = ask.more["manoeuvre"]
+        known_name("manoeuvre", manoeuvre, session.offer.manoeuvres)
+        settings = session.settings
+        session.answer(ask.count, busy={"text": "Simulating", "share": None, "cancel": False})
+
+        def flown() -> Callable[[], None]:
+            trajectory = session.workbench.run(settings, manoeuvre)
+
+            def show() -> None:
+                session.tree.show(trajectory)
+                session.answer(busy=None, flown=manoeuvre)
+
+            return show
+
+        self._do(flown, lambda line: session.answer(busy=None, line={"text": line, "kind": "error"}))
+
+    def _folder(self) -> Path:
+        path = self._session.workbench.path
+        return (Path() if path is None else path.parent).resolve()
+
+    def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:
+        """Do `work` in a thread; what it returns, or `failed` with a line, is then called on the server's loop."""
+        session = self._session
+
+        def run() -> None:
+            try:
+                done = work()
+            except Exception as error:
+                line = words_of(error)
+                session.later(lambda: failed(line))
+            else:
+                session.later(done)
+
+        threading.Thread(target=run, name="designer errand", daemon=True).start()

@@ -1,0 +1,315 @@
+"""What one page is: its settings, their history, its plots, and what is being worked out for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.designer.history import History
+from platform_ctrl.designer.link import settings_of, text_of
+from platform_ctrl.designer.page import telling
+from platform_ctrl.designer.page.asking import Ask, ask_of
+from platform_ctrl.designer.page.choosing import chosen
+from platform_ctrl.designer.page.errands import Errands, words_of
+from platform_ctrl.designer.page.newest import Newest
+from platform_ctrl.designer.page.wire import Wire
+from platform_ctrl.designer.plots import Plots
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.frozen import value
+
+if TYPE_CHECKING:
+    from bokeh.document import Document
+
+    from platform_ctrl.designer.values import Picture, Settings
+    from platform_ctrl.designer.workbench import Workbench
+
+# Milliseconds without a change after which the influence of the sliders is worked out.
+IDLE = 350
+Change = Callable[["Settings"], "Settings"]
+
+
+@value
+class Task:
+    """A change of the settings that is to be shown; steps of one gesture are undone together."""
+
+    count: int
+    change: Change
+    gesture: object
+
+
+@value
+class Outcome:
+    """What came of some tasks: a picture, or a line that says why there is none."""
+
+    settings: Settings
+    picture: Picture | None
+    line: str | None
+    count: int
+    gesture: object
+
+
+class Session:
+    """One page. Everything that it holds goes with it when it is closed.
+
+    Its methods run on the server's loop while the document is locked, but `_work`, which runs in a thread.
+
+    Parameters
+    ----------
+    workbench
+        Shared with the other pages.
+    document
+        The page's.
+    state
+        What the address of the page asks for; empty: the job as it is.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    def __init__(self, workbench: Workbench, document: Document, state: str) -> None:
+        self.workbench = workbench
+        self.document: Document | None = document
+        self.offer = workbench.offer()
+        self.title = workbench.read.name
+        self.settings = workbench.start()
+        self._line: str | None = None
+        if state:
+            try:
+                self.settings = settings_of(workbench, state)
+            except PlatformCtrlError as error:
+                self._line = f"The state in the link was not used: {error}"
+        self.history = History(self.settings)
+        self.picture: Picture | None = None
+        self.wire = Wire(name="wire")
+        self.wire.on_change("asked", self._asked)
+        self.plots = Plots(dark=False)
+        self.plots.on_pole_pulled(self._pole_pulled)
+        self.plots.on_crossover_pulled(self._crossover_pulled)
+        self._answered = 0
+        self._gesture: object = None
+        self._newest: Newest[Task] = Newest(self._work)
+        self._lock = threading.Lock()
+        self._outcome: Outcome | None = None
+        self._idle: Any = None
+        self._errands = Errands(self)
+
+    def roots(self) -> list[Any]:
+        """Return what the document holds, each under the name that the template knows."""
+        return [*self.plots.layout.values(), self.wire]
+
+    def close(self, session_context: object) -> None:
+        """End what is going on and let go of everything; the page is gone."""
+        self._newest.close()
+        self._errands.close()
+        self.document = self._idle = self._outcome = self.picture = None
+
+    def later(self, act: Callable[[], None]) -> None:
+        """Have something done on the server's loop; from any thread."""
+        document = self.document
+        if document is not None:
+            document.add_next_tick_callback(lambda: None if self.document is None else act())
+
+    def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
+        """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
+        self.answer(count, line={"text": text, "kind": kind})
+
+    def answer(self, count: int | None = None, **parts: Any) -> None:
+        """Tell the page something, and up to which of its messages everything is done."""
+        self._answered = max(self._answered, count or 0)
+        self.wire.tell(n=self._answered, **parts)
+
+    def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
+        """Have the settings changed and shown. A change of the same key that still waits is dropped."""
+        self._errands.cancel_tuning()
+        if gesture is None:
+            gesture = object()
+        self._newest.add(key, Task(count=count, change=change, gesture=gesture))
+
+    # What the page asks for.
+
+    def _asked(self, name: str, old: object, new: object) -> None:
+        """Do what a message asks for; nonsense is answered by a line."""
+        count = None
+        try:
+            ask = ask_of(new)
+            count = ask.count
+            getattr(self, f"_ask_{ask.what}", self._errands.ask)(ask)
+        except PlatformCtrlError as error:
+            self.say(str(error), "error", count)
+
+    def _ask_ready(self, ask: Ask) -> None:
+        self.change("ready", lambda settings: settings, count=ask.count, gesture="ready")
+
+    def _ask_dark(self, ask: Ask) -> None:
+        self.plots.dark(ask.more["dark"])
+        self.answer(ask.count)
+
+    def _ask_move(self, ask: Ask) -> None:
+        moved = self.workbench.moved
+        for knob, number in ask.more["moves"]:
+
+            def change(settings: Settings, knob: str = knob, number: float = number) -> Settings:
+                return moved(settings, knob, number)
+
+            self.change(f"move {knob}", change, count=ask.count, gesture=("move", knob, ask.more["gesture"]))
+        if not ask.more["moves"]:
+            self.answer(ask.count)
+
+    def _ask_fix(self, ask: Ask) -> None:
+        knob, fixed, knobs = ask.more["knob"], ask.more["fixed"], self.workbench.knobs
+
+        def change(settings: Settings) -> Settings:
+            known_name("slider", knob, [one.name for one in knobs(settings)])
+            return settings.but(fixed=settings.fixed | {knob} if fixed else settings.fixed - {knob})
+
+        self.change(f"fix {knob}", change, count=ask.count)
+
+    def _ask_reset(self, ask: Ask) -> None:
+        knob, starts, moved = ask.more["knob"], self._starts, self.workbench.moved
+
+        def change(settings: Settings) -> Settings:
+            first = starts(settings)
+            known_name("slider", knob, list(first))
+            return moved(settings, knob, first[knob])
+
+        self.change(f"move {knob}", change, count=ask.count)
+
+    def _ask_part(self, ask: Ask) -> None:
+        switched, part, on = self.workbench.switched, ask.more["part"], ask.more["on"]
+        self.change(f"part {part}", lambda settings: switched(settings, part, on), count=ask.count)
+
+    def _ask_set(self, ask: Ask) -> None:
+        workbench, name, given = self.workbench, ask.more["name"], ask.more["value"]
+        plants = () if self.picture is None else self.picture.plants
+        self.change(
+            f"set {name}", lambda settings: chosen(workbench, settings, name, given, plants), count=ask.count
+        )
+
+    def _ask_undo(self, ask: Ask) -> None:
+        self._gone_to(ask, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
+
+    def _ask_redo(self, ask: Ask) -> None:
+        self._gone_to(ask, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
+
+    def _gone_to(self, ask: Ask, step: Callable[[], Settings] | None, nothing: str) -> None:
+        if step is None:
+            self.say(nothing, count=ask.count)
+            return
+        there = step()
+        self.change("history", lambda settings: there, count=ask.count, gesture="history")
+
+    def _pole_pulled(self, pole: complex, target: complex) -> None:
+        pulled = self.workbench.pulled_pole
+        self.change("pull", lambda settings: pulled(settings, pole, target), gesture=("pole", pole))
+
+    def _crossover_pulled(self, frequency: float) -> None:
+        pulled = self.workbench.pulled_crossover
+        self.change("pull", lambda settings: pulled(settings, frequency), gesture="crossover")
+
+    # What comes of it.
+
+    def _work(self, tasks: list[Task]) -> None:
+        """Work out a picture for all tasks together; runs in a thread."""
+        settings, line, picture = self.settings, None, None
+        for task in tasks:
+            try:
+                settings = task.change(settings)
+            except Exception as error:
+                line = words_of(error)
+        try:
+            picture = self.workbench.picture(settings)
+        except Exception as error:
+            line = words_of(error)
+        last = tasks[-1]
+        count = max(task.count for task in tasks)
+        with self._lock:
+            if picture is not None:
+                # What the next tasks start from, before it is shown.
+                self.settings = settings
+            scheduled = self._outcome is not None
+            self._outcome = Outcome(settings=settings, picture=picture, line=line, count=count, gesture=last.gesture)
+        if not scheduled:
+            self.later(self._show)
+
+    def _show(self) -> None:
+        with self._lock:
+            out, self._outcome = self._outcome, None
+        if out is None:
+            return
+        line = self._line or out.line
+        self._line = None
+        told: dict[str, Any] = {"line": {"text": line or "", "kind": "error" if line else "quiet"}}
+        if out.picture is not None:
+            self._remember(out.settings, out.gesture)
+            self.picture = out.picture
+            self.plots.show(out.picture)
+            told |= self._told(out.picture)
+            self._rest()
+        elif self.picture is not None:
+            # The sliders go back to what is shown.
+            told |= {"knobs": self._knobs(self.picture.settings), "parts": self._parts(self.picture.settings)}
+        self.answer(out.count, **told)
+
+    def _remember(self, settings: Settings, gesture: object) -> None:
+        if gesture == self._gesture and gesture not in ("ready", "history"):
+            self.history.replace(settings)
+        elif gesture != "history":
+            self.history.put(settings)
+        self._gesture = gesture
+
+    def _told(self, picture: Picture) -> dict[str, Any]:
+        settings = picture.settings
+        knobs = self._knobs(settings)
+        return {
+            "state": {
+                "mode": settings.mode,
+                "loop": settings.loop,
+                "design": settings.design,
+                "channel": settings.channel,
+                "axis": settings.axis,
+                "plant": settings.plant,
+                "band": settings.band,
+                "overlays": list(settings.overlays),
+                "choices": telling.choices_told(self.offer, settings, picture.plants),
+                "undo": self.history.can_undo,
+                "redo": self.history.can_redo,
+                "tunable": any(one["tunable"] and not one["fixed"] for one in knobs),
+                "link": text_of(self.workbench, settings),
+                **self._errands.told(),
+            },
+            "parts": self._parts(settings),
+            "knobs": knobs,
+            "bar": telling.bar_told(picture),
+            "requirements": telling.requirements_told(picture),
+        }
+
+    def _knobs(self, settings: Settings) -> list[dict[str, Any]]:
+        return telling.knobs_told(self.workbench.knobs(settings), self._starts(settings))
+
+    def _parts(self, settings: Settings) -> list[dict[str, Any]]:
+        parts = self.workbench.parts(settings)
+        return [{"name": one.name, "label": one.label, "on": one.on, "tip": one.tip} for one in parts]
+
+    def _starts(self, settings: Settings) -> dict[str, float]:
+        """Return where the sliders of these settings stood first: in the job file."""
+        first = self.workbench.start()
+        there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
+        return {one.name: one.value for one in self.workbench.knobs(there)}
+
+    def _rest(self) -> None:
+        """Once nothing has changed for a while, work out what each slider does to each requirement."""
+        document = self.document
+        if document is None:
+            return
+        if self._idle is not None:
+            document.remove_timeout_callback(self._idle)
+
+        def rested() -> None:
+            self._idle = None
+            if self.picture is not None:
+                self._errands.influence(self.picture.settings)
+
+        self._idle = document.add_timeout_callback(rested, IDLE)
