@@ -1,0 +1,379 @@
+"""What the unit does, in the Python of the tool that imports it: PythonFMU3 passes FMI's calls on to here.
+
+No exception may leave: the library then lets go of the instance under the importer's hands. What goes wrong is logged
+and comes back as the status of the next step.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pythonfmu3 import Fmi3Slave
+from pythonfmu3.default_experiment import DefaultExperiment
+from pythonfmu3.enums import Fmi3Causality, Fmi3Status, Fmi3Variability
+from pythonfmu3.fmi3slave import Fmi3StepResult
+from pythonfmu3.unit import Unit
+from pythonfmu3.variable_types import EnumerationType
+from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
+
+from platform_ctrl import __version__
+from platform_ctrl.check.given import read_controllers
+from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
+from platform_ctrl.export.fmu.signals import (
+    QUATERNION,
+    UNITS,
+    Signal,
+    inputs_of,
+    output_values,
+    outputs_of,
+    parameters_of,
+    runs_of,
+)
+from platform_ctrl.frozen import replaced
+from platform_ctrl.job import Job, manoeuvre_scenario
+from platform_ctrl.reading import read_job
+from platform_ctrl.scenario import Scenario
+from platform_ctrl.simulation import Stepper, acting
+
+JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
+# How far a communication point may lie from a sample, in periods: what sums of steps are rounded by, and much more.
+_NEAR = 1e-6
+# Units that are shown in their place, and how many of them make one.
+_SHOWN = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi)}
+
+
+class _Choice(Enumeration):  # type: ignore[misc]
+    """One of several names; the library (0.3.4) asks a variable of this kind for what it has given the others alone."""
+
+    dimensions = ()
+
+    def size(self, variables: object) -> int:
+        return 1
+
+
+_KINDS = {"Float64": Float64, "Int64": Int64, "Boolean": Boolean, "Enumeration": _Choice}
+
+
+class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
+    """Non-linear plant and sampled controllers of a job, advanced from sample to sample.
+
+    Parameters
+    ----------
+    instance_name, resources
+        What PythonFMU3 passes: the instance's name and the folder of the unit's resources.
+
+    Raises
+    ------
+    InputError
+        The resources are not those that the unit was written with.
+
+    References
+    ----------
+    See docs/fmu.md.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        folder = Path(str(kwargs["resources"]))
+        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        for name in (JOB, CONTROLLERS):
+            if sha256((folder / name).read_bytes()).hexdigest() != about["sha256"][name]:
+                raise InputError(f"resources/{name}: is not the file that the FMU was written with")
+        self._about = about
+        self._job: Job = read_job(folder / JOB)
+        self._controllers = read_controllers(folder / CONTROLLERS, self._job)
+        self._parameters = parameters_of(self._job, about["manoeuvre"])
+        self._inputs = inputs_of(self._job)
+        self._outputs = outputs_of(self._job)
+        self._given: dict[str, Any] = {one.name: one.start for one in (*self._parameters, *self._inputs)}
+        self._values: list[float | int] = [math.nan if s.kind == "Float64" else 0 for s in self._outputs]
+        self._stepper: Stepper | None = None
+        # Between instantiation and the end of initialisation parameters may still change.
+        self._begun, self._ended, self._stale = False, False, True
+        self._failure = ""
+        self._time, self._start = 0.0, math.nan
+        if about["platform_ctrl"] != __version__:
+            text = f"written by platform_ctrl {about['platform_ctrl']}, run by {__version__}: numbers may differ"
+            self.log(text, Fmi3Status.warning)
+        self._describe()
+
+    def _describe(self) -> None:
+        """Register variables, units and all else that modelDescription.xml tells."""
+        self.modelName = self._about["identifier"]
+        self.description = self._about["description"]
+        self.version = self._about["platform_ctrl"]
+        self.guid = self._about["token"]
+        period = self._job.sampling.period
+        longest = max((one.duration for one in self._job.manoeuvres), default=1.0)
+        self.default_experiment = DefaultExperiment(0.0, longest, period)
+        self.register_units([Unit(name, **base) for name, base in UNITS.items()])
+        time = Float64(
+            "time",
+            causality=Fmi3Causality.independent,
+            variability=Fmi3Variability.continuous,
+            unit="s",
+            getter=lambda: self._time,
+            description="Time of the last communication point",
+        )
+        self.register_variable(time)
+        runs = [SimpleNamespace(name=name, value=k) for k, name in enumerate(runs_of(self._job), 1)]
+        for signal in (*self._parameters, *self._inputs):
+            kind = EnumerationType("Manoeuvre", runs) if signal.kind == "Enumeration" else None
+            self._register(signal, partial(self._given.__getitem__, signal.name), self._setter(signal), kind)
+        for k, signal in enumerate(self._outputs):
+            self._register(signal, partial(self._output, k), None, None)
+
+    def _register(
+        self, signal: Signal, getter: Callable[[], Any], setter: Callable[[Any], None] | None, kind: Any
+    ) -> None:
+        unit = {"unit": signal.unit} if signal.unit else {}
+        variable = _KINDS[signal.kind](
+            signal.name,
+            causality=Fmi3Causality[signal.causality],
+            variability=Fmi3Variability[signal.variability],
+            description=signal.description,
+            getter=getter,
+            setter=setter,
+            **unit,
+        )
+        self.register_variable(variable, nested=False, var_type=kind)
+
+    def _setter(self, signal: Signal) -> Callable[[Any], None]:
+        def put(number: Any) -> None:
+            if signal.causality == "parameter" and self._begun:
+                self._fail(f"{signal.name}: is set while the unit runs; expected before or during initialisation")
+                return
+            self._given[signal.name] = number
+            self._stale = self._stale or not self._begun
+
+        return put
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """Return modelDescription.xml: the library's, with exact numbers, without the time of writing.
+
+        Parameters
+        ----------
+        model_options
+            As the library has them.
+
+        Returns
+        -------
+        xml.etree.ElementTree.Element
+            The root.
+
+        References
+        ----------
+        Modelica Association, Functional Mock-up Interface Specification 3.0, 2022.
+        """
+        root: Element = super().to_xml(model_options or {})
+        del root.attrib["generationDateAndTime"]
+        root.set("modelName", self._about["name"])
+        root.set("generationTool", f"platform_ctrl {__version__}, {root.get('generationTool')}")
+        able = ("canGetAndSetFMUState", "canSerializeFMUState", "canHandleVariableCommunicationStepSize")
+        about = root.find("CoSimulation")
+        assert about is not None
+        for name in able:
+            about.set(name, "true")
+        about.set("fixedInternalStepSize", repr(self._job.sampling.period))
+        for unit in root.iter("Unit"):
+            if unit.get("name") in _SHOWN:
+                name, factor = _SHOWN[str(unit.get("name"))]
+                SubElement(unit, "DisplayUnit", {"name": name, "factor": repr(factor)})
+        starts = {one.name: one.start for one in (*self._parameters, *self._inputs)}
+        for variable in root.iter("Float64"):
+            if variable.get("name") in starts:
+                variable.set("start", repr(float(starts[str(variable.get("name"))] or 0.0)))
+        return root
+
+    def exit_initialization_mode(self) -> None:
+        """Take sample 0: from here on parameters are fixed."""
+        self._current()
+        self._begun = True
+
+    def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
+        """Fly on to the next communication point, with the inputs as they have been set.
+
+        Parameters
+        ----------
+        current_time, step_size
+            Where the unit is, and how far it is to go: a whole number of sample periods; s.
+
+        Returns
+        -------
+        Fmi3StepResult
+            `discard` for a step of another length: nothing has happened then; `error` where the run cannot go on.
+
+        References
+        ----------
+        See docs/fmu.md.
+        """
+        try:
+            status = self._step(float(current_time), float(step_size))
+        except PlatformCtrlError as error:
+            self._fail(str(error))
+            status = Fmi3Status.error
+        except Exception as error:  # none may reach the library: see above
+            self._fail(f"{type(error).__name__}: {error}")
+            status = Fmi3Status.error
+        return Fmi3StepResult(status=status)
+
+    def _step(self, time: float, length: float) -> Fmi3Status:
+        stepper, period = self._current(), self._job.sampling.period
+        if stepper is None:
+            if self._failure:
+                self.log(self._failure, Fmi3Status.error)
+            return Fmi3Status.error
+        if not math.isfinite(self._start):
+            self._start = time - stepper.sample * period
+        expected = self._start + stepper.sample * period
+        if not abs(time - expected) <= _NEAR * period:
+            raise SimulationError(
+                f"the step begins at t = {time:.9g} s; expected where the last ended, {expected:.9g} s"
+            )
+        samples = round(length / period) if math.isfinite(length) else 0
+        if samples < 1 or abs(length - samples * period) > _NEAR * period * max(1.0, abs(time) / 1e3):
+            text = f"a step of {length:.9g} s: expected a whole number of sample periods of {period:.9g} s"
+            self.log(text, Fmi3Status.discard)
+            return Fmi3Status.discard
+        Omega, slope, moment, joints = self._input_values()
+        if stepper.scenario.mode == "caged":
+            if moment.any():
+                raise InputError("M1 to M3 are inputs of stabilised runs; this one is caged: expected zero")
+            stepper.advance(samples, Omega=Omega, Omega_rate=slope, gimbal_torque=joints)
+        else:
+            if Omega.any() or slope.any():
+                raise InputError("Omega1 to Omega3 are inputs of caged runs; this one is stabilised: expected zero")
+            stepper.advance(samples, torque=moment, gimbal_torque=joints)
+        self._time = self._start + stepper.sample * period
+        if stepper.sample >= 0 and len(stepper.now.t):
+            self._values = output_values(stepper.now)
+        if not stepper.going:
+            raise SimulationError(f"the run has {stepper.now.ended}")
+        return Fmi3Status.ok
+
+    def _input_values(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        numbers = np.array([self._given[one.name] for one in self._inputs], dtype=np.float64)
+        if not np.isfinite(numbers).all():
+            wrong = self._inputs[int(np.flatnonzero(~np.isfinite(numbers))[0])].name
+            raise InputError(f"{wrong}: given a number that is not finite")
+        return numbers[:3], numbers[3:6], numbers[6:9], numbers[9:]
+
+    def terminate(self) -> None:
+        """Let go of the run; the outputs stay as they were."""
+        self._stepper, self._ended = None, True
+
+    def _fail(self, text: str) -> None:
+        """Log what goes wrong: the next step, if not this one, returns with an error."""
+        self._failure = text
+        self.log(text, Fmi3Status.error)
+
+    def _current(self) -> Stepper | None:
+        """The run, put at t = 0 anew if a parameter has changed; None where it cannot be flown or has ended."""
+        if self._ended or (self._begun and self._failure):
+            return None
+        if self._stale and not self._begun:
+            self._stale, self._stepper, self._failure = False, None, ""
+            try:
+                self._stepper = self._at_start()
+            except PlatformCtrlError as error:
+                self._fail(str(error))
+            except Exception as error:  # none may reach the library: see above
+                self._fail(f"{type(error).__name__}: {error}")
+        return self._stepper
+
+    def _output(self, k: int) -> float | int:
+        if not self._begun:
+            self._current()
+        return self._values[k]
+
+    def _at_start(self) -> Stepper:
+        scenario = self._scenario()
+        Omega, _, _, _ = self._input_values()
+        caged = scenario.mode == "caged"
+        stepper = Stepper(
+            scenario,
+            acting(self._controllers, scenario.platform, scenario.mode),
+            period=self._job.sampling.period,
+            step=self._given["step"],
+            noise=bool(self._given["noise"]),
+            Omega=Omega if caged else None,
+        )
+        if not stepper.going:
+            raise SimulationError(f"the run has {stepper.now.ended}")
+        self._values = output_values(stepper.now)
+        return stepper
+
+    def _scenario(self) -> Scenario:
+        """The run that the parameters ask for."""
+        job, given = self._job, self._given
+        names = runs_of(job)
+        chosen = int(given["manoeuvre"])
+        if not 1 <= chosen <= len(names):
+            raise InputError(f"manoeuvre: given {chosen}; expected 1 to {len(names)}")
+        platform = job.platform
+        spins = [given[one.name] for one in self._parameters if one.name.startswith("spin.")]
+        if spins != [rotor.spin for rotor in platform.rotors]:
+            rotors = tuple(
+                rotor if spin == rotor.spin else replaced(rotor, {"angular_momentum": spin * rotor.axial_inertia})
+                for rotor, spin in zip(platform.rotors, spins, strict=True)
+            )
+            platform = replaced(platform, {"rotors": rotors})
+        initial = [given[one.name] for one in self._parameters if one.name.startswith("initial.")]
+        n = len(platform.gimbals)
+        q, rate, Omega, attitude = (np.array(part) for part in np.split(initial, np.cumsum([n, n, 3])))
+        mode = "caged" if chosen == 1 else "stabilised"
+        if chosen > 2:
+            own = manoeuvre_scenario(job, job.manoeuvres[chosen - 3])
+        else:
+            own = Scenario(platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay)  # type: ignore[arg-type]
+        if own.mode == "caged" and Omega.any():
+            raise InputError("initial.Omega1 to 3 are parameters of stabilised runs; this one is caged: expected zero")
+        assert len(attitude) == len(QUATERNION)
+        return replaced(
+            own,
+            {
+                "platform": platform,
+                "delay": float(given["delay"]),
+                "q": own.q + q,
+                "rate": own.rate + rate,
+                "Omega": own.Omega + Omega,
+                "attitude": attitude,
+                "seed": int(given["seed"]),
+                "run": int(given["run"]),
+            },
+        )
+
+    def _get_fmu_state(self) -> dict[str, Any]:
+        """All that the instance has come to, in plain types."""
+        return {
+            "given": dict(self._given),
+            "values": list(self._values),
+            "times": [self._time, self._start],
+            "flags": [self._begun, self._ended, self._stale],
+            "failure": self._failure,
+            "run": None if self._stepper is None else self._stepper.snapshot().tolist(),
+        }
+
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        try:
+            self._given.update(state["given"])
+            self._failure = ""
+            self._stepper = None
+            if state["run"] is not None:
+                self._stepper = self._at_start()
+                self._stepper.restore(state["run"])
+            self._values = list(state["values"])
+            self._time, self._start = state["times"]
+            self._begun, self._ended, self._stale = state["flags"]
+            self._failure = state["failure"]
+        except Exception as error:  # none may reach the library: see above
+            self._fail(f"the state cannot be set: {type(error).__name__}: {error}")

@@ -1,0 +1,183 @@
+"""The unit as a file: built by PythonFMU3, packed so that the same job gives the same bytes."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl import __version__
+from platform_ctrl.arguments import known_name
+from platform_ctrl.check.records import laid_out
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.fmu.signals import runs_of
+from platform_ctrl.export.json_systems import write_controllers
+from platform_ctrl.job import Job
+from platform_ctrl.report.record import job_data, plant_data, toml
+from platform_ctrl.scenario import Mode
+from platform_ctrl.simulation.batch import acting, merged
+from platform_ctrl.writing import write_whole
+
+if TYPE_CHECKING:
+    import control
+
+_SCRIPT = '''"""{title}: plant and sampled controllers. Written by platform_ctrl {version}."""
+
+from pythonfmu3 import Fmi3Slave
+
+try:
+    from platform_ctrl.export.fmu.slave import PlatformSlave
+except ImportError as error:
+    raise ImportError(
+        "this FMU needs the package platform_ctrl, version {version}, in the Python that runs it: "
+        f"pip install platform_ctrl ({{error}})"
+    ) from error
+
+
+class Unit(PlatformSlave, Fmi3Slave):
+    pass
+'''
+
+
+def write_fmu(
+    job: Job,
+    controllers: Sequence[control.StateSpace],
+    path: str | os.PathLike[str],
+    *,
+    manoeuvre: str | None = None,
+    result: str | os.PathLike[str] | None = None,
+) -> Path:
+    """Write plant and sampled controllers as a functional mock-up unit (FMI 3.0, co-simulation).
+
+    The unit steps the kernel that `simulation.flight` flies: the same manoeuvre comes to the same numbers. It runs in a
+    Python with `platform_ctrl` on the machine of the importing tool.
+
+    Parameters
+    ----------
+    job
+        Plant, sampling, manoeuvres, seed.
+    controllers
+        u = K y, sampled, in the order in which they are computed; those on the platform act in stabilised runs alone.
+    path
+        Of the file, ``.fmu``; its folder is there.
+    manoeuvre
+        Value that the parameter of this name begins with: a name from the job, ``"caged"`` or ``"stabilised"`` for a
+        run that inputs alone move. None: the job's first manoeuvre; caged where it has none.
+    result
+        The ``result.json`` that the controllers come from: its SHA-256 is written into the unit.
+
+    Returns
+    -------
+    Path
+        Of the file. The same arguments give the same bytes.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant, the manoeuvre is none of the job's, or the seed is 2⁶³ or more.
+    InputError
+        PythonFMU3 is not installed, `result` cannot be read, or the file cannot be written there.
+
+    References
+    ----------
+    Modelica Association, Functional Mock-up Interface Specification 3.0, 2022.
+
+    See docs/fmu.md.
+    """
+    builder = _builder()
+    if job.seed >= 2**63:
+        raise ArgumentError(f"job: seed is {job.seed}; expected one below 2**63, which FMI's whole numbers reach")
+    modes: tuple[Mode, ...] = ("caged", "stabilised")
+    for mode in modes:
+        merged(job.platform, acting(controllers, job.platform, mode), job.sampling.period, mode)
+    hashed = None if result is None else _hash_of(Path(result))
+    with tempfile.TemporaryDirectory(prefix="platform_ctrl_") as made:
+        folder = Path(made)
+        contents = _contents(job, controllers, _place(job, manoeuvre), hashed, folder)
+        identifier = str(contents["identifier"])
+        script = folder / f"{identifier}.py"
+        title = job.name.encode("ascii", "replace").decode().replace("\\", "/").replace('"', "'")
+        script.write_text(_SCRIPT.format(title=title, version=__version__), encoding="ascii")
+        resources = sorted(file for file in folder.iterdir() if file != script)
+        built = folder / "built"
+        builder.build_FMU(script, dest=built, project_files=resources)
+        return write_whole(path, _packed(next(built.glob("*.fmu"))))
+
+
+def _builder() -> Any:
+    """Return PythonFMU3's builder.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    try:
+        from pythonfmu3.builder import FmuBuilder
+    except ImportError:
+        raise InputError(
+            "an FMU is built by PythonFMU3, which is not installed: pip install 'platform_ctrl[fmu]'"
+        ) from None
+    return FmuBuilder
+
+
+def _place(job: Job, manoeuvre: str | None) -> int:
+    if manoeuvre in ("caged", "stabilised"):
+        return 1 if manoeuvre == "caged" else 2
+    if manoeuvre is None:
+        return 3 if job.manoeuvres else 1
+    return 1 + known_name("manoeuvre", manoeuvre, runs_of(job))
+
+
+def _hash_of(result: Path) -> str:
+    try:
+        return sha256(result.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{result}: cannot be read: {error.strerror or error}") from None
+
+
+def _contents(
+    job: Job, controllers: Sequence[control.StateSpace], run: int, result: str | None, folder: Path
+) -> dict[str, Any]:
+    """Write the resources into a folder and return what the unit knows of itself."""
+    from platform_ctrl.export.fmu.slave import ABOUT, CONTROLLERS, JOB, PLANT
+
+    (folder / JOB).write_text(toml(job_data(job)), encoding="utf-8")
+    (folder / PLANT).write_text(toml(plant_data(job.platform)), encoding="utf-8")
+    write_controllers(controllers, folder / CONTROLLERS, delay=job.sampling.delay)
+    (folder / "requirements.txt").write_text(f"platform_ctrl=={__version__}\n", encoding="ascii")
+    sums = {name: sha256((folder / name).read_bytes()).hexdigest() for name in (JOB, CONTROLLERS, PLANT)}
+    whole = sha256(repr((sums, run, result, __version__)).encode()).hexdigest()
+    slug = re.sub(r"\W+", "_", job.name.encode("ascii", "ignore").decode()).strip("_")[:40] or "unit"
+    about = {
+        "schema": 1,
+        "name": job.name,
+        # Units of different contents that run in one process must not share a module: its name is made of both.
+        "identifier": f"{'' if slug[0].isalpha() else 'unit_'}{slug}_{whole[:12]}",
+        "token": f"{{{uuid.UUID(whole[:32])}}}",
+        "description": f"{job.platform.name}: the non-linear plant with its sampled controllers, "
+        f"{1.0 / job.sampling.period:g} Hz" + ("" if result is None else f"; result.json SHA-256 {result}"),
+        "platform_ctrl": __version__,
+        "manoeuvre": run,
+        "sha256": sums | ({} if result is None else {"result.json": result}),
+    }
+    (folder / ABOUT).write_text(laid_out(about) + "\n", encoding="utf-8")
+    return about
+
+
+def _packed(file: Path) -> bytes:
+    """Return a built unit with its entries in order and without times."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(file) as built, zipfile.ZipFile(out, "w") as packed:
+        for name in sorted(built.namelist()):
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
+            packed.writestr(entry, built.read(name))
+    return out.getvalue()
