@@ -1,0 +1,469 @@
+"""A controller in integers as one header and one source file in C99 that also compile as C++."""
+
+from __future__ import annotations
+
+from platform_ctrl.export.code.emission import Unit, _acts, _block, _provenance, _remark
+from platform_ctrl.export.code.identifiers import Names, comment
+from platform_ctrl.export.fixed.splitting import excess_of
+from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, Format, IntegerRow, Product
+from platform_ctrl.export.fixed.wording import format_lines
+
+_WIDTH = 100
+
+
+def header(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
+    """Return the text of the header file.
+
+    Parameters
+    ----------
+    fixed
+        The controller in integers.
+    prefix
+        First part of all external names; the names of the files.
+    signals
+        Identifiers of inputs and outputs by their names.
+
+    Returns
+    -------
+    str
+        ASCII, ended by a newline.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    ISO/IEC 9899:1999.
+    """
+    p, s, upper = prefix, fixed.scheme, prefix.upper()
+    guard = f"{upper}_H"
+    states = _state_names(fixed)
+    shifts = _shifts(fixed)
+    lines = [
+        *_head(fixed, prefix, signals),
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        "#include <stdint.h>",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        "/* What a step returns: the sum of what applies. */",
+        f"#define {upper}_OK 0U      /* as it should be */",
+        f"#define {upper}_LIMITED 1U /* an output is at its limit */",
+        f"#define {upper}_CLIPPED 4U /* an input was out of its range and has been cut off */",
+        f"#define {upper}_STOPPED 8U /* an integral is at its end */",
+        "",
+        f"typedef struct {p}_in {{",
+    ]
+    for name in s.inputs:
+        lines.append(_field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+    lines += [f"}} {p}_in;", "", f"typedef struct {p}_out {{"]
+    for name in s.outputs:
+        lines.append(_field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+    for name in s.outputs:
+        lines.append(_field(_wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
+    lines += [f"}} {p}_out;", "", f"typedef struct {p}_state {{"]
+    for name, identifier in states.items():
+        form = fixed.formats[name]
+        if name in shifts:
+            lines.append(_field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
+        else:
+            lines.append(_field(_integer(form.bits), identifier, form.q))
+    if not states:
+        lines.append("    int32_t none; /* not used */")
+    lines += [
+        f"}} {p}_state;",
+        "",
+        "/* All states to zero. Call it before the first step. */",
+        f"void {p}_reset({p}_state *state);",
+        "",
+        "/* One sample: from the counts of this instant to the counts of the outputs; returns the status. */",
+        f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out);",
+        "",
+        "/*",
+        " * Between counts and values, for tests and slow paths: the step does not use them.",
+        " * Out of range is cut off; what is not a number counts as zero.",
+        " */",
+    ]
+    for name in s.inputs:
+        lines += [*_to_count(p, signals[name], fixed.formats[name]), ""]
+    for name in s.outputs:
+        form = fixed.formats[name]
+        lines += [*_to_value(f"{p}_value_{signals[name]}", _integer(form.bits), form), ""]
+        lines += [*_to_value(f"{p}_value_{signals[name]}_commanded", _wide(fixed, name), form), ""]
+    lines += ["#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
+    return "\n".join(lines)
+
+
+def source(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
+    """Return the text of the source file.
+
+    Parameters
+    ----------
+    fixed, prefix, signals
+        As for `header`.
+
+    Returns
+    -------
+    str
+        ASCII, ended by a newline.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    ISO/IEC 9899:1999.
+    """
+    return _Source(fixed, prefix, signals).text()
+
+
+class _Source:
+    """The source file, put together section by section."""
+
+    def __init__(self, fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> None:
+        self.fixed, self.scheme, self.formats = fixed, fixed.scheme, fixed.formats
+        self.prefix, self.signals = prefix, signals
+        self.states, self.shifts = _state_names(fixed), _shifts(fixed)
+        self.locals = Names(56)
+        self.constants: list[str] = []
+        self.reads: dict[str, str] = {}
+        self.limited = [name for name in self.scheme.outputs if self.formats[name].saturates]
+        rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
+        self.named = {
+            (row.target, term.source): term.name
+            for section in self.scheme.sections
+            for row in (*section.signals, *section.states)
+            for term in row.terms
+        }
+        # What a sum takes in, and which excesses are there at all.
+        self.sources = {product.source for row in rows for product in row.products}
+        self.widths = {row.accumulator for row in rows if row.shift and row.target not in self.shifts}
+        if self.sources & set(self.shifts):
+            self.widths.add(64)
+
+    def text(self) -> str:
+        p, s = self.prefix, self.scheme
+        body = self._inputs() + self._integrals()
+        # Constants of a section stand together; its states follow when all limits are known.
+        constants: dict[int, list[str]] = {}
+        for number, section in enumerate(self.fixed.sections, 1):
+            self.constants = constants.setdefault(number, [])
+            if section.signals:
+                body += ["", *_remark(f"{number}. {section.name}: {section.note or section.kind}", "    ")]
+            for row in section.signals:
+                body += self._signal(row, section)
+        body += self._limits()
+        for number, section in enumerate(self.fixed.sections, 1):
+            self.constants = constants[number]
+            body += self._next(number, section)
+        body += self._stored()
+        told = []
+        for number, section in enumerate(self.fixed.sections, 1):
+            if constants[number]:
+                told += [
+                    *_remark(f"{number}. {section.name}: {section.note or section.kind}", ""),
+                    *constants[number],
+                    "",
+                ]
+        return "\n".join(
+            [
+                *_block([f"{p}.c: the controller {s.name!r}. See {p}.h. Generated; do not edit."]),
+                f'#include "{p}.h"',
+                "",
+                *told,
+                *self._helpers(),
+                f"void {p}_reset({p}_state *state)",
+                "{",
+                *([f"    state->{name} = 0;" for name in self.states.values()] or ["    state->none = 0;"]),
+                "}",
+                "",
+                f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)",
+                "{",
+                f"    unsigned int status = {p.upper()}_OK;",
+                *body,
+                "    return status;",
+                "}",
+                "",
+            ]
+        )
+
+    def _helpers(self) -> list[str]:
+        lines = []
+        for bits in sorted(self.widths):
+            kind = _integer(bits)
+            lines += [
+                "/* The sum over 2^digits, rounded down: defined for negative sums too, unlike a shift of one. */",
+                f"static {kind} shifted{bits}({kind} sum, unsigned int digits)",
+                "{",
+                f"    {kind} result = 0;",
+                "    if (sum >= 0) {",
+                "        result = sum >> digits;",
+                "    } else {",
+                "        result = -((-(sum + 1)) >> digits) - 1;",
+                "    }",
+                "    return result;",
+                "}",
+                "",
+            ]
+        return [
+            *lines,
+            "/* The count within +- the largest. */",
+            "static int64_t within(int64_t count, int64_t largest)",
+            "{",
+            "    int64_t result = count;",
+            "    if (count > largest) {",
+            "        result = largest;",
+            "    } else if (count < -largest) {",
+            "        result = -largest;",
+            "    } else {",
+            "        result = count;",
+            "    }",
+            "    return result;",
+            "}",
+            "",
+        ]
+
+    def _inputs(self) -> list[str]:
+        lines = ["", "    /* Inputs within the ranges for which the bounds hold */"]
+        for name in self.scheme.inputs:
+            form, local = self.formats[name], self.locals[name]
+            kind = _integer(form.bits)
+            given = f"in->{self.signals[name]}"
+            lines.append(f"    const {kind} {local} = ({kind})within({given}, {_literal(form.largest, 64)});")
+            self.reads[name] = local
+        return lines
+
+    def _integrals(self) -> list[str]:
+        self.reads |= {name: f"state->{field}" for name, field in self.states.items() if name not in self.shifts}
+        read = [name for name in self.shifts if name in self.sources]
+        if not read:
+            return []
+        lines = ["", "    /* Integrals, as counts */"]
+        for name in read:
+            local, shift, field = self.locals[name], self.shifts[name], f"state->{self.states[name]}"
+            kind = _integer(self.formats[name].bits)
+            half = (1 << shift) // 2
+            taken = f"shifted64({field} + {_literal(half, 64)}, {shift}U)" if shift else field
+            lines.append(f"    const {kind} {local} = ({kind}){taken};")
+            self.reads[name] = local
+        return lines
+
+    def _signal(self, row: IntegerRow, section: FixedSection) -> list[str]:
+        local = self.locals[row.target]
+        self.reads[row.target] = local
+        form = self.formats[row.target]
+        kind = _wide(self.fixed, row.target) if row.target in self.limited else _integer(form.bits)
+        return self._statement(kind, local, row, section)
+
+    def _limits(self) -> list[str]:
+        if not self.limited:
+            return []
+        lines = ["", "    /* Limits of the torquers */"]
+        for name in self.limited:
+            local, form = self.locals[f"limited {name}"], self.formats[name]
+            kind = _integer(form.bits)
+            lines.append(
+                f"    const {kind} {local} = ({kind})within({self.reads[name]}, {_literal(form.largest, 64)});"
+            )
+        cut = [name for name in self.limited if excess_of(name) in self.sources]
+        if cut:
+            lines += ["", *_remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
+        for name in cut:
+            local = self.locals[excess_of(name)]
+            over = f"(int64_t){self.locals[f'limited {name}']} - {self.reads[name]}"
+            if name in self.fixed.excess_limits:
+                over = f"within({over}, {_literal(self.fixed.excess_limits[name], 64)})"
+            lines.append(f"    const int64_t {local} = {over};")
+            self.reads[excess_of(name)] = local
+        return lines
+
+    def _next(self, number: int, section: FixedSection) -> list[str]:
+        if not section.states:
+            return []
+        lines = ["", *_remark(f"{number}. {section.name}: next states", "    ")]
+        for row in section.states:
+            local = self.locals[f"next {row.target}"]
+            if row.target in self.shifts:
+                largest = self.formats[row.target].largest << row.shift
+                first = f"state->{self.states[row.target]}"
+                total = " + ".join([first, *(self._product(product, row, section) for product in row.products)])
+                lines += _wrapped(f"    const int64_t {local} = within({total}, {_literal(largest, 64)});")
+            else:
+                lines += self._statement(_integer(self.formats[row.target].bits), local, row, section)
+        return lines
+
+    def _stored(self) -> list[str]:
+        lines = [""]
+        lines += [f"    state->{field} = {self.locals[f'next {name}']};" for name, field in self.states.items()]
+        if not self.states:
+            lines.append("    state->none = 0;")
+        for name in self.scheme.outputs:
+            given = self.locals[f"limited {name}"] if name in self.limited else self.reads[name]
+            lines.append(f"    out->{self.signals[name]} = {given};")
+        lines += [f"    out->{self.signals[name]}_commanded = {self.reads[name]};" for name in self.scheme.outputs]
+        upper = self.prefix.upper()
+        clipped = [(self.locals[name], f"in->{self.signals[name]}") for name in self.scheme.inputs]
+        cut = [(self.locals[f"limited {name}"], self.reads[name]) for name in self.limited]
+        lines += self._flag([f"({a} != {b})" for a, b in cut], f"{upper}_LIMITED")
+        lines += self._flag([f"({a} != {b})" for a, b in clipped], f"{upper}_CLIPPED")
+        ends = []
+        for name, shift in self.shifts.items():
+            largest = _literal(self.formats[name].largest << shift, 64)
+            local = self.locals[f"next {name}"]
+            ends += [f"({local} == {largest})", f"({local} == -{largest})"]
+        return lines + self._flag(ends, f"{upper}_STOPPED")
+
+    def _flag(self, tests: list[str], flag: str) -> list[str]:
+        if not tests:
+            return []
+        head = _wrapped(f"    if ({' || '.join(tests)}) {{", " || ")
+        return [*head, f"        status += {flag};", "    }"]
+
+    def _statement(self, kind: str, local: str, row: IntegerRow, section: FixedSection) -> list[str]:
+        parts = [self._product(product, row, section) for product in row.products] or [_literal(0, row.accumulator)]
+        if row.shift:
+            total = " + ".join([*parts, _literal((1 << row.shift) // 2, row.accumulator)])
+            text = f"shifted{row.accumulator}({total}, {row.shift}U)"
+        else:
+            text = " + ".join(parts)
+            text = f"({text})" if len(parts) > 1 or " " in text else text
+        if row.keeps:
+            # The sum has more digits than the state: it is made small enough by the shift, then added.
+            text = f"({self.reads[row.target]} + {text})"
+        return _wrapped(f"    const {kind} {local} = ({kind}){text};")
+
+    def _product(self, product: Product, row: IntegerRow, section: FixedSection) -> str:
+        taken, kind = self.reads[product.source], _integer(row.accumulator)
+        if product.coefficient == 1:
+            return f"({kind}){taken}"
+        name = self.named.get((row.target, product.source), "")
+        label = self.locals[
+            f"k {section.name} {name}" if name else f"k {row.target} from {product.source.removeprefix('excess of ')}"
+        ]
+        number = _literal(product.coefficient, row.accumulator)
+        meant = product.coefficient * 2.0 ** (self._fraction(product.source) - self._fraction(row.target) - row.shift)
+        more = " beside the state itself" if row.keeps and product.source == row.target else ""
+        self.constants.append(f"static const {kind} {label} = {number}; /* {meant:.9g}{more} */")
+        return f"{label} * {taken}"
+
+    def _fraction(self, name: str) -> int:
+        return self.formats[name.removeprefix("excess of ")].fraction
+
+
+def _head(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> list[str]:
+    s = fixed.scheme
+    unit = Unit(scheme=s, number="double", prefix=prefix, signals=signals)
+    rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
+    products = sum(len(row.products) for row in rows)
+    return _block(
+        [
+            f"{prefix}.h: the controller {s.name!r} in fixed point, {fixed.number}.",
+            "Generated by platform_ctrl; do not edit. All numbers of a step are integers.",
+            "",
+            *_provenance(unit),
+            "",
+            f"Call {prefix}_step once for every sample, {1.0 / s.period:.9g} Hz (every {s.period:.9g} s), with the "
+            f"counts of that instant. {_acts(s.period, s.delay)}",
+            "",
+            "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
+            "the axis in the plant file, as the angles are.",
+            "",
+            *format_lines(fixed),
+            "",
+            *fixed.proof,
+            "",
+            f"A step takes {products} multiplications and {len(rows)} shifts at most, always in the same order; "
+            f"{len(_state_names(fixed))} states. No allocation, recursion, loop, global variable or library function. "
+            "Pointers are not checked.",
+        ]
+    )
+
+
+def _counted(form: Format) -> str:
+    return f"{form.q}: 1 is {form.bit:.17g} {form.unit}, within +-{form.largest}".replace("  ", " ")
+
+
+def _to_count(prefix: str, field: str, form: Format) -> list[str]:
+    kind = _integer(form.bits)
+    largest = f"{form.largest}.0"
+    return [
+        f"static inline {kind} {prefix}_count_{field}(double value)",
+        "{",
+        f"    const double scaled = value * {_power(form.fraction)};",
+        f"    {kind} count = 0;",
+        f"    if (scaled >= {largest}) {{",
+        f"        count = {_literal(form.largest, form.bits)};",
+        f"    }} else if (scaled <= -{largest}) {{",
+        f"        count = -{_literal(form.largest, form.bits)};",
+        "    } else if (scaled >= 0.0) {",
+        f"        count = ({kind})(scaled + 0.5);",
+        "    } else if (scaled < 0.0) {",
+        f"        count = ({kind})(scaled - 0.5);",
+        "    } else {",
+        "        count = 0;",
+        "    }",
+        "    return count;",
+        "}",
+    ]
+
+
+def _to_value(name: str, kind: str, form: Format) -> list[str]:
+    return [
+        f"static inline double {name}({kind} count)",
+        "{",
+        f"    return (double)count * {_power(-form.fraction)};",
+        "}",
+    ]
+
+
+def _power(exponent: int) -> str:
+    text = repr(2.0**exponent)
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _integer(bits: int) -> str:
+    return f"int{bits}_t"
+
+
+def _wide(fixed: FixedPoint, output: str) -> str:
+    """Type of an output before its limit."""
+    bits = fixed.formats[output].bits
+    return _integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
+
+
+def _literal(number: int, bits: int) -> str:
+    return f"INT{bits}_C({number})" if bits != 16 else str(number)
+
+
+def _field(kind: str, name: str, what: str) -> str:
+    return f"    {kind} {name}; /* {comment(what)} */"
+
+
+def _wrapped(statement: str, between: str = " + ") -> list[str]:
+    """Return a statement on several lines where it is too long for one."""
+    if len(statement) <= _WIDTH:
+        return [statement]
+    parts = statement.split(between)
+    sign = between.strip()
+    return [parts[0], *(f"        {sign} {part}" for part in parts[1:])]
+
+
+def _state_names(fixed: FixedPoint) -> dict[str, str]:
+    names = Names(40)
+    return {name: names[name] for name in fixed.scheme.states}
+
+
+def _shifts(fixed: FixedPoint) -> dict[str, int]:
+    """Return the shifts of the integrals."""
+    return {
+        row.target: row.shift
+        for section in fixed.sections
+        for row in section.states
+        if fixed.formats[row.target].role == "integral"
+    }

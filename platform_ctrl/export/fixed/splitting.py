@@ -1,0 +1,183 @@
+"""A scheme taken apart: exact rows, which states are integrals, and what drives the rest from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import flint
+import numpy as np
+
+from platform_ctrl.arguments import positive
+from platform_ctrl.errors import InfeasibleError
+from platform_ctrl.export.code.scheme import Row, Scheme, arrays, excess_gain
+from platform_ctrl.export.fixed.exact import (
+    Rows,
+    Sum,
+    added,
+    characteristic_polynomial,
+    inside_circle,
+    joined_states,
+    largest_root,
+    multiplied_out,
+    rational,
+)
+from platform_ctrl.export.fixed.ranges import check_names
+from platform_ctrl.frozen import value
+
+# A pole as close to 1 as this is an integral: in a day at 100 Hz it loses less than a percent.
+_INTEGRAL = 1e-9
+# What integrals can hold, over what they need for all torques within the limits.
+HEADROOM = 2.0
+
+
+@value
+class Parts:
+    """A scheme in exact rows.
+
+    Attributes
+    ----------
+    rows
+        Signals and asymptotically stable states; sources of their own are inputs, integrals and excesses.
+    integrals
+        What is added to each integral in a step, by its name; excesses, named by `excess_of`, among the sources.
+    leaks
+        How far the poles of integrals lie from 1 in the scheme; here they are 1.
+    limited
+        Outputs whose excess enters stable states.
+    excesses
+        Outputs whose excess enters any state.
+    outputs_read
+        Outputs that other rows take in.
+    section
+        Name of every row's section.
+    """
+
+    rows: Rows
+    integrals: dict[str, Sum]
+    leaks: dict[str, float]
+    limited: tuple[str, ...]
+    excesses: tuple[str, ...]
+    outputs_read: frozenset[str]
+    section: dict[str, str]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the asymptotically stable states."""
+        return tuple(self.rows.states)
+
+
+def excess_of(output: str) -> str:
+    """Return the name under which an output's excess is a source."""
+    return f"excess of {output}"
+
+
+def taken_apart(scheme: Scheme) -> Parts:
+    """Return the parts of a scheme.
+
+    Raises
+    ------
+    ArgumentError
+        The scheme's rows do not fit together.
+    InfeasibleError
+        A pole that is no integral lies on or outside of the unit circle; the message names the section.
+    """
+    arrays(scheme)
+    excess_gain(scheme)
+    signals = {row.target: _sum(row) for section in scheme.sections for row in section.signals}
+    following = {row.target: _sum(row) for section in scheme.sections for row in section.states}
+    section = {row.target: one.name for one in scheme.sections for row in (*one.signals, *one.states)}
+    whole = multiplied_out(Rows(signals, following), scheme.inputs, tuple(following))
+    leaks: dict[str, float] = {}
+    for group in joined_states(whole.following, whole.states):
+        polynomial = characteristic_polynomial(whole.following, group)
+        if len(group) == 1 and abs(polynomial[0] + 1) < rational(_INTEGRAL):
+            leaks[group[0]] = float(flint.arb(-polynomial[0] - 1))
+        elif not inside_circle(polynomial):
+            raise InfeasibleError(
+                f"fixed point: section {section[group[0]]!r}: a pole of magnitude {largest_root(polynomial):.9g} in z; "
+                "expected poles inside the unit circle, or single integrals; design a stable controller, or export "
+                "it as double or float",
+                scheme,
+            )
+    bounded = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if np.isfinite(limit)}
+    excess = {
+        row.target: {name: coefficient for name, coefficient in _sum(row).items() if name in bounded}
+        for row in scheme.excess
+    }
+    integrals = {name: _increment(name, following[name], signals, whole.shown) for name in leaks}
+    stable = {name: row for name, row in following.items() if name not in leaks}
+    for rows in (stable, integrals):
+        for name, row in rows.items():
+            row |= {excess_of(output): coefficient for output, coefficient in excess.get(name, {}).items()}
+
+    def entering(rows: Iterable[Sum]) -> tuple[str, ...]:
+        return tuple(output for output in scheme.outputs if any(excess_of(output) in row for row in rows))
+
+    every = (*signals.values(), *following.values())
+    return Parts(
+        rows=Rows(signals, stable),
+        integrals=integrals,
+        leaks=leaks,
+        limited=entering(stable.values()),
+        excesses=entering([*stable.values(), *integrals.values()]),
+        outputs_read=frozenset(name for name in scheme.outputs if any(name in row for row in every)),
+        section=section,
+    )
+
+
+def _sum(row: Row) -> Sum:
+    one = flint.fmpq(1)
+    return added((one, {term.source: rational(term.coefficient)}) for term in row.terms)
+
+
+def _increment(name: str, row: Sum, signals: Mapping[str, Sum], shown: Mapping[str, Sum]) -> Sum:
+    """Return what an integral gains in a step: its row with signals that contain it written out, less itself."""
+    one = flint.fmpq(1)
+    while True:
+        inside = [source for source in row if source in signals and name in shown[source]]
+        if not inside:
+            return {source: coefficient for source, coefficient in row.items() if source != name}
+        row = added(
+            (coefficient, signals[source] if source in inside else {source: one}) for source, coefficient in row.items()
+        )
+
+
+def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | None) -> dict[str, float]:
+    """Return where each integral stops: twice what it needs for any torques within the limits, unless given.
+
+    Raises
+    ------
+    InfeasibleError
+        An output has no limit, or the integrals do not show in the outputs one by one; the message names the integral.
+    ArgumentError
+        A given limit is not positive, or not of an integral.
+    """
+    given = dict(given or {})
+    names = tuple(parts.integrals)
+    check_names("limits", given, names)
+    out = {name: positive(f"limits[{name!r}]", number) for name, number in given.items()}
+    if all(name in out for name in names):
+        return out
+    free = (*scheme.inputs, *names, *(excess_of(output) for output in parts.limited))
+    system = multiplied_out(parts.rows, free, parts.states)
+    n = len(parts.states)
+    A, B, C, D = (
+        np.array([[float(x) for x in row] for row in matrix.tolist()]).reshape(matrix.nrows(), matrix.ncols())
+        for matrix in system.balls(names)
+    )
+    chosen = [system.signals.index(name) for name in scheme.outputs]
+    gain = D[chosen]
+    if n:
+        gain = gain + C[chosen] @ np.linalg.solve(np.eye(n) - A, B)
+    torque = np.array(scheme.torque_limits)
+    for j, name in enumerate(names):
+        shows = np.abs(gain[:, j]) > 1e-9 * np.abs(gain).max(initial=0.0)
+        if name not in out and not (shows.any() and np.all(np.isfinite(torque[shows]))):
+            raise InfeasibleError(
+                f"fixed point: section {parts.section[name]!r}: no limit is known for the integral {name!r}; expected "
+                "a limit of the torquer that it drives in the plant file; or give "
+                f"limits = {{{name!r}: largest value}}",
+                scheme,
+            )
+    need = np.abs(np.linalg.pinv(gain, rcond=1e-9)) @ np.where(np.isfinite(torque), torque, 0.0)
+    return {name: out.get(name, HEADROOM * float(need[j])) for j, name in enumerate(names)}

@@ -1,0 +1,114 @@
+"""Formats and proof in words: what stands in the header of the generated code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from platform_ctrl.export.fixed.values import FixedPoint, Format
+
+
+def format_lines(fixed: FixedPoint) -> tuple[str, ...]:
+    """Return a line for every input, output, signal, state and integral: format, unit, value of one bit, range.
+
+    Parameters
+    ----------
+    fixed
+        The controller in integers.
+
+    Returns
+    -------
+    tuple of str
+        The first lines say how to read the others.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/fixed-point.md.
+    """
+    lines = [
+        "Scaling: value = count * bit. Qm.n: m digits before the point and n behind it, beside the sign; a negative m "
+        "leaves out digits that are always zero. Signals and states without a unit are in the controller's own, SI.",
+    ]
+    for role, what in (
+        ("input", "in"),
+        ("output", "out"),
+        ("signal", "signal"),
+        ("state", "state"),
+        ("integral", "integral"),
+    ):
+        lines += [f"{what + ':':<10}{_line(form)}" for form in fixed.formats.values() if form.role == role]
+    return tuple(lines)
+
+
+def _line(form: Format) -> str:
+    unit = f" {form.unit}" if form.unit else ""
+    ends = "saturates at" if form.saturates else "at most"
+    return (
+        f"{form.name}  int{form.bits} {form.q}, bit {form.bit:.6g}{unit}, {ends} +-{form.range:.6g}{unit} "
+        f"(+-{form.largest})"
+    )
+
+
+def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the proof in words.
+
+    Parameters
+    ----------
+    fixed
+        The controller in integers, with its bounds.
+    leaks
+        How far the poles of integrals lay from 1.
+
+    Returns
+    -------
+    tuple of str
+        Paragraphs.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/fixed-point.md.
+    """
+    rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
+    wide = max(rows, key=lambda row: row.largest / 2.0**row.accumulator)
+    stored = [
+        form for form in fixed.formats.values() if not form.saturates and form.role in ("signal", "state", "output")
+    ]
+    lines = [
+        "No overflow: every input is cut off at its range, so that what follows holds for all inputs. A signal or "
+        "state is at most the sum, over what drives it (inputs, integrals at their ends, half a bit for the rounding "
+        "of every other signal and state), of its size times the l1 norm of the impulse response of the rounded "
+        f"coefficients. Norms: summed over {fixed.samples} samples, tail and floating-point rounding bounded above.",
+    ]
+    if stored:
+        form = max(stored, key=lambda one: one.largest / 2.0**one.bits)
+        lines.append(
+            f"Counts: the fullest is {form.name}, {form.largest} of {2 ** (form.bits - 1) - 1}. Sums: partial sums are "
+            "at most the sum over |coefficient| times the largest |count|, with the rounding; the fullest is "
+            f"{wide.target}, {wide.largest} of {2 ** (wide.accumulator - 1) - 1}."
+        )
+    for name, size in fixed.poles.items():
+        lines.append(f"Poles: {name}  at most {size:.9g} in z as rounded, inside the unit circle (exact arithmetic).")
+    for name in leaks:
+        form = fixed.formats[name]
+        lines.append(
+            f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that nothing it gains is lost, and ends "
+            f"at +-{form.range:.6g}." + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
+        )
+    for name, unit in zip(fixed.scheme.outputs, fixed.scheme.output_units, strict=True):
+        lines.append(
+            f"Error: {name}  at most {fixed.error[name]:.3g} {unit} from the same controller in real arithmetic with "
+            f"the same counts as inputs and equal integrals; rounding the inputs adds at most "
+            f"{fixed.conversion[name]:.3g} {unit}. Before its limit it is at most {fixed.commanded[name]} counts."
+        )
+    if fixed.excess_limits:
+        lines.append(
+            "The error holds while no output is at its limit: excess enters stable states, cut off at its own."
+        )
+    return tuple(lines)
