@@ -6,6 +6,7 @@ from platform_ctrl.export.job_systems import ResponseTable, controller_systems, 
 from platform_ctrl.export.json_systems import read_systems, write_controllers, write_systems
 from platform_ctrl.export.linear_system import LinearSystem, linear_system
 from platform_ctrl.export.matlab import read_mat, write_mat
+from platform_ctrl.export.mujoco import read_mjcf, write_mjcf
 from platform_ctrl.export.responses import response_data, write_responses
 
 __all__ = [
@@ -16,10 +17,12 @@ __all__ = [
     "linear_system",
     "model_systems",
     "read_mat",
+    "read_mjcf",
     "read_systems",
     "response_data",
     "write_controllers",
     "write_mat",
+    "write_mjcf",
     "write_responses",
     "write_systems",
 ]

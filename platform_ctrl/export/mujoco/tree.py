@@ -1,0 +1,138 @@
+"""A compiled MuJoCo model as the tree of bodies that it is at its reference angles, in the root's axes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.errors import InputError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.reading.mistakes import given, one_line
+
+# Lengths that count as zero, over the distance of the farthest joint or centre of mass.
+NEAR = 1e-6
+
+BALL, SLIDE, HINGE, FREE = 1, 2, 3, 0
+
+
+@dataclasses.dataclass
+class Body:
+    """A body with all that is fixed to it.
+
+    Attributes
+    ----------
+    name, parent
+        Its own name, and the index of what carries it in the list of bodies; −1: nothing.
+    joint
+        Number of its hinge in the model; −1: it has none.
+    axis, anchor : (3,)
+        Of its hinge.
+    mass, moment, inertia
+        Mass, its first moment and inertia about the origin, kg, kg m, kg m² (3, 3).
+    """
+
+    name: str
+    parent: int
+    joint: int
+    axis: FloatArray
+    anchor: FloatArray
+    mass: float
+    moment: FloatArray
+    inertia: FloatArray
+
+    def about(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return first moment and inertia about a point."""
+        r, m, s = point, self.mass, self.moment
+        shift = 2.0 * (r @ s) * np.eye(3) - np.outer(r, s) - np.outer(s, r)
+        return s - m * r, self.inertia - shift + m * point_inertia(r)
+
+    def take(self, mass: float, at: FloatArray) -> None:
+        """Add a mass point."""
+        self.mass += mass
+        self.moment = self.moment + mass * at
+        self.inertia = self.inertia + mass * point_inertia(at)
+
+
+def point_inertia(offset: FloatArray) -> FloatArray:
+    """Inertia of a unit mass at `offset`, (3, 3)."""
+    out: FloatArray = float(offset @ offset) * np.eye(3) - np.outer(offset, offset)
+    return out
+
+
+def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, float]:
+    """Return the bodies, the root first and carriers before what they carry; the root's joint or −1; and their size, m.
+
+    Raises
+    ------
+    InputError
+        There are other joints than hinges below a root, or constraints that tie bodies together.
+    """
+    for count, what in ((model.neq, "equality constraints"), (model.ntendon, "tendons"), (model.nplugin, "plugins")):
+        if count:
+            raise InputError(f"{label}: has {what}; expected bodies on hinges alone")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    held = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
+    if not held:
+        raise InputError(
+            f"{label}: has no body that carries or is a gimbal; expected a root body with gimbals on hinges"
+        )
+    root = 0
+    if len(held) == 1 and (
+        model.body_jntnum[held[0]] == 0 or model.jnt_type[model.body_jntadr[held[0]]] in (BALL, FREE)
+    ):
+        root = held[0]
+    turn, origin = data.xmat[root].reshape(3, 3), data.xpos[root]
+    out: list[Body] = []
+    place = {0: -1}
+    root_joint = -1
+    for k in range(root, model.nbody):
+        parent = int(model.body_parentid[k])
+        if k != root and (parent not in place or place[parent] < 0):
+            continue  # beside the root
+        name = one_line(model.body(k).name) or f"body{k}"
+        joints = [int(model.body_jntadr[k]) + j for j in range(int(model.body_jntnum[k]))]
+        mass = float(model.body_mass[k])
+        centre = turn.T @ (data.xipos[k] - origin)
+        axes = turn.T @ data.ximat[k].reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[k]) @ axes.T + mass * point_inertia(centre)
+        body = Body(name, -1, -1, np.zeros(3), np.zeros(3), mass, mass * centre, inertia)
+        if k == root:
+            root_joint = joints[0] if joints else -1
+            if root == 0:  # the world: it stands still, whatever its inertia
+                body.mass, body.moment, body.inertia = 0.0, np.zeros(3), np.eye(3)
+        elif not joints:
+            carrier = out[place[parent]]
+            place[k] = place[parent]
+            if not (root == 0 and place[k] == 0):
+                carrier.mass += body.mass
+                carrier.moment, carrier.inertia = carrier.moment + body.moment, carrier.inertia + body.inertia
+            continue
+        elif len(joints) > 1 or model.jnt_type[joints[0]] != HINGE:
+            raise InputError(
+                f"{label}: body {given(name)} does not hang on one hinge; expected one hinge for each body"
+            )
+        else:
+            body.parent, body.joint = place[parent], joints[0]
+            body.axis, body.anchor = turn.T @ data.xaxis[joints[0]], turn.T @ (data.xanchor[joints[0]] - origin)
+        place[k] = len(out)
+        out.append(body)
+    lengths = [np.linalg.norm(one.anchor) for one in out]
+    lengths += [np.linalg.norm(one.moment) / one.mass for one in out if one.mass > 0.0]
+    lengths += [np.sqrt(np.trace(one.inertia) / one.mass) for one in out if one.mass > 0.0]
+    return out, root_joint, float(max(lengths, default=1.0)) or 1.0
+
+
+def _moves(model: Any, body: int) -> bool:
+    """Whether a body hangs on a joint, or carries one that does."""
+    below = [k for k in range(body, model.nbody) if _under(model, k, body)]
+    return any(model.body_jntnum[k] for k in below)
+
+
+def _under(model: Any, k: int, body: int) -> bool:
+    while k > body:
+        k = int(model.body_parentid[k])
+    return k == body

@@ -1,0 +1,310 @@
+"""A platform as MJCF: gimbals and rotors as bodies on hinges, torquers and sensors, to look at and to cross-check."""
+
+from __future__ import annotations
+
+import os
+from typing import Literal
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+import numpy as np
+
+from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer, expect_platform
+from platform_ctrl.export.mujoco.bodies import Placed, children, placed, rotor_mass, rotors_on
+from platform_ctrl.export.mujoco.shapes import (
+    add_looks,
+    add_ring,
+    add_root,
+    add_scene,
+    add_wheel,
+    quaternion_to,
+    text,
+)
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.writing import write_whole
+
+Root = Literal["free", "prescribed", "fixed"]
+
+# Inertia of the drive of a regulated rotor, over C, and of what turns a prescribed root, over that of everything: so much
+# less do they give way.
+REGULATED = 1e11
+PRESCRIBED = 1e11
+
+
+def write_mjcf(
+    platform: Platform, path: str | os.PathLike[str], *, root: Root = "free", step: float = 1e-4
+) -> tuple[str, ...]:
+    """Write a platform as a MuJoCo model, whole or not at all.
+
+    Parameters
+    ----------
+    platform
+        The plant.
+    path
+        Of the file; its folder is there.
+    root
+        ``"free"``: it turns about the fixed point as torques make it; ``"prescribed"``: the controls ``Omega1_dot`` to
+        ``Omega3_dot`` are its angular acceleration, rad/s², in its own axes, whatever reacts on it; ``"fixed"``: it
+        stands still.
+    step
+        Time step that stands in the file, s; the integrator is RK4.
+
+    Returns
+    -------
+    tuple of str
+        What of the plant the file leaves out or has in another form, a line each.
+
+    Raises
+    ------
+    ArgumentError
+        `platform` is none, another `root`, or a step that is not above zero.
+    InputError
+        The file cannot be written there.
+
+    References
+    ----------
+    See docs/export.md.
+    """
+    expect_platform(platform)
+    one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
+    step = positive("write_mjcf: step", step)
+    notes = _notes(platform, root)
+    top = Element("mujoco", model=_line(platform.name))
+    for line in (platform.source, *(f"not in this file: {note}" for note in notes)):
+        if line:
+            top.append(Comment(f" {_line(line).replace('--', '- -')} "))
+    SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
+    option = SubElement(top, "option", timestep=repr(step), integrator="RK4", gravity=text(-platform.specific_force))
+    SubElement(option, "flag", contact="disable")
+    bodies = placed(platform)
+    add_looks(top, bodies[0].radius)
+    SubElement(SubElement(top, "default"), "geom", contype="0", conaffinity="0", group="1")
+    world = SubElement(top, "worldbody")
+    add_scene(world, bodies[0].radius)
+    hinges = _add_root(world, platform, bodies, root, step)
+    controls = _add_actuators(top, platform, root)
+    _add_sensors(top, platform, root)
+    still = root == "fixed"
+    qpos = [*([] if still else [1.0, 0.0, 0.0, 0.0]), *(0.0 for _ in hinges)]
+    qvel = [*([] if still else [0.0, 0.0, 0.0]), *hinges]
+    key = SubElement(SubElement(top, "keyframe"), "key", name="running", qpos=text(qpos), qvel=text(qvel))
+    if controls:
+        key.set("ctrl", text(controls))
+    indent(top)
+    write_whole(path, tostring(top, encoding="unicode") + "\n")
+    return notes
+
+
+def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root, step: float) -> list[float]:
+    """Add all bodies; return the rates of the hinges as the model begins, in MuJoCo's order."""
+    element = SubElement(world, "body", name=_line(platform.root_name))
+    if root != "fixed":
+        joint = SubElement(element, "joint", name="root", type="ball")
+        if root == "prescribed":
+            joint.set("armature", repr(PRESCRIBED * _whole(platform)))
+    _add_inertia(element, bodies[0])
+    SubElement(element, "site", name="root", pos="0 0 0", size="0.001", group="4")
+    add_root(element, platform, bodies)
+    return _add_carried(element, platform, bodies, 0, 0, step)
+
+
+def _add_carried(
+    element: Element, platform: Platform, bodies: list[Placed], body: int, depth: int, step: float
+) -> list[float]:
+    rates = []
+    for k in rotors_on(platform, body):
+        rates.append(_add_rotor(element, platform.rotors[k]))
+    for child in children(platform, body):
+        gimbal = platform.gimbals[child - 1]
+        inner = SubElement(element, "body", name=_line(gimbal.name), pos=text(bodies[child].position))
+        joint = SubElement(inner, "joint", name=_line(gimbal.angle), type="hinge", axis=text(gimbal.axis))
+        for key, item in _joint(platform, child - 1, step).items():
+            joint.set(key, item)
+        _add_inertia(inner, bodies[child])
+        add_ring(inner, platform, child, bodies, depth + 1)
+        rates += [0.0, *_add_carried(inner, platform, bodies, child, depth + 1, step)]
+    return rates
+
+
+def _joint(platform: Platform, k: int, step: float) -> dict[str, str]:
+    """Return what acts in a gimbal's bearing, as attributes of its joint."""
+    gimbal = platform.gimbals[k]
+    out: dict[str, str] = {}
+    stiffness, torque, damping = _spring(platform, gimbal.name)
+    dry = 0.0
+    for friction in platform.frictions:
+        if friction.gimbal == gimbal.name:
+            damping += friction.viscous
+            dry = float(np.mean(friction.coulomb))
+    if stiffness > 0.0:
+        out |= {"stiffness": repr(stiffness), "springref": repr(torque / stiffness)}
+    if damping:
+        out["damping"] = repr(damping)
+    if dry:
+        out["frictionloss"] = repr(dry)
+    if gimbal.stops is not None:
+        # A stop is a contact that gives a little: four steps to settle, the rate given back by its damping.
+        away = np.log(max(gimbal.restitution, 1e-3))
+        ratio = 1.0 if gimbal.restitution == 0.0 else float(-away / np.hypot(np.pi, away))
+        out |= {"range": text(gimbal.stops), "solreflimit": text([4.0 * step, ratio])}
+    return out
+
+
+def _spring(platform: Platform, gimbal: str) -> tuple[float, float, float]:
+    """Return stiffness, torque at zero angle, and damping of all springs and closed cages of a gimbal."""
+    springs = [(s.stiffness, s.rest, 0.0) for s in platform.springs if s.gimbal == gimbal]
+    springs += [(c.stiffness, c.angle, c.damping) for c in platform.cages if c.gimbal == gimbal and not c.clearance]
+    stiffness, torque = sum(k for k, _, _ in springs), sum(k * rest for k, rest, _ in springs)
+    return stiffness, torque, sum(damping for _, _, damping in springs)
+
+
+def _add_rotor(element: Element, rotor: Rotor) -> float:
+    """Add a rotor; return its rate relative to its carrier as the model begins."""
+    body = SubElement(element, "body", name=_line(f"rotor {rotor.name}"))
+    joint = SubElement(body, "joint", name=_line(f"spin {rotor.name}"), type="hinge", axis=text(rotor.axis))
+    if rotor.control == "regulated":
+        joint.set("armature", repr(REGULATED * rotor.axial_inertia))
+    A, C = rotor.transverse_inertia, rotor.axial_inertia
+    SubElement(
+        body,
+        "inertial",
+        pos="0 0 0",
+        mass=repr(rotor_mass(C)),
+        diaginertia=text([A, A, C]),
+        quat=text(quaternion_to(rotor.axis)),
+    )
+    add_wheel(body, rotor.axis)
+    return rotor.spin
+
+
+def _add_inertia(element: Element, one: Placed) -> None:
+    inertial = SubElement(element, "inertial", pos=text(one.centre), mass=repr(one.mass))
+    if np.array_equal(one.inertia, np.diag(np.diag(one.inertia))):
+        inertial.set("diaginertia", text(np.diag(one.inertia)))
+        return
+    # MuJoCo's own way to the principal axes is less exact.
+    moments, axes = np.linalg.eigh(one.inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    inertial.set("diaginertia", text(moments))
+    inertial.set("quat", text(_quaternion(axes)))
+
+
+def _quaternion(turn: FloatArray) -> FloatArray:
+    """Return the unit quaternion w, x, y, z of a rotation (3, 3)."""
+    # The eigenvector of the largest eigenvalue, 3, of this matrix: exact for any angle.
+    R, trace = turn, np.trace(turn)
+    K = np.empty((4, 4))
+    K[0, 0] = trace
+    K[0, 1:] = K[1:, 0] = [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
+    K[1:, 1:] = R + R.T - trace * np.eye(3)
+    out: FloatArray = np.linalg.eigh(K)[1][:, -1]
+    return out
+
+
+def _whole(platform: Platform) -> float:
+    """Return an inertia that is not less than that of everything, kg m²."""
+    own = [platform.root_inertia, *(g.inertia for g in platform.gimbals)]
+    rotors = sum(2.0 * r.transverse_inertia + r.axial_inertia for r in platform.rotors)
+    return float(sum(np.trace(inertia) for inertia in own) + rotors)
+
+
+def _add_actuators(top: Element, platform: Platform, root: Root) -> list[float]:
+    """Add torquers, then what turns a prescribed root, then speed loops; return the controls that a run begins with."""
+    group, controls = Element("actuator"), []
+    for torquer in platform.torquers:
+        if torquer.root_axis is None or root == "free":
+            _add_torquer(group, platform, torquer)
+            controls.append(0.0)
+    if root == "prescribed":
+        for name, gear in zip(OMEGA_NAMES, np.eye(3), strict=True):
+            SubElement(
+                group, "motor", name=f"{name}_dot", joint="root", gear=text(PRESCRIBED * _whole(platform) * gear)
+            )
+            controls.append(0.0)
+    for gimbal in platform.gimbals:
+        stiffness, torque, _ = _spring(platform, gimbal.name)
+        if stiffness < 0.0:  # joints have none that drive away
+            names = {"name": _line(f"spring {gimbal.name}"), "joint": _line(gimbal.angle)}
+            bias = text([torque, -stiffness, 0.0])
+            SubElement(group, "general", names, gainprm="0", biastype="affine", biasprm=bias)
+            controls.append(0.0)
+    for rotor in platform.rotors:
+        if rotor.control == "servo":
+            joint = {"joint": _line(f"spin {rotor.name}")}
+            SubElement(group, "velocity", joint, name=_line(f"speed {rotor.name}"), kv=repr(rotor.speed_gain))
+            controls.append(rotor.spin)
+            if rotor.speed_integral:
+                gain = repr(rotor.speed_integral)
+                rng = {"actrange": "-1e12 1e12"}
+                SubElement(group, "intvelocity", joint | rng, name=_line(f"speed integral {rotor.name}"), kp=gain)
+                controls.append(rotor.spin)
+    if controls:
+        top.append(group)
+    return controls
+
+
+def _add_torquer(group: Element, platform: Platform, torquer: Torquer) -> None:
+    """Limited control, then the lag, then the torque: as in the simulation."""
+    about: dict[str, str] = {"name": _line(torquer.name)}
+    if torquer.gimbal is not None:
+        about["joint"] = _line(platform.gimbals[platform.gimbal(torquer.gimbal)].angle)
+    elif torquer.root_axis is not None:
+        about |= {"joint": "root", "gear": text(np.eye(3)[torquer.root_axis - 1])}
+    if torquer.limit is not None:
+        about["ctrlrange"] = text([-torquer.limit, torquer.limit])
+    if torquer.lag:
+        SubElement(group, "general", about, dyntype="filter", dynprm=repr(torquer.lag), gainprm="1")
+    else:
+        SubElement(group, "motor", about)
+
+
+def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
+    group = Element("sensor")
+    for sensor in platform.sensors:
+        if sensor.gimbal is not None:
+            angle = platform.gimbals[platform.gimbal(sensor.gimbal)].angle
+            kind = "jointpos" if sensor.name == angle else "jointvel"
+            noise = {"noise": repr(sensor.noise_rms)} if sensor.noise_rms else {}
+            SubElement(group, kind, {"name": _line(sensor.name), "joint": _line(angle)} | noise)
+    for rotor in platform.rotors:
+        SubElement(group, "jointvel", name=_line(f"spin {rotor.name}"), joint=_line(f"spin {rotor.name}"))
+    if root != "fixed":
+        SubElement(group, "gyro", name="Omega", site="root")
+        SubElement(group, "framequat", name="attitude", objtype="site", objname="root")
+    if len(group):
+        top.append(group)
+
+
+def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
+    """Say what of the plant has no place in MJCF, or another form there."""
+    out = []
+    for friction in platform.frictions:
+        if max(friction.breakaway) > 0.0:
+            form = "MuJoCo's frictionloss (mean of both directions) in place of a smooth Coulomb or Stribeck curve"
+            out.append(f"dry friction of gimbal {friction.gimbal}: {form}")
+    for cage in platform.cages:
+        if cage.clearance:
+            out.append(f"cage of gimbal {cage.gimbal} with its clearance")
+    for erection in platform.erections:
+        out.append(f"erection of gimbal {erection.gimbal}: add its torque to that of the gimbal's torquer")
+    for torquer in platform.torquers:
+        if torquer.root_axis is not None and root != "free":
+            out.append(f"torquer {torquer.name}: it acts on the root, which is {root}")
+        elif torquer.rate_limit is not None:
+            out.append(f"rate limit of torquer {torquer.name}")
+    for sensor in platform.sensors:
+        if sensor.quantisation:
+            out.append(f"quantisation of {sensor.name}")
+    for rotor in platform.rotors:
+        if rotor.control == "servo" and rotor.torque_limit is not None:
+            out.append(f"torque limit of the speed loop of rotor {rotor.name}")
+    for gimbal in platform.gimbals:
+        if gimbal.stops is not None:
+            out.append(f"stops of gimbal {gimbal.name} as impacts: they are contacts that give a little")
+    if platform.unbalances and platform.specific_force.any() and root != "fixed":
+        out.append("specific force that turns with the root: gravity keeps its direction in the world")
+    return tuple(_line(note) for note in out)
+
+
+def _line(words: str) -> str:
+    return " ".join("".join(c if c.isprintable() else " " for c in words).split())
