@@ -183,7 +183,8 @@ class _Source:
         self.unit, self.scheme, self.kind = unit, unit.scheme, unit.number
         self.states = _state_names(unit)
         # Locals and constants: apart from the fields of inputs, outputs and states, which stand behind an arrow.
-        self.locals = Names(56)
+        p = unit.prefix
+        self.locals = Names(56, (p, f"{p}_step", f"{p}_reset", f"{p}_in", f"{p}_out", f"{p}_state"))
         self.constants: list[str] = []
         self.body: list[str] = []
         self.reads = {name: f"in->{unit.signals[name]}" for name in self.scheme.inputs}
@@ -398,13 +399,14 @@ def _head(unit: Unit) -> list[str]:
     return _block(paragraphs)
 
 
-def _provenance(unit: Unit) -> list[str]:
+def _provenance(unit: Unit, whole: bool = False) -> list[str]:
     origin = unit.scheme.provenance
+    design = f"{origin.design} (method {origin.method})" if origin.method else origin.design
     said = [
         ("Job", origin.job),
         ("Plant", origin.plant),
-        ("Loop", origin.loop),
-        ("Design", f"{origin.design} (method {origin.method})" if origin.method else origin.design),
+        ("Loop", "" if whole else origin.loop),
+        ("Design", "" if whole else design),
         ("Controllers", f"sha256 {origin.sha256}" if origin.sha256 else ""),
         ("Versions", ", ".join(f"{name} {number}" for name, number in origin.versions.items())),
         ("Made by", origin.command),

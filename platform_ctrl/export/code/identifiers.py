@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 
 from platform_ctrl.greek import LETTERS
 
@@ -19,10 +20,10 @@ _WORDS = """
     throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual void volatile wchar_t while
     xor xor_eq near far huge interrupt fortran NULL NAN INFINITY I EOF errno main linux unix i386 vax arm assert
     in out state status last limited usable value limit
-    FLT_EVAL_METHOD FLT_RADIX FLT_ROUNDS DECIMAL_DIG
 """
 _RESERVED = frozenset(_WORDS.split())
-_FLOAT_H = re.compile(r"(FLT|DBL|LDBL|INT|UINT|CHAR|SHRT|LONG|ULONG|SCHAR|UCHAR)_[A-Z0-9_]+")
+# What generated code appends to a signal's name.
+_ENDINGS = ("_commanded", "_status")
 
 
 class Names:
@@ -59,6 +60,31 @@ class Names:
         self._known[name] = self[as_name]
 
 
+def field_names(signals: Iterable[str]) -> dict[str, str]:
+    """Return identifiers for the signals of a job, each of its own.
+
+    Parameters
+    ----------
+    signals
+        Names; one that occurs twice is one signal.
+
+    Returns
+    -------
+    dict
+        Identifier by name; with nothing at their ends that generated code appends to others.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/generated-code.md.
+    """
+    names = Names(40)
+    return {name: names[f"{name} n" if identifier(name).endswith(_ENDINGS) else name] for name in signals}
+
+
 def identifier(name: str, longest: int = 48) -> str:
     """Return a C and C++ identifier that resembles `name`: ASCII, no keyword, not reserved.
 
@@ -82,10 +108,15 @@ def identifier(name: str, longest: int = 48) -> str:
     ----------
     ISO/IEC 9899:1999, 6.4.2 and 7.1.3.
     """
-    out = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_ascii(c) for c in name)).strip("_")[:longest].rstrip("_")
+    out = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_ascii(c) for c in name)).strip("_")
+    if len(out) > longest:
+        # A word is not cut where enough stands before it.
+        head, _, last = out[: longest + 1].rpartition("_")
+        out = head if len(head) > longest // 2 and last else out[:longest].rstrip("_")
     if not out or out[0].isdigit():
         out = f"n{out}"[:longest]
-    if out in _RESERVED or out.lower() in _RESERVED or _FLOAT_H.fullmatch(out):
+    # Macros are written in capitals.
+    if out in _RESERVED or out.lower() in _RESERVED or ("_" in out and out.isupper()):
         out = f"{out[: longest - 2]}_n"
     return out
 

@@ -7,12 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
-from platform_ctrl.export.code.from_design import scheme_of
-from platform_ctrl.export.code.identifiers import Names
-from platform_ctrl.export.code.scheme import Provenance, Scheme
+from platform_ctrl.export.code.float_error import TOLD, float_error
+from platform_ctrl.export.code.from_design import scheme_of, with_excess
+from platform_ctrl.export.code.identifiers import Names, field_names
+from platform_ctrl.export.code.job_emission import job_header, job_source
+from platform_ctrl.export.code.scheme import Provenance, Scheme, excess_gain
+from platform_ctrl.export.code.windup import Windup, back_calculation, proved
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.writing import write_whole
@@ -102,23 +107,116 @@ def write_c(
         if given not in known:
             raise ArgumentError(f"{name}: given {given!r}; expected one of {', '.join(known)}")
     judged = entries_of(job, entries)
-    schemes = [_scheme(job, entry, sha256, dict(versions or {}), command) for entry in judged]
-    signals = Names(40)
-    identifiers = {name: signals[name] for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)}
+    schemes, remarks = [], []
+    notes: list[str] = []
+    for entry in judged:
+        scheme = _scheme(job, entry, sha256, dict(versions or {}), command)
+        windup = _windup(job, scheme, entry, anti_windup)
+        schemes.append(with_excess(scheme, windup.gain))
+        remarks.append(windup.remark)
+        notes += windup.notes
+    signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
     prefixes = Names(24)
+    texts: dict[str, str] = {}
+    units = []
+    for scheme, remark in zip(schemes, remarks, strict=True):
+        prefix = prefixes[scheme.name].lower()
+        if number == "q31" or number == "q15":
+            texts |= _fixed(job, scheme, number, prefix, signals)
+            continue
+        said = [remark]
+        if number == "float":
+            more, doubts = _in_single_precision(job, scheme)
+            said.append(more)
+            notes += doubts
+        unit = Unit(
+            scheme=scheme,
+            number="double" if number == "double" else "float",
+            prefix=prefix,
+            signals=signals,
+            remarks=tuple(said),
+        )
+        units.append(unit)
+        texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
+    if units:
+        whole = prefixes[f"{job.name} "].lower()
+        texts |= {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"{target}: {error.strerror or error}; expected a folder, or a path where one can be"
-        ) from None
-    files = []
-    for scheme in schemes:
-        unit = Unit(scheme=scheme, number=number, prefix=prefixes[scheme.name].lower(), signals=identifiers)  # type: ignore[arg-type]
-        files.append(write_whole(target / f"{unit.prefix}.h", header(unit)))
-        files.append(write_whole(target / f"{unit.prefix}.c", source(unit)))
-    return Written(files=tuple(files))
+        why = error.strerror or error
+        raise InputError(f"{target}: {why}; expected a folder, or a path where one can be") from None
+    files = tuple(write_whole(target / name, text) for name, text in texts.items())
+    return Written(files=files, notes=tuple(notes))
+
+
+def _windup(job: Job, scheme: Scheme, entry: Entry, asked: AntiWindup) -> Windup:
+    if entry.excess is not None and asked != "none":
+        remark = "Anti-windup: the gain E that came with the controller, x+ = A x + B y + E (limited - commanded)."
+        return Windup(gain=excess_gain(scheme), remark=remark)
+    if asked == "none":
+        gain = np.zeros((len(scheme.states), len(scheme.outputs)))
+        return Windup(gain=gain, remark="Anti-windup: none, as asked for: at their limits integrals run on.")
+    return proved(job, scheme) if asked == "proved" else back_calculation(scheme)
+
+
+def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
+    """Return a paragraph for the header about what float does to a controller, and what is doubtful in it."""
+    ranges = {name: _range(job, name) for name in scheme.inputs}
+    error = float_error(scheme, ranges)
+    inputs = ", ".join(
+        f"{name} {size:.3g} {what}" for (name, size), what in zip(ranges.items(), scheme.input_units, strict=True)
+    )
+    outputs = ", ".join(
+        f"{name} {size:.2g} {what}"
+        for name, size, what in zip(scheme.outputs, error.bound, scheme.output_units, strict=True)
+    )
+    said = (
+        f"Float against double: inputs within ({inputs}), integrals worth no more than the limits, same states at "
+        f"first: after {error.steps} samples outputs differ by at most ({outputs}), while no limit acts. Rounded "
+        f"coefficients change the response by at most {error.response:.2g} of its size, and a pole by "
+        f"{error.pole:.2g} of its distance from z = 1."
+    )
+    notes = []
+    if error.unseen.any():
+        lost = ", ".join(
+            f"{name} {size:.2g} {what}"
+            for name, size, what in zip(scheme.inputs, error.unseen, scheme.input_units, strict=True)
+        )
+        said += f" Smaller than ({lost}) and constant, an input may be lost in the last digit of an integral."
+        still = {pickoff.name: max(pickoff.noise_rms, 0.5 * pickoff.quantisation) for pickoff in job.platform.pickoffs}
+        for name, size in zip(scheme.inputs, error.unseen, strict=True):
+            # Noise that is larger carries what is lost over the last digit.
+            if size > max(still.get(name, 0.0), 1e-4 * ranges[name]):
+                notes.append(
+                    f"{scheme.name}: as float, an integral may lose a constant {name} of {size:.2g}; use double"
+                )
+    if max(error.response, error.pole) > TOLD:
+        notes.append(
+            f"{scheme.name}: as float, the response changes by {error.response:.2g} of its size and a pole by "
+            f"{error.pole:.2g} of its distance from z = 1"
+        )
+    return said, notes
+
+
+def _range(job: Job, name: str) -> float:
+    from platform_ctrl.export.fixed.ranges import input_ranges
+
+    try:
+        return input_ranges((name,), job)[name]
+    except InputError:
+        # Neither stops nor a limit: figures per unit.
+        return 1.0
+
+
+def _fixed(
+    job: Job, scheme: Scheme, number: Literal["q31", "q15"], prefix: str, signals: dict[str, str]
+) -> dict[str, str]:
+    from platform_ctrl.export import fixed
+
+    made = fixed.fixed_point(scheme, fixed.input_ranges(scheme.inputs, job), number=number)
+    return {f"{prefix}.h": fixed.header(made, prefix, signals), f"{prefix}.c": fixed.source(made, prefix, signals)}
 
 
 def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:
