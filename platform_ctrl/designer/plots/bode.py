@@ -1,0 +1,185 @@
+"""Gain and phase of the loop over frequency, with the set's band, other designs, margins, and a crossover to drag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from bokeh.models import AdaptiveTicker, ColumnDataSource, Span
+
+from platform_ctrl.designer.plots.columns import column, decibels, extent, finite
+from platform_ctrl.designer.plots.crossover_handle import CrossoverHandle
+from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
+from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
+from platform_ctrl.designer.plots.sources import Sources
+from platform_ctrl.designer.plots.views import View, stepped
+from platform_ctrl.designer.plots.words import factor
+from platform_ctrl.designer.values import Bode, Margins, Picture
+from platform_ctrl.frozen import FloatArray
+
+HZ = 1.0 / (2.0 * math.pi)
+
+
+class BodePanel:
+    """The Bode diagram.
+
+    Parameters
+    ----------
+    theme
+        Colours.
+    sources
+        Where the data of all plots stand.
+    frequency
+        View that all plots over frequency share.
+    """
+
+    def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
+        self.panel = Panel("bode", "Bode", theme)
+        self._sources, self._frequency = sources, frequency
+        self._gain = View(-40.0, 40.0, stepped(20.0, -80.0, 80.0))
+        self._phase = View(-360.0, 0.0, stepped(90.0, -720.0, 360.0))
+        above = self.panel.add(frequency, self._gain, "", "gain of L, dB", log_x=True, share=3)
+        below = self.panel.add(frequency, self._phase, "frequency, Hz", "phase of L, °", log_x=True, share=2)
+        self.above, self.below = above, below
+        self.panel.label_ticks(above, False)
+        above.min_border_bottom = 2
+        above.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 5], desired_num_ticks=5, num_minor_ticks=0)
+        below.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=4, num_minor_ticks=0)
+        self._loop: ColumnDataSource = sources.new("loop", "frequency", "gain", "phase")
+        self._band = sources.new("band", "frequency", "gain_low", "gain_high", "phase_low", "phase_high")
+        self._marks = sources.new("margins", "frequency", "gain0", "gain1", "phase0", "phase1")
+        paint = theme.paint
+        for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
+            area = plot.varea("frequency", f"{name}_low", f"{name}_high", source=self._band, fill_alpha=0.16)
+            paint(area.glyph, fill_color="series-1")
+            line = Span(dimension="width", location=level, line_width=1)
+            nyquist = Span(dimension="height", location=None, line_width=1, line_dash=[2, 3])
+            paint(line, line_color="reference")
+            paint(nyquist, line_color="reference")
+            plot.add_layout(line)
+            plot.add_layout(nyquist)
+            sources.spans.append(nyquist)
+            asked = Span(dimension="height", location=None, line_width=1.5, line_dash=[6, 3])
+            paint(asked, line_color="limit")
+            plot.add_layout(asked)
+            sources.asked.append(asked)
+            self._nyquist_and_asked = (nyquist, asked)
+        self.overlays = OverlayCurves(sources, theme)
+        self.overlays.draw(above, "xs", "gains")
+        self.overlays.draw(below, "xs", "phases")
+        loops = []
+        for plot, name in ((above, "gain"), (below, "phase")):
+            line = plot.line("frequency", name, source=self._loop, line_width=2.2)
+            paint(line.glyph, line_color="series-1")
+            loops.append(line)
+            mark = plot.segment("frequency", f"{name}0", "frequency", f"{name}1", source=self._marks, line_width=2)
+            end = plot.scatter("frequency", f"{name}1", source=self._marks, size=6)
+            paint(mark.glyph, line_color="ink")
+            paint(end.glyph, fill_color="page", line_color="ink")
+        rows = [("frequency", "@frequency{0.[000]} Hz"), ("gain", "@gain{0.0} dB"), ("phase", "@phase{0}°")]
+        for plot, line in zip((above, below), loops, strict=True):
+            self.panel.hover(plot, [line], rows, mode="vline", line_policy="interp")
+        self.panel.crosshair(above, below)
+        self.handle = CrossoverHandle(above, theme)
+        self._message = self.panel.message(above)
+        self._late = self.panel.message(below)
+
+    def on_pulled(self, callback: Callable[[float], None]) -> None:
+        """Call `callback` with a frequency, rad/s, while the crossover is dragged."""
+        self.handle.callbacks.append(callback)
+
+    def show(self, picture: Picture) -> None:
+        """Follow a picture."""
+        bode, margins = picture.bode, picture.margins
+        f = column(bode.frequency * HZ)
+        gain, phase = decibels(bode.magnitude), column(bode.phase)
+        self._sources.put("loop", frequency=f, gain=gain, phase=phase)
+        band = finite(
+            column(bode.band_frequency * HZ),
+            decibels(bode.magnitude_low),
+            decibels(bode.magnitude_high),
+            column(bode.phase_low),
+            column(bode.phase_high),
+        )
+        self._sources.put(
+            "band",
+            **dict(zip(("frequency", "gain_low", "gain_high", "phase_low", "phase_high"), band, strict=True)),
+        )
+        self.overlays.show(bode.overlays, bode.frequency)
+        marks = _marks(bode) if picture.stable else np.zeros((0, 5))
+        names = ("frequency", "gain0", "gain1", "phase0", "phase1")
+        self._sources.put("margins", **{name: column(marks[:, k]) for k, name in enumerate(names)})
+        nyquist = bode.nyquist * HZ
+        for span in self._sources.spans:
+            span.location = float(nyquist) if math.isfinite(nyquist) else None
+        asked = next((r.limit for r in picture.requirements if _is_bandwidth(r.name, r.unit)), None)
+        for span in self._sources.asked:
+            span.location = asked
+        seen = extent([f])
+        self._frequency.fit(seen if seen is not None and seen[0] > 0.0 else None)
+        self._gain.fit(extent([gain, band[1], band[2]]))
+        self._phase.fit(extent([phase]))
+        self.handle.show(None if margins.crossover is None else margins.crossover * HZ)
+        self.panel.say(f"{bode.channel}, others closed" + (_words(margins) if picture.stable else ""))
+        keys: list[Key] = [(picture.settings.design or "L", "series-1", (), 2.2)]
+        self.panel.keys(
+            [
+                *keys,
+                *overlay_keys(bode.overlays),
+                *([("asked bandwidth", "limit", (6, 3), 1.5)] if asked is not None else []),
+            ]
+        )
+        empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())
+        tell(self._message, "no finite response of this loop" if empty else _trouble(picture))
+        tell(self._late, "")
+
+
+def _is_bandwidth(name: str, unit: str) -> bool:
+    return "bandwidth" in name and unit == "Hz"
+
+
+def _trouble(picture: Picture) -> str:
+    if not picture.stable:
+        return "closed loop not stable: these are no margins"
+    if not picture.all_stable:
+        return "not stable with every plant of the set"
+    return "" if picture.margins.crossover is not None else "the gain never passes 1: no crossover"
+
+
+def _words(margins: Margins) -> str:
+    parts = []
+    if math.isfinite(margins.phase):
+        parts.append(f"phase margin {margins.phase:.0f}°")
+    if margins.gain_down > 0.0 or math.isfinite(margins.gain_up):
+        parts.append(f"gain × {factor(margins.gain_down)} to {factor(margins.gain_up)}")
+    return "".join(f" · {part}" for part in parts)
+
+
+def _marks(bode: Bode) -> FloatArray:
+    """Return rows of frequency, gain from and to, phase from and to: the least phase and gain margins as lengths."""
+    f, gain, phase = bode.frequency, bode.magnitude, bode.phase
+    fine = np.isfinite(f) & np.isfinite(gain) & np.isfinite(phase) & (gain > 0.0) & (f > 0.0)
+    if fine.sum() < 2:
+        return np.zeros((0, 5))
+    x, level, phase = np.log(f[fine]), 20.0 * np.log10(gain[fine]), phase[fine]
+    rows = []
+    crossovers = bode.crossovers[np.isfinite(bode.crossovers) & (bode.crossovers > 0.0)]
+    if crossovers.size:
+        at = np.interp(np.log(crossovers), x, phase)
+        critical = 360.0 * np.round((at + 180.0) / 360.0) - 180.0
+        k = int(np.argmin(np.abs(at - critical)))
+        rows.append((crossovers[k] * HZ, math.nan, math.nan, critical[k], at[k]))
+    turns = np.floor((phase + 180.0) / 360.0)
+    jumps = np.flatnonzero(np.diff(turns))
+    if jumps.size:
+        critical = 360.0 * np.maximum(turns[jumps], turns[jumps + 1]) - 180.0
+        step = phase[jumps + 1] - phase[jumps]
+        share = np.clip((critical - phase[jumps]) / step, 0.0, 1.0)
+        where = x[jumps] + share * (x[jumps + 1] - x[jumps])
+        level_there = level[jumps] + share * (level[jumps + 1] - level[jumps])
+        for side in (level_there < 0.0, level_there > 0.0):
+            if side.any():
+                k = int(np.flatnonzero(side)[np.argmin(np.abs(level_there[side]))])
+                rows.append((math.exp(where[k]) * HZ, 0.0, level_there[k], math.nan, math.nan))
+    return np.array(rows).reshape(-1, 5)

@@ -1,0 +1,296 @@
+"""A panel of the page: a heading in HTML, one or two figures below it, all in the page's colours and type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from bokeh.models import (
+    BasicTickFormatter,
+    Button,
+    Column,
+    CrosshairTool,
+    Div,
+    HoverTool,
+    InlineStyleSheet,
+    Label,
+    LinearAxis,
+    LogAxis,
+    LogTickFormatter,
+    LogTicker,
+    Model,
+    Node,
+    PanTool,
+    Plot,
+    ResetTool,
+    Row,
+    Span,
+    WheelZoomTool,
+)
+from bokeh.events import DoubleTap
+from bokeh.plotting import figure
+
+from platform_ctrl.designer.plots.palette import FONT, NORMAL, SMALL, colours
+from platform_ctrl.designer.plots.views import View
+
+# Key of a curve: words, name of its colour, dashes, width.
+Key = tuple[str, str, Sequence[int], float]
+
+_LEFT, _RIGHT, _TOP = 54, 12, 6
+
+_HEADING = f"""
+:host {{ font-family: {FONT}; font-size: {NORMAL}; line-height: 18px; font-variant-numeric: tabular-nums; }}
+.line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; }}
+.title {{ font-weight: 650; }}
+.detail {{ overflow: hidden; text-overflow: ellipsis; }}
+.keys {{ font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
+.keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
+"""
+
+_BUTTON = """
+:host {{ flex: none; }}
+.bk-btn {{ padding: 0 7px; height: 18px; line-height: 16px; border: 1px solid transparent; border-radius: 3px;
+  background: transparent; color: {muted}; font: {small} {font}; box-shadow: none; cursor: pointer; }}
+.bk-btn:hover, .bk-btn:focus-visible {{ border-color: {frame}; background: transparent; color: {ink}; }}
+.bk-btn.bk-active {{ border-color: {frame}; background: {panel}; color: {ink}; }}
+"""
+
+
+class Theme:
+    """Which property of which model has which colour of the palette, so that all can change in place.
+
+    Parameters
+    ----------
+    dark
+        Theme at the beginning.
+    """
+
+    def __init__(self, dark: bool) -> None:
+        self.dark = dark
+        self.colours = colours(dark)
+        self._properties: list[tuple[Model, str, str]] = []
+        self._sheets: list[tuple[InlineStyleSheet, str]] = []
+
+    def paint(self, model: Model, **roles: str) -> None:
+        """Give properties of a model their colours by name, now and after every change of the theme."""
+        for name, role in roles.items():
+            self._properties.append((model, name, role))
+            setattr(model, name, self.colours[role])
+
+    def sheet(self, css: str) -> InlineStyleSheet:
+        """Return a style sheet whose ``{names}`` are the theme's colours."""
+        out = InlineStyleSheet()
+        self._sheets.append((out, css))
+        self._write(out, css)
+        return out
+
+    def change(self, dark: bool) -> None:
+        """Switch all that was painted."""
+        self.dark, self.colours = dark, colours(dark)
+        for model, name, role in self._properties:
+            setattr(model, name, self.colours[role])
+        for sheet, css in self._sheets:
+            self._write(sheet, css)
+
+    def _write(self, sheet: InlineStyleSheet, css: str) -> None:
+        sheet.css = css.format(
+            small=SMALL, font=FONT, **{name.replace("-", "_"): c for name, c in self.colours.items()}
+        )
+
+
+class Panel:
+    """Heading, keys of the curves, button that shows everything again, and figures.
+
+    Parameters
+    ----------
+    name
+        Of the plot.
+    title
+        Its heading.
+    theme
+        Colours it follows.
+    """
+
+    def __init__(self, name: str, title: str, theme: Theme) -> None:
+        self.name, self._title, self.theme = name, title, theme
+        self.figures: list[Plot] = []
+        self._views: list[View] = []
+        colour = theme.sheet(
+            ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
+        )
+        common: dict[str, Any] = {"margin": 0, "stylesheets": [InlineStyleSheet(css=_HEADING), colour]}
+        self._head = Div(sizing_mode="stretch_width", height=18, **common)
+        self._keys = Div(sizing_mode="stretch_width", height=16, **common)
+        self._reset = self.button("reset view", f"{name}-reset")
+        self._reset.on_click(self.reset)
+        self._row = Row(self._head, self._reset, sizing_mode="stretch_width", margin=0, spacing=4)
+        self.layout = Column(
+            self._row,
+            self._keys,
+            sizing_mode="stretch_both",
+            margin=0,
+            spacing=2,
+            name=name,
+            css_classes=[f"plot-{name}"],
+        )
+        self.say("")
+        self.keys([])
+
+    def reset(self) -> None:
+        """Show everything again."""
+        for view in self._views:
+            view.reset()
+
+    def button(self, label: str, name: str) -> Button:
+        """Return a small button in the page's style."""
+        return Button(
+            stylesheets=[self.theme.sheet(_BUTTON)],
+        )  # fmt: skip
+
+    def add(
+        self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False, share: int = 1
+    ) -> Plot:
+        """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar.
+
+        `share`: of the panel's height, relative to the others.
+        """
+        out = figure(
+            x_range=x.range,
+            y_range=y.range,
+            x_axis_type="log" if log_x else "linear",
+            y_axis_type="log" if log_y else "linear",
+            x_axis_label=x_label,
+            y_axis_label=y_label,
+            toolbar_location=None,
+            tools=[],
+            sizing_mode="stretch_both",
+            min_height=90,
+            min_width=200,
+            min_border_left=_LEFT,
+            min_border_right=_RIGHT,
+            min_border_top=_TOP,
+            min_border_bottom=0,
+            output_backend="canvas",
+            margin=0,
+            styles={"flex-grow": f"{share}", "flex-basis": "0"},
+        )
+        pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
+        out.add_tools(pan, wheel, ResetTool())
+        out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
+        for view in (x, y):
+            if view not in self._views:
+                self._views.append(view)
+        # Two clicks show everything again, as the button does.
+        out.on_event(DoubleTap, lambda event: self.reset())
+        self._style(out)
+        self.figures.append(out)
+        self.layout.children = [*self.layout.children, out]
+        return out
+
+    def _style(self, plot: Plot) -> None:
+        paint = self.theme.paint
+        paint(plot, background_fill_color="page", border_fill_color="page")
+        plot.outline_line_color = None
+        for axis in (*plot.xaxis, *plot.yaxis):
+            self.style_axis(axis)
+        for grid in (*plot.xgrid, *plot.ygrid):
+            paint(grid, grid_line_color="grid")
+            grid.grid_line_width = 1
+
+    def style_axis(self, axis: Any) -> None:
+        """Give an axis the page's type, ticks and colours."""
+        self.theme.paint(
+            axis,
+            axis_line_color="frame",
+            major_tick_line_color="frame",
+            major_label_text_color="muted",
+            axis_label_text_color="muted",
+        )
+        axis.minor_tick_line_color = None
+        axis.major_tick_in, axis.major_tick_out = 0, 4
+        axis.major_label_standoff, axis.axis_label_standoff = 3, 4
+        axis.major_label_text_font = axis.axis_label_text_font = FONT
+        axis.major_label_text_font_size = axis.axis_label_text_font_size = SMALL
+        axis.axis_label_text_font_style = "normal"
+        if isinstance(axis, LogAxis):
+            axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=0)
+            axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
+        elif isinstance(axis, LinearAxis):
+            axis.ticker.desired_num_ticks = 5
+            axis.formatter = BasicTickFormatter(use_scientific=False)
+
+    def label_ticks(self, plot: Plot, shown: bool, words: str = "") -> None:
+        """Write numbers and words below a figure, or leave them to the figure under it."""
+        axis = plot.xaxis[0]
+        # A size of 0 is no size for a power of ten.
+        axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
+        axis.axis_label = words if shown else ""
+        axis.major_tick_out = 4 if shown else 0
+
+    def crosshair(self, *plots: Plot) -> None:
+        """Let figures have a cross at the mouse; its vertical line goes through all of them."""
+        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
+        self.theme.paint(vertical, line_color="reference")
+        for plot in plots:
+            across = Span(dimension="width", line_width=1, line_dash=[3, 3])
+            self.theme.paint(across, line_color="reference")
+            plot.add_tools(CrosshairTool(overlay=[across, vertical], visible=False))
+
+    def hover(self, plot: Plot, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
+        """Let curves tell their numbers: rows of words and Bokeh's fields, which hold the unit."""
+        tool = HoverTool(
+            renderers=list(renderers),
+            tooltips=_tip(rows),
+            visible=False,
+            show_arrow=False,
+           
+            **settings,
+        )
+        plot.add_tools(tool)
+
+    def message(self, plot: Plot) -> Label:
+        """Return a line of text at the top left of a figure, empty at first, that says what is the matter."""
+        corner = Node(target="frame", symbol="top_left")
+        out = Label(
+            x=corner, y=corner, x_offset=8, y_offset=8, text="", text_baseline="top", text_font=FONT,
+            text_font_size=NORMAL, padding=3, level="annotation", visible=False,
+        )  # fmt: skip
+        self.theme.paint(out, text_color="limit", background_fill_color="page")
+        out.background_fill_alpha = 0.85
+        plot.add_layout(out)
+        return out
+
+    def say(self, detail: str) -> None:
+        """Write what stands beside the heading."""
+        self._head.text = (
+            f'<div class="line"><span class="title">{escape(self._title)}</span>'
+            f'<span class="detail">{escape(detail)}</span></div>'
+        )
+
+    def keys(self, entries: Sequence[Key]) -> None:
+        """Write what each curve is: words, name of the colour, dashes, width."""
+        parts = []
+        for words, role, dash, width in entries:
+            dashing = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
+            parts.append(
+                f'<span><svg><line x1="0" x2="22" y1="4" y2="4" stroke="{self.theme.colours[role]}" '
+                f'stroke-width="{width:g}"{dashing}/></svg>{escape(words)}</span>'
+            )
+        self._keys.text = f'<div class="line keys">{"".join(parts)}</div>'
+
+
+def tell(label: Label, text: str) -> None:
+    """Write a message into a figure; an empty one hides it."""
+    label.update(text=text, visible=bool(text))
+
+
+def _tip(rows: Sequence[tuple[str, str]]) -> str:
+    cells = "".join(
+        f'<span style="opacity:.7">{escape(words)}</span><span style="text-align:right">{number}</span>'
+        for words, number in rows
+    )
+    return (
+        f'<div style="display:grid;grid-template-columns:auto auto;gap:0 10px;font:{SMALL}/16px system-ui,sans-serif;'
+        f'font-variant-numeric:tabular-nums">{cells}</div>'
+    )

@@ -1,0 +1,66 @@
+"""A handle's drag as it comes from the browser: thinned out in time, ended by rest, and the last place counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from bokeh.models import Model
+
+Place = TypeVar("Place")
+
+# Milliseconds between two places that are handed on, and of rest after which a drag is over.
+EVERY, REST = 40, 350
+
+
+class Pulling(Generic[Place]):
+    """Hands on where a handle is dragged, at most every `EVERY` ms, and always the last place.
+
+    Parameters
+    ----------
+    anchor
+        A model of the document whose clock is used; without a document everything is handed on at once.
+    pulled
+        Called with the place.
+    ended
+        Called when the drag has rested for `REST` ms.
+    """
+
+    def __init__(self, anchor: Model, pulled: Callable[[Place], None], ended: Callable[[], None]) -> None:
+        self._anchor, self._pulled, self._ended = anchor, pulled, ended
+        self._place: Place | None = None
+        self._waiting: Any = None
+        self._resting: Any = None
+        self.active = False
+
+    def move(self, place: Place) -> None:
+        """Take a new place."""
+        self.active = True
+        self._place = place
+        document = self._anchor.document
+        if document is None or document.session_context is None:
+            self._hand_on()
+            return
+        if self._waiting is None:
+            self._waiting = document.add_timeout_callback(self._hand_on, EVERY)
+        if self._resting is not None:
+            document.remove_timeout_callback(self._resting)
+        self._resting = document.add_timeout_callback(self.end, REST)
+
+    def end(self) -> None:
+        """End the drag now: what was not handed on yet is."""
+        document = self._anchor.document
+        if document is not None:
+            for waiting in (self._waiting, self._resting):
+                if waiting is not None and waiting in document.session_callbacks:
+                    document.remove_timeout_callback(waiting)
+        self._waiting = self._resting = None
+        self._hand_on()
+        self.active = False
+        self._ended()
+
+    def _hand_on(self) -> None:
+        self._waiting = None
+        place, self._place = self._place, None
+        if place is not None:
+            self._pulled(place)

@@ -1,0 +1,212 @@
+"""Signals over time with the set's band, other designs, what acts, and what the job allows; a figure for each unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, Plot, Range1d
+
+from platform_ctrl.designer.plots.columns import Column, column, extent, finite, thinned
+from platform_ctrl.designer.plots.palette import dashes, series
+from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
+from platform_ctrl.designer.plots.sources import Sources
+from platform_ctrl.designer.plots.views import View
+from platform_ctrl.designer.plots.words import Unit
+from platform_ctrl.designer.values import Overlay, Picture, TimeResponse
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.greek import greek
+
+# Points of a curve, signals in a figure; how far the set's band may widen the view beyond the plant shown.
+_POINTS, _SIGNALS, _WIDER = 400, 9, 3.0
+# Figures: the first unit of a response, and the second.
+_FIGURES = 2
+
+
+class TimePanel:
+    """A response over time: angles, and torques below them.
+
+    Parameters
+    ----------
+    panel
+        Where the figures go.
+    name
+        Of the sources.
+    sources
+        Where the data of all plots stand.
+    theme
+        Colours.
+    """
+
+    def __init__(self, panel: Panel, name: str, sources: Sources, theme: Theme) -> None:
+        time = View(0.0, 1.0, _whole)
+        self._panel = panel
+        self._time = time
+        self._traces = [_Trace(panel, f"{name}_{k}" if k else name, time, sources, theme, last=k > 0) for k in (0, 1)]
+        panel.crosshair(*self.plots)
+        self._shown = True
+
+    @property
+    def plots(self) -> list[Plot]:
+        """The figures."""
+        return [one.plot for one in self._traces]
+
+    def visible(self, shown: bool) -> None:
+        """Show the figures, or hide them."""
+        self._shown = shown
+        self._arrange()
+
+    def show(self, picture: Picture, response: TimeResponse, own: str) -> list[Key]:
+        """Follow a response.
+
+        Parameters
+        ----------
+        picture
+            That it belongs to.
+        response
+            What is drawn.
+        own
+            Attribute of `Overlay` that holds the same of other designs.
+
+        Returns
+        -------
+        list of (words, colour, dashes, width)
+            Keys of the curves.
+        """
+        units = list(dict.fromkeys(response.units))[:_FIGURES] or [""]
+        overlays = picture.bode.overlays
+        keys: list[Key] = []
+        for k, trace in enumerate(self._traces):
+            rows = [i for i, unit in enumerate(response.units) if k < len(units) and unit == units[k]][:_SIGNALS]
+            trace.show(picture, response, rows, units[k] if k < len(units) else "", None if k else response.limit, own)
+            keys += trace.keys
+        self._time.fit(extent([column(response.t)]))
+        self._arrange()
+        return keys + [(one.design, "muted", dashes(1 + j), 1.3) for j, one in enumerate(overlays)]
+
+    def _arrange(self) -> None:
+        first, second = self._traces
+        first.plot.visible = self._shown
+        second.plot.visible = self._shown and second.used
+        # Times are written once, below the lower figure.
+        self._panel.label_ticks(first.plot, not second.used, "time, s")
+
+
+class _Trace:
+    """One figure of signals in one unit."""
+
+    def __init__(self, panel: Panel, name: str, time: View, sources: Sources, theme: Theme, *, last: bool) -> None:
+        self._name, self._sources, self._theme, self._last = name, sources, theme, last
+        self._size = View(-1.0, 1.0)
+        self.plot = plot = panel.add(time, self._size, "time, s" if last else "", "", share=2 if last else 3)
+        lines: ColumnDataSource = sources.new(name, lists=("xs", "ys", "name", "unit", "colour"))
+        bands = sources.new(f"{name}_bands", lists=("xs", "ys", "colour"))
+        others = sources.new(f"{name}_overlays", lists=("xs", "ys", "name", "colour", "dash"))
+        drive = sources.new(f"{name}_drive", "t", "share")
+        self._limits = []
+        for edge in ("bottom", "top"):
+            beyond = BoxAnnotation(**{edge: 0.0}, visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+            theme.paint(beyond, fill_color="beyond")
+            plot.add_layout(beyond)
+            self._limits.append(beyond)
+        plot.extra_y_ranges = {"share": Range1d(start=-1.1, end=1.1)}
+        acts = plot.line("t", "share", source=drive, line_width=1, line_dash=[2, 3], y_range_name="share")
+        theme.paint(acts.glyph, line_color="reference")
+        plot.patches("xs", "ys", source=bands, fill_color="colour", fill_alpha=0.16, line_alpha=0.0)
+        plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
+        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=2.0)
+        rows = [("@name", "$snap_y{0.[000]} @unit"), ("time", "$snap_x{0.[0000]} s")]
+        panel.hover(plot, [curves], rows, line_policy="interp")
+        self._message = panel.message(plot)
+        self._unit = Unit()
+        self.used = True
+        self.keys: list[Key] = []
+
+    def show(
+        self, picture: Picture, response: TimeResponse, rows: list[int], unit: str, limit: float | None, own: str
+    ) -> None:
+        self.used = bool(rows)
+        at = thinned(len(response.t), _POINTS)
+        t = column(response.t[at])
+        values = response.values[rows][:, at]
+        band = response.low.size > 0 and response.low.shape == response.high.shape == response.values.shape
+        low, high = (response.low[rows][:, at], response.high[rows][:, at]) if band else (values, values)
+        limit = limit if limit is not None and 0.0 < limit < math.inf else None
+        others = [_fitting(one, own, response.values.shape) for one in picture.bode.overlays]
+        seen = _seen(values, [low, high, *(one[rows][:, at] for one in others if one is not None)], limit)
+        self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
+        scale, unit = self._unit.scale, self._unit.name
+        colours = [self._theme.colours[series(k)] for k in range(len(rows))]
+        names = [greek(response.signals[i]) for i in rows]
+        put = self._sources.put
+        put(
+            self._name,
+            xs=[t] * len(rows),
+            ys=[column(scale * one) for one in values],
+            name=names,
+            unit=[unit] * len(rows),
+            colour=colours,
+        )
+        areas = [_area(t, column(scale * a), column(scale * b)) for a, b in zip(low, high, strict=True)] if band else []
+        put(f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)])
+        drawn = [(j, k, one[i, at]) for j, one in enumerate(others) if one is not None for k, i in enumerate(rows)]
+        put(
+            f"{self._name}_overlays",
+            xs=[t] * len(drawn),
+            ys=[column(scale * y) for _, _, y in drawn],
+            name=[picture.bode.overlays[j].design for j, _, _ in drawn],
+            colour=[colours[k] for _, k, _ in drawn],
+            dash=[list(dashes(1 + j)) for j, _, _ in drawn],
+        )
+        acts = len(response.drive) == len(response.t) and not self._last
+        put(f"{self._name}_drive", t=t if acts else column([]), share=column(response.drive[at] if acts else []))
+        if seen is not None:
+            self._size.fit((scale * seen[0], scale * seen[1]))
+        self.plot.yaxis[0].axis_label = ("torque, " if unit.endswith("N m") else "") + unit
+        above, below = self._limits
+        if limit is not None:
+            above.bottom, below.top = scale * limit, -scale * limit
+        above.visible = below.visible = limit is not None
+        if rows and not np.isfinite(values).any():
+            tell(self._message, "no finite response")
+        else:
+            troubled = not (picture.stable or self._last)
+            tell(self._message, "closed loop not stable: this grows without bound" if troubled else "")
+        # Torques have the colours of the angles above them, in the same order.
+        self.keys = [] if self._last else [(name, series(k), (), 2.0) for k, name in enumerate(names)]
+        if limit is not None:
+            self.keys.append((f"limit {scale * limit:.3g} {unit}", "limit", (), 1.5))
+
+
+def _fitting(overlay: Overlay, own: str, shape: tuple[int, ...]) -> FloatArray | None:
+    out: FloatArray = getattr(overlay, own)
+    return out if out.shape == shape else None
+
+
+def _whole(low: float, high: float) -> tuple[float, float]:
+    return low, high if high > low else low + 1.0
+
+
+def _seen(values: FloatArray, wider: Sequence[FloatArray], limit: float | None) -> tuple[float, float] | None:
+    """Return what the view has to show: the plant shown, the others as long as they do not dwarf it, a limit nearby."""
+    own = extent([values])
+    if own is None:
+        return None
+    size = max(abs(own[0]), abs(own[1]), 1e-30)
+    low, high = extent(wider) or own
+    low, high = max(min(own[0], low), -_WIDER * size), min(max(own[1], high), _WIDER * size)
+    if limit is not None:
+        # An unstable loop leaves its limit far behind: what happens near the limit is of interest.
+        low, high = max(low, -4.0 * limit), min(high, 4.0 * limit)
+        if low < -0.5 * limit:
+            low = min(low, -1.1 * limit)
+        if high > 0.5 * limit:
+            high = max(high, 1.1 * limit)
+    return low, high
+
+
+def _area(t: Column, low: Column, high: Column) -> tuple[Column, Column]:
+    """Return the closed outline of a band."""
+    t, low, high = finite(t, low, high)
+    return np.concatenate([t, t[::-1]]), np.concatenate([low, high[::-1]])
