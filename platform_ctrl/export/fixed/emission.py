@@ -11,7 +11,7 @@ from platform_ctrl.export.fixed.wording import format_lines
 _WIDTH = 100
 
 
-def header(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
+def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tuple[str, ...] = ()) -> str:
     """Return the text of the header file.
 
     Parameters
@@ -22,6 +22,8 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
         First part of all external names; the names of the files.
     signals
         Identifiers of inputs and outputs by their names.
+    remarks
+        Paragraphs for its head: anti-windup.
 
     Returns
     -------
@@ -41,7 +43,7 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
     states = _state_names(fixed)
     shifts = _shifts(fixed)
     lines = [
-        *_head(fixed, prefix, signals),
+        *_head(fixed, prefix, signals, remarks),
         f"#ifndef {guard}",
         f"#define {guard}",
         "",
@@ -303,10 +305,6 @@ class _Source:
         lines += [f"    state->{field} = {self.locals[f'next {name}']};" for name, field in self.states.items()]
         if not self.states:
             lines.append("    state->none = 0;")
-        for name in self.scheme.outputs:
-            given = self.locals[f"limited {name}"] if name in self.limited else self.reads[name]
-            lines.append(f"    out->{self.signals[name]} = {given};")
-        lines += [f"    out->{self.signals[name]}_commanded = {self.reads[name]};" for name in self.scheme.outputs]
         upper = self.prefix.upper()
         clipped = [(self.locals[name], f"in->{self.signals[name]}") for name in self.scheme.inputs]
         cut = [(self.locals[f"limited {name}"], self.reads[name]) for name in self.limited]
@@ -317,7 +315,14 @@ class _Source:
             largest = _literal(self.formats[name].largest << shift, 64)
             local = self.locals[f"next {name}"]
             ends += [f"({local} == {largest})", f"({local} == -{largest})"]
-        return lines + self._flag(ends, f"{upper}_STOPPED")
+        lines += self._flag(ends, f"{upper}_STOPPED")
+        for name in self.scheme.outputs:
+            given = self.locals[f"limited {name}"] if name in self.limited else self.reads[name]
+            lines.append(f"    out->{self.signals[name]} = {given};")
+        return [
+            *lines,
+            *(f"    out->{self.signals[name]}_commanded = {self.reads[name]};" for name in self.scheme.outputs),
+        ]
 
     def _flag(self, tests: list[str], flag: str) -> list[str]:
         if not tests:
@@ -356,7 +361,7 @@ class _Source:
         return self.formats[name.removeprefix("excess of ")].fraction
 
 
-def _head(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> list[str]:
+def _head(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tuple[str, ...]) -> list[str]:
     s = fixed.scheme
     unit = Unit(scheme=s, number="double", prefix=prefix, signals=signals)
     rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
@@ -374,6 +379,7 @@ def _head(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> list[str]:
             "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
             "the axis in the plant file, as the angles are.",
             "",
+            *(line for remark in remarks for line in (remark, "")),
             *format_lines(fixed),
             "",
             *fixed.proof,

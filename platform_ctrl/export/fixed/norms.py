@@ -98,10 +98,10 @@ def gains(A: Balls, B: Balls, C: Balls, D: Balls) -> Gains:
     b, c = enclosed(B), enclosed(C)
     # First the inputs' columns, then those of the disturbances.
     start = Enclosed(middle=np.hstack([b.middle, np.eye(n)]), radius=np.hstack([b.radius, np.zeros((n, n))]))
-    x, y = _summed(powers, sums, c, start)
+    x, y = _summed(powers, sums, last, c, start)
     samples = 2 ** (len(powers) - 1)
-    # Σ_{k ≥ N} |A^k B| ≤ Σ_k |A^k| |A^N| |B|.
-    tail = (sums @ (last @ start.size)) * _UP**2
+    # Σ_{k ≥ N} |A^k B| ≤ Σ_k |A^k| |A^N| |B|; of the first N powers the sum is known better by now.
+    tail = x[:, m:] @ _geometric(last) @ (last @ start.size) * _UP**2
     x = (x + tail) * _UP
     y = (y + c.size @ tail * _UP) * _UP
     return Gains(
@@ -121,9 +121,7 @@ def _powers(A: Balls) -> tuple[list[Enclosed], FloatArray, FloatArray]:
     while True:
         size = powers[-1].size
         if n * size.max() < _SMALL:
-            # |P| ≤ p J with J all ones, J² = n J: Σ |P|^j ≤ I + p J/(1 − n p).
-            sums = sums @ (np.eye(n) + size.max() / (1.0 - n * size.max()) * _UP) * _UP
-            return powers, sums, size
+            return powers, sums @ _geometric(size) * _UP, size
         if len(powers) > _LONGEST or not np.all(np.isfinite(size)):
             raise SlowError
         # Σ_{k < 2N} |A^k| ≤ (I + |A^N|) Σ_{k < N} |A^k|.
@@ -132,8 +130,19 @@ def _powers(A: Balls) -> tuple[list[Enclosed], FloatArray, FloatArray]:
         powers.append(enclosed(product))
 
 
-def _summed(powers: list[Enclosed], sums: FloatArray, c: Enclosed, start: Enclosed) -> tuple[FloatArray, FloatArray]:
-    """Return upper bounds of Σ|x_k| and Σ|C x_k| over the first 2^(len(powers) − 1) samples, x_0 the start."""
+def _geometric(size: FloatArray) -> FloatArray:
+    """Return an upper bound of Σ|P|^j for a small |P|: |P| ≤ p J with J all ones, J² = n J."""
+    n, largest = len(size), float(size.max())
+    return np.asarray(np.eye(n) + largest / (1.0 - n * largest) * _UP, dtype=np.float64)
+
+
+def _summed(
+    powers: list[Enclosed], sums: FloatArray, last: FloatArray, c: Enclosed, start: Enclosed
+) -> tuple[FloatArray, FloatArray]:
+    """Return upper bounds of Σ|x_k| and Σ|C x_k| over the first 2^(len(powers) − 1) samples, x_0 the start.
+
+    The last columns of the start are the identity.
+    """
     n, columns = start.middle.shape
     gamma = 2.0 * (n + 4) * _UNIT
     residual = start.radius.copy()
@@ -163,6 +172,8 @@ def _summed(powers: list[Enclosed], sums: FloatArray, c: Enclosed, start: Enclos
         block = step(powers[doublings], block)
         count(block)
     inflated = 1.0 + 1e-8  # of sums over at most 2^22 samples
-    rest = sums @ residual * _UP
+    # A bound of all powers from these sums is closer than `sums`, and so is what it makes of the residuals.
+    closer = (x * inflated + sums @ residual)[:, columns - n :] @ _geometric(last) * _UP**2
+    rest = closer @ residual * _UP**2
     y = (y * inflated + (gamma * c.size + c.radius) @ x * inflated + c.size @ rest) * _UP
     return (x * inflated + rest) * _UP, y

@@ -1,0 +1,530 @@
+"""Controllers in fixed point: the C is the model in Python's integers, and what is proved of both holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import shutil
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import flint
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import platform_ctrl as pc
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.certificates.balls import balls
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.classical import classical_controller, starting_values
+from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError
+from platform_ctrl.export.code.entries import Entry
+from platform_ctrl.export.code.from_design import scheme_of, with_excess
+from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term, arrays
+from platform_ctrl.export.code.windup import back_calculation
+from platform_ctrl.export.fixed import FixedPoint, Machine, fixed_point, header, input_ranges, source
+from platform_ctrl.export.fixed.norms import gains
+
+NUMBERS = ("q31", "q15")
+FLAGS = ["-O1", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wsign-conversion", "-Werror"]
+# The main job's classical loop 9-10, from its starting values.
+OPTIONS = {
+    "crossover_hz": 70.0,
+    "integral_hz": 2.0,
+    "damping_hz": 78.0,
+    "damping2_hz": 92.0,
+    "lead_hz": 7.0,
+    "rolloff_hz": 900.0,
+    "notch_hz": 200.0,
+    "notch_depth": 0.7,
+    "notch_width": 0.15,
+}
+JOB = pc.read_job(
+    {
+        "schema": 1,
+        "name": "gyro 9-10",
+        "plant": "three_gyro_platform",
+        "operation": {"Omega": [1.0, 1.0, 1.0]},
+        "sampling": {"rate_hz": 2000, "delay": 0.0005},
+        "loop": [
+            {
+                "name": "caging 9-10",
+                "kind": "caging",
+                "gimbals": ["9", "10"],
+                "use": "classical",
+                "design": [{"name": "classical", "method": "classical", **OPTIONS}],
+            }
+        ],
+    }
+)
+
+
+def terms(**weights: float) -> tuple[Term, ...]:
+    return tuple(Term(coefficient=weight, source=name) for name, weight in weights.items())
+
+
+def scheme(*sections: Section, limit: float = np.inf, excess: tuple[Row, ...] = (), period: float = 1e-3) -> Scheme:
+    return Scheme(
+        name="test",
+        inputs=("y",),
+        input_units=("rad",),
+        outputs=("Q",),
+        output_units=("N m",),
+        sections=sections,
+        torque_limits=(limit,),
+        excess=excess,
+        period=period,
+        delay=0.0,
+    )
+
+
+def lag(pole: float, gain: float = 1.0, name: str = "lag", source_name: str = "y", target: str = "Q") -> Section:
+    """Return target = gain (1 − pole)/(z − pole) source."""
+    return Section(
+        name=name,
+        kind="lag",
+        signals=(Row(target=target, terms=terms(**{f"{name}_x": gain})),),
+        states=(Row(target=f"{name}_x", terms=terms(**{f"{name}_x": pole, source_name: 1.0 - pole})),),
+    )
+
+
+def resonance(radius: float, angle: float) -> Scheme:
+    """Return a scheme with a pair of poles in direct form, which is what coefficients of few digits do worst."""
+    states = (
+        Row(target="a", terms=terms(a=2.0 * radius * np.cos(angle), b=-(radius**2), y=1.0)),
+        Row(target="b", terms=terms(a=1.0)),
+    )
+    signals = (Row(target="Q", terms=terms(a=1.0)),)
+    return scheme(Section(name="resonance", kind="states", signals=signals, states=states))
+
+
+def integrator(gain: float, limit: float = 0.5, excess: float = 0.0) -> Scheme:
+    """Return Q = x + y, x⁺ = x + gain y + excess (limited Q − Q)."""
+    section = Section(
+        name="PI",
+        kind="integral",
+        signals=(Row(target="Q", terms=terms(x=1.0, y=1.0)),),
+        states=(Row(target="x", terms=terms(x=1.0, y=gain)),),
+    )
+    return scheme(section, limit=limit, excess=(Row(target="x", terms=terms(Q=excess)),) if excess else ())
+
+
+@pytest.fixture(scope="module")
+def classical() -> Scheme:
+    channel = channels(pc.linearise(JOB.platform), rows_of(pc.linearise(JOB.platform), ("9", "10")))
+    period = JOB.sampling.period
+    options = starting_values(OPTIONS, channel, 474.3, period)
+    entry = Entry(
+        loop="caging 9-10",
+        design="classical",
+        method="classical",
+        arrays=StateArrays(*classical_controller(options, channel, period), dt=period),
+        inputs=("alpha9", "beta10"),
+        outputs=("Q9", "Q10"),
+        options=options,
+    )
+    made = scheme_of(JOB, entry)
+    return with_excess(made, back_calculation(made).gain)
+
+
+@pytest.fixture(scope="module")
+def programmes(classical: Scheme) -> dict[str, FixedPoint]:
+    ranges = input_ranges(classical.inputs, JOB)
+    out = {f"classical_{number}": fixed_point(classical, ranges, number=number) for number in NUMBERS}
+    out |= {f"pi_{number}": fixed_point(integrator(1e-4, excess=0.01), {"y": 2.0}, number=number) for number in NUMBERS}
+    cascade = scheme(lag(0.9, 3.0, "fast", target="v"), lag(-0.4, 0.7, "ring", source_name="v"))
+    out |= {f"lags_{number}": fixed_point(cascade, {"y": 0.3}, number=number) for number in NUMBERS}
+    return out
+
+
+@pytest.fixture(scope="module")
+def runner(programmes: dict[str, FixedPoint], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Compile all programmes into one, that takes a name and counts and gives counts; undefined behaviour ends it."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc")
+    folder = tmp_path_factory.mktemp("fixed")
+    main, calls = ["#include <stdio.h>", "#include <string.h>"], []
+    for name, fixed in programmes.items():
+        signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
+        (folder / f"{name}.h").write_text(header(fixed, name, signals), encoding="ascii")
+        (folder / f"{name}.c").write_text(source(fixed, name, signals), encoding="ascii")
+        bits = fixed.formats[fixed.scheme.inputs[0]].bits
+        first = fixed.scheme.inputs[0]
+        reading = [f'if (scanf("%lld", &x) != 1) return 0; in.{one} = (int{bits}_t)x;' for one in fixed.scheme.inputs]
+        printing = [f'printf("%lld ", (long long)out.{one});' for one in fixed.scheme.outputs]
+        main += [
+            f'#include "{name}.h"',
+            f"static int run_{name}(void) {{ {name}_state state; {name}_in in; {name}_out out; long long x;",
+            f"{name}_reset(&state); for (;;) {{ {' '.join(reading)} {name}_step(&state, &in, &out);",
+            f"{' '.join(printing)} }} }}",
+            f"static int count_{name}(void) {{ double x;",
+            'while (scanf("%lf", &x) == 1)',
+            f'    printf("%lld ", (long long){name}_count_{first}(x));',
+            "return 0; }",
+        ]
+        calls += [f'if (strcmp(argv[1], "{name}") == 0) return run_{name}();']
+        calls += [f'if (strcmp(argv[1], "count_{name}") == 0) return count_{name}();']
+    main += ["int main(int argc, char **argv) {", "(void)argc;", *calls, "return 1; }"]
+    (folder / "main.c").write_text("\n".join(main) + "\n", encoding="ascii")
+    sources = [f"{name}.c" for name in programmes]
+    checked = ["-fsanitize=undefined", "-fno-sanitize-recover=undefined"]
+    command = ["gcc", "-std=c99", *FLAGS, *checked, *sources, "main.c", "-o", "run"]
+    built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return folder / "run"
+
+
+def run(runner: Path, name: str, numbers: Sequence[object]) -> list[int]:
+    done = subprocess.run([runner, name], input=" ".join(map(str, numbers)), capture_output=True, text=True)
+    assert not done.returncode, done.stderr
+    assert not done.stderr
+    return [int(word) for word in done.stdout.split()]
+
+
+def worst_case(fixed: FixedPoint, target: str, samples: int) -> list[int]:
+    """Return the input that drives a signal or state farthest: the sign of its impulse response, backwards."""
+    K = arrays(dataclasses.replace(fixed.scheme, outputs=(target,), output_units=("",), torque_limits=(np.inf,)))
+    response, x = [K.D[0, 0]], K.B[:, 0]
+    for _ in range(samples - 1):
+        response.append(float(K.C[0] @ x))
+        x = K.A @ x
+    largest = fixed.formats["y"].largest
+    return [largest if h >= 0 else -largest for h in reversed(response)]
+
+
+def test_l1_norms_are_bounded_from_above_and_closely() -> None:
+    def norm(A: list[list[float]], B: list[list[float]], C: list[list[float]]) -> float:
+        return float(gains(*(balls(np.array(M)) for M in (A, B, C)), balls(np.zeros((1, 1)))).signals[0, 0])
+
+    for pole in (0.5, -0.9, 0.9999):
+        exact = 1 / (1 - abs(flint.arb(pole)))
+        assert flint.arb(norm([[pole]], [[1.0]], [[1.0]])) >= exact
+        assert norm([[pole]], [[1.0]], [[1.0]]) <= 1.000001 * float(exact)
+    r, angle = 0.995, 0.3
+    A = [[2 * r * np.cos(angle), -(r**2)], [1.0, 0.0]]
+    # The impulse response of the direct form, r^k sin((k + 1) φ)/sin φ, summed.
+    k = np.arange(20000)
+    total = np.abs(r**k * np.sin((k + 1) * angle) / np.sin(angle)).sum()
+    assert total <= norm(A, [[1.0], [0.0]], [[1.0, 0.0]]) <= 1.000001 * total
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("kind", ["classical", "pi", "lags"])
+def test_the_compiled_code_is_the_model_bit_for_bit(
+    kind: str, number: str, programmes: dict[str, FixedPoint], runner: Path
+) -> None:
+    fixed = programmes[f"{kind}_{number}"]
+    dice, full = random.Random(7), 2 ** (fixed.formats[fixed.scheme.inputs[0]].bits - 1)
+    counts = [
+        [
+            # Noise over the whole word, its ends for long, slow ramps, and around zero.
+            dice.randrange(-full, full)
+            if k < 600
+            else dice.choice([-full, full - 1])
+            if k < 800
+            else full - 1
+            if k < 1300
+            else -full + (k - 1300) * full // 400
+            if k < 2000
+            else dice.randrange(-3, 4)
+            for _ in fixed.scheme.inputs
+        ]
+        for k in range(2400)
+    ]
+    counts = [[min(max(count, -full), full - 1) for count in row] for row in counts]
+    machine = Machine(fixed)
+    wanted = [count for row in counts for count in machine.step(row)]
+    assert run(runner, f"{kind}_{number}", [count for row in counts for count in row]) == wanted
+    assert len(set(wanted)) > 100
+
+
+def test_the_code_is_cpp_as_well(programmes: dict[str, FixedPoint], runner: Path) -> None:
+    if shutil.which("g++") is None:
+        pytest.skip("no g++")
+    sources = ["classical_q31.c", "classical_q15.c", "pi_q15.c"]
+    command = ["g++", "-std=c++11", "-fsyntax-only", *FLAGS, "-x", "c++", *sources]
+    built = subprocess.run(command, cwd=runner.parent, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_values_become_the_nearest_counts_and_stay_in_range(
+    number: str, programmes: dict[str, FixedPoint], runner: Path
+) -> None:
+    form = programmes[f"lags_{number}"].formats["y"]
+    given_values = ["0.1", "-0.1", "0.3", "-0.3", "1e300", "-1e300", "nan", "inf", "-inf", "0"]
+    wanted = [round(float(x) / form.bit) if abs(float(x)) < 0.3 else 0 for x in given_values]
+    for k in (2, 4, 7):
+        wanted[k] = form.largest
+    for k in (3, 5, 8):
+        wanted[k] = -form.largest
+    assert run(runner, f"count_lags_{number}", given_values) == wanted
+    assert abs(form.range - 0.3) <= form.bit
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize(("radius", "angle"), [(0.98, 0.5), (0.9, 2.5), (0.7, 1.0)])
+def test_the_worst_input_comes_near_the_bound_and_needs_every_bit_of_the_format(
+    number: str, radius: float, angle: float
+) -> None:
+    fixed = fixed_point(resonance(radius, angle), {"y": 1.0}, number=number, accuracy=1.0)
+    form = fixed.formats["Q"]
+    machine, reached = Machine(fixed), 0
+    for count in worst_case(fixed, "Q", 1500):
+        reached = max(reached, abs(machine.step([count])[0]))
+    assert 0.98 * form.largest < reached <= form.largest < 2 ** (form.bits - 1)
+    # One integer bit less holds half of the counts.
+    assert reached >= 2 ** (form.bits - 2)
+    with pytest.raises(InfeasibleError, match="overflows"):
+        fixed_point(
+            resonance(radius, angle), {"y": 1.0}, number=number, accuracy=1.0, fractions={"Q": form.fraction + 1}
+        )
+
+
+def test_the_model_tells_an_overflow_where_a_word_is_too_short() -> None:
+    fixed = fixed_point(resonance(0.98, 0.5), {"y": 1.0}, number="q31")
+    narrow = dataclasses.replace(fixed.formats["Q"], bits=31)
+    machine = Machine(dataclasses.replace(fixed, formats=fixed.formats | {"Q": narrow}))
+
+    def fly() -> None:
+        for count in worst_case(fixed, "Q", 1500):
+            machine.step([count])
+
+    with pytest.raises(SimulationError, match="'Q' reaches"):
+        fly()
+
+
+def in_real_arithmetic(
+    fixed: FixedPoint, counts: Iterator[Sequence[int]]
+) -> Iterator[tuple[dict[str, float], dict[str, int]]]:
+    """Fly in doubles and in integers with the same inputs and equal integrals; yield values and counts."""
+    machine, made = Machine(fixed), fixed.scheme
+    x = dict.fromkeys(made.states, 0.0)
+    for row in counts:
+        for name, shift in machine.integrals.items():
+            x[name] = machine.registers[name] * 2.0**-shift * fixed.formats[name].bit
+        machine.step(row)
+        value = {name: machine.counts[name] * fixed.formats[name].bit for name in made.inputs} | x
+        for section in made.sections:
+            for one in section.signals:
+                value[one.target] = sum(term.coefficient * value[term.source] for term in one.terms)
+        x = {
+            one.target: sum(term.coefficient * value[term.source] for term in one.terms)
+            for section in made.sections
+            for one in section.states
+        }
+        yield value, machine.counts
+
+
+@pytest.mark.parametrize("name", ["lags_q31", "lags_q15", "pi_q31", "pi_q15"])
+def test_the_error_stays_within_its_bound_and_the_bound_is_not_idle(
+    name: str, programmes: dict[str, FixedPoint]
+) -> None:
+    fixed = programmes[name]
+    dice, largest = np.random.default_rng(3), fixed.formats["y"].largest
+    counts = iter([[int(c)] for c in dice.integers(-largest, largest + 1, 3000)])
+    worst = max(
+        abs(value["Q"] - count["Q"] * fixed.formats["Q"].bit) for value, count in in_real_arithmetic(fixed, counts)
+    )
+    assert 0.05 * fixed.error["Q"] < worst <= fixed.error["Q"]
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_the_classical_loop_in_integers_flies_as_in_doubles(
+    number: str, classical: Scheme, programmes: dict[str, FixedPoint]
+) -> None:
+    fixed = programmes[f"classical_{number}"]
+    plants = loop_plants(JOB, ("9", "10"))
+    A, B, C = plants.A[0], plants.B[0], plants.C[0]
+    K = arrays(classical)
+    push = np.array([0.05, -0.03])  # N m, on the gimbals from the first sample on
+    limit = np.array(classical.torque_limits)
+    bits = [fixed.formats[name].bit for name in (*classical.inputs, *classical.outputs)]
+    machine = Machine(fixed)
+    plant = [np.zeros(len(A)), np.zeros(len(A))]
+    x = np.zeros(len(K.A))
+    difference, torque = 0.0, np.zeros(2)
+    for _ in range(2000):
+        angle = [C @ state for state in plant]
+        wanted = K.C @ x + K.D @ angle[0]
+        assert np.all(np.abs(wanted) < limit)
+        x = K.A @ x + K.B @ angle[0]
+        torque = np.array(machine.step([round(y / bit) for y, bit in zip(angle[1], bits[:2], strict=True)])) * bits[2:]
+        difference = max(difference, np.abs(torque - wanted).max())
+        plant = [A @ state + B @ (u + push) for state, u in zip(plant, (wanted, torque), strict=True)]
+    # The integral carries the push; on the way both fly alike.
+    assert np.abs(torque + push).max() < (1e-6 if number == "q31" else 1e-3)
+    assert difference < 2.0 * max(fixed.error[name] + fixed.conversion[name] for name in classical.outputs)
+
+
+@st.composite
+def stable_schemes(draw: st.DrawFn) -> tuple[Scheme, float]:
+    """Return a cascade of sections with poles inside the circle or at 1, gains over six decades, and a range."""
+    sections, before = [], ["y"]
+    size = st.floats(-3.0, 3.0).map(lambda decades: 10.0**decades)
+    weight = st.floats(0.1, 2.0).map(lambda w: round(w, 3)) | st.floats(-2.0, -0.1)
+    for k in range(draw(st.integers(1, 4))):
+        radius = draw(st.sampled_from([0.0, 0.3, 0.9, 0.99, 0.998]))
+        order = draw(st.sampled_from(["static", "real", "pair", "integral"]))
+        names = {"static": [], "real": [f"x{k}"], "pair": [f"x{k}", f"z{k}"], "integral": [f"x{k}"]}[order]
+        angle = draw(st.floats(0.05, 3.0))
+        own = {
+            "static": {},
+            "real": {f"x{k}": {f"x{k}": draw(st.sampled_from([1.0, -1.0])) * radius}},
+            "pair": {
+                f"x{k}": {f"x{k}": radius * np.cos(angle), f"z{k}": radius * np.sin(angle)},
+                f"z{k}": {f"x{k}": -radius * np.sin(angle), f"z{k}": radius * np.cos(angle)},
+            },
+            "integral": {f"x{k}": {f"x{k}": 1.0}},
+        }[order]
+        gain, source_name = draw(size), draw(st.sampled_from(before))
+        shown = {name: draw(weight) for name in names} | {source_name: gain * draw(weight)}
+        sections.append(
+            Section(
+                name=f"section {k}",
+                kind="states",
+                signals=(Row(target=f"s{k}", terms=terms(**shown)),),
+                states=tuple(
+                    Row(target=name, terms=terms(**row, **{source_name: gain * draw(weight)}))
+                    for name, row in own.items()
+                ),
+            )
+        )
+        before.append(f"s{k}")
+    out = Section(name="out", kind="mix", signals=(Row(target="Q", terms=terms(**{before[-1]: 1.0})),))
+    return scheme(*sections, out, limit=draw(size)), draw(size)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(case=stable_schemes(), seed=st.integers(0, 2**32 - 1))
+def test_whatever_is_lowered_keeps_its_bounds(number: str, case: tuple[Scheme, float], seed: int) -> None:
+    made, size = case
+    try:
+        fixed = fixed_point(made, {"y": size}, number=number, accuracy=1e9, limits=dict.fromkeys(_integrals(made), 5.0))
+    except InfeasibleError as error:
+        refusal = str(error)
+    else:
+        refusal = ""
+    if refusal:
+        assert "section" in refusal
+        return
+    dice, largest = random.Random(seed), fixed.formats["y"].largest
+    counts = [[dice.choice([-largest, largest]) if k < 60 else dice.randrange(-largest, largest)] for k in range(120)]
+    for value, count in in_real_arithmetic(fixed, iter(counts)):
+        for name, form in fixed.formats.items():
+            assert abs(count[name]) <= (fixed.commanded["Q"] if name == "Q" else form.largest)
+        wrong = abs(value["Q"] - count["Q"] * fixed.formats["Q"].bit)
+        assert wrong <= fixed.error["Q"] + 1e-9 * abs(value["Q"])
+
+
+def _integrals(made: Scheme) -> list[str]:
+    rows = [row for section in made.sections for row in section.states]
+    return [row.target for row in rows if any(t.source == row.target and t.coefficient == 1.0 for t in row.terms)]
+
+
+def test_beyond_its_range_an_input_counts_as_the_end_of_the_range(programmes: dict[str, FixedPoint]) -> None:
+    for fixed in programmes.values():
+        one, other = Machine(fixed), Machine(fixed)
+        end = [fixed.formats[name].largest for name in fixed.scheme.inputs]
+        for _ in range(20):
+            assert one.step([2**62 for _ in end]) == other.step(end)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_an_integral_loses_nothing_however_little_it_gains(number: str) -> None:
+    fixed = fixed_point(integrator(1e-4), {"y": 1.0}, number=number)
+    machine = Machine(fixed)
+    samples = 50000 if number == "q15" else 3000
+    for _ in range(samples):
+        machine.step([1])
+    gained = machine.registers["x"] * 2.0 ** -machine.integrals["x"] * fixed.formats["x"].bit
+    assert gained == pytest.approx(samples * 1e-4 * fixed.formats["y"].bit, rel=2.0**-14 if number == "q15" else 1e-8)
+
+
+def test_an_integral_ends_at_its_limit_and_anti_windup_brings_it_back() -> None:
+    held = fixed_point(integrator(1e-2), {"y": 1.0})
+    freed = fixed_point(integrator(1e-2, excess=0.05), {"y": 1.0})
+    ends = {}
+    for name, fixed in (("held", held), ("freed", freed)):
+        machine, form = Machine(fixed), fixed.formats["x"]
+        for _ in range(1000):
+            machine.step([fixed.formats["y"].largest])
+        ends[name] = machine.counts["x"] * form.bit
+        assert abs(machine.counts["x"]) <= form.largest
+    # Twice the torque's limit without anti-windup; with it where 0.01 y + 0.05 (0.5 − x − y) = 0.
+    assert ends["held"] == pytest.approx(1.0, rel=1e-6)
+    assert ends["freed"] == pytest.approx(-0.3, rel=1e-6)
+
+
+def test_few_digits_that_move_a_pole_out_of_the_circle_are_refused_by_section() -> None:
+    # Sampled thousands of times in a period: at z = 1 the polynomial is (1 − r)² + φ², less than a digit.
+    fast = resonance(0.999, 0.001)
+    with pytest.raises(InfeasibleError, match=r"section 'resonance': rounded coefficients move a pole of a, b .*q31"):
+        fixed_point(fast, {"y": 1e-6}, number="q15", accuracy=1e9)
+
+
+def test_a_slow_pole_keeps_its_place_in_16_bits() -> None:
+    # Stored as it is, with 15 bits, 1 − 1e-4 would be 1 − 0.92e-4.
+    slow = fixed_point(scheme(lag(1.0 - 1e-4)), {"y": 1.0}, number="q15")
+    assert slow.poles["lag"] == pytest.approx(1.0 - 1e-4, abs=1e-8)
+
+
+@pytest.mark.parametrize(("pole", "match"), [(1.01, "magnitude 1.01"), (-1.0, "magnitude 1 ")])
+def test_poles_outside_of_the_circle_are_refused(pole: float, match: str) -> None:
+    with pytest.raises(InfeasibleError, match=f"section 'lag': a pole of {match}"):
+        fixed_point(scheme(lag(pole)), {"y": 1.0})
+
+
+def test_too_coarse_is_refused_with_the_section_that_makes_it_so() -> None:
+    cascade = scheme(lag(0.5, 1000.0, "coarse", target="v"), lag(0.5, 0.001, "fine", source_name="v"))
+    with pytest.raises(InfeasibleError, match=r"section '(coarse|fine)': Q may be wrong by .*number = 'q31'"):
+        fixed_point(cascade, {"y": 1.0}, number="q15", accuracy=1e-5)
+    assert fixed_point(cascade, {"y": 1.0}, number="q31", accuracy=1e-5).error["Q"] < 1e-5
+
+
+def test_ranges_come_from_the_plant_or_are_asked_for_by_name() -> None:
+    stop = np.deg2rad(0.5)
+    found = input_ranges(("alpha9", "Q9", "Omega1"), JOB)
+    assert found == {"alpha9": pytest.approx(1.1 * stop), "Q9": 0.275, "Omega1": pytest.approx(1.1)}
+    assert input_ranges(("alpha9",), JOB, {"alpha9": 0.002}) == {"alpha9": 0.002}
+    with pytest.raises(InputError, match="no range is known for 'alpha9_rate'"):
+        input_ranges(("alpha9_rate",), JOB)
+    with pytest.raises(ArgumentError, match="ranges"):
+        input_ranges(("alpha9",), JOB, {"alpha9": -1.0})
+
+
+def test_an_integral_without_a_torque_limit_asks_for_its_own() -> None:
+    free = integrator(1e-3, limit=np.inf)
+    with pytest.raises(InfeasibleError, match=r"'PI'.*limits = {'x': largest value}"):
+        fixed_point(free, {"y": 1.0})
+    assert fixed_point(free, {"y": 1.0}, limits={"x": 3.0}).formats["x"].range == pytest.approx(3.0)
+
+
+def test_the_header_states_every_format_and_the_proof(programmes: dict[str, FixedPoint], classical: Scheme) -> None:
+    for name, fixed in programmes.items():
+        signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
+        text = header(fixed, name, signals)
+        flat = " ".join(text.replace("*", "").split())
+        for form in fixed.formats.values():
+            assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in flat
+            assert f"({'+-'}{form.largest})" in flat
+        for output in fixed.scheme.outputs:
+            assert f"Error: {output} at most {fixed.error[output]:.3g} N m" in flat
+        assert "No overflow:" in flat
+        assert max(map(len, text.splitlines())) <= 120
+        assert text == header(fixed, name, signals)
+
+
+def test_sums_fit_and_every_count_fits_its_word(programmes: dict[str, FixedPoint]) -> None:
+    for fixed in programmes.values():
+        for section in fixed.sections:
+            for row in (*section.signals, *section.states):
+                assert row.largest < 2 ** (row.accumulator - 1)
+        assert all(form.largest < 2 ** (form.bits - 1) for form in fixed.formats.values())
+    widths = {row.accumulator for one in programmes["lags_q15"].sections for row in (*one.signals, *one.states)}
+    assert 64 in widths
