@@ -115,7 +115,7 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
     See docs/job-file.md.
     """
     plant = coupled_plant(job, model, controllers)
-    K = _one_controller(job, controllers, plant)
+    K = one_controller(job, controllers, plant)
     loop = closed_loop(plant, K)
     poles = pole_arrays(loop.A)
     channels = tuple(K.output_labels)
@@ -130,14 +130,14 @@ def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.St
         plant=plant,
         controller=K,
         poles=poles,
-        free=_acts_on_root(job, controllers),
+        free=acts_on_root(job, controllers),
         channels=channels,
         decoupled=decoupled,
         coupled=coupled,
         cost=cost,
         simultaneous=simultaneous,
         torque_noise=noise,
-        results=_judged(job, decay, channels, cost, simultaneous, noise),
+        results=coupled_results(job, decay, channels, cost, (simultaneous.lower, simultaneous.upper), noise),
     )
 
 
@@ -148,7 +148,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
     counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
     """
-    if _acts_on_root(job, controllers):
+    if acts_on_root(job, controllers):
         system = linear_state_space(model, root="free")
         torquers, angles = list(job.platform.torquers), list(model.angle_names)
     else:
@@ -158,7 +158,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
         system = linear_state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
-    rates = [name for name in _rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
+    rates = [name for name in sensed_rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
     outputs = [*angles, *rates]
     part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
@@ -180,7 +180,8 @@ def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.Sta
     return state_space(arrays, system.input_labels, signals)
 
 
-def _rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
+def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
+    """Return the rates that a sensor measures and one of the controllers takes in."""
     used = {name for K in controllers for name in K.input_labels}
     return [s.name for s in job.platform.rate_sensors if s.name in used]
 
@@ -189,13 +190,15 @@ def _root_torquers(job: Job) -> set[str]:
     return {t.name for t in job.platform.torquers if t.root_axis is not None}
 
 
-def _acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
+def acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
+    """Return whether a controller sets a torque on the root: the platform is free then."""
     return any(_root_torquers(job) & set(K.output_labels) for K in controllers)
 
 
-def _one_controller(
+def one_controller(
     job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
 ) -> control.StateSpace:
+    """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
     used = {name for K in controllers for name in K.output_labels}
     torquers = [name for name in plant.input_labels if name in used]
     seen = [s.name for s in job.platform.sensors if s.name in plant.output_labels]
@@ -210,17 +213,17 @@ def _decoupled_margins(
     margins: dict[str, float] = {}
     if caging:
         plant = coupled_plant(job, model, caging)
-        K = _one_controller(job, caging, plant)
+        K = one_controller(job, caging, plant)
         margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
     if len(margins) < len(channels):
-        plant = _one_way_plant(job, model, _rates(job, controllers))
-        K = _one_controller(job, controllers, plant)
+        plant = one_way_plant(job, model, sensed_rates(job, controllers))
+        K = one_controller(job, controllers, plant)
         one_way = loop_margins(plant, K, at="input").alpha
         margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
     return np.array([margins[name] for name in channels])
 
 
-def _one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
+def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
     system = linear_state_space(model)
     n, torquers = system.nstates, job.platform.torquers
@@ -252,9 +255,18 @@ def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArr
     )
 
 
-def _judged(
-    job: Job, decay: float, channels: Sequence[str], cost: FloatArray, simultaneous: DiskMargin, noise: FloatArray
+def coupled_results(
+    job: Job,
+    decay: float,
+    channels: Sequence[str],
+    cost: FloatArray,
+    simultaneous: tuple[float, float],
+    noise: FloatArray,
 ) -> tuple[CheckResult, ...]:
+    """Return the job's coupled limits held against figures of the coupled loop; see `CoupledCheck`.
+
+    `simultaneous` are both bounds of the simultaneous disk margin.
+    """
     out: list[CheckResult] = []
 
     def hold(asked: Requirement, measured: float, evidence: str, subject: str = "all loops closed") -> None:
@@ -264,8 +276,8 @@ def _judged(
     limits = job.coupled
     if limits.disk_margin is not None:
         asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
-        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous.upper:.3f}"
-        hold(asked, simultaneous.lower, guaranteed)
+        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous[1]:.3f}"
+        hold(asked, simultaneous[0], guaranteed)
     if limits.coupling_cost is not None:
         asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")
         worst = int(np.argmax(cost))

@@ -34,6 +34,7 @@ from platform_ctrl.designer.values import (
     Locus,
     Margins,
     Nichols,
+    Overlay,
     Settings,
     TimeResponse,
 )
@@ -121,6 +122,27 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
         stable=stable,
         all_stable=bool(np.all(measures.decay[inside] > 0.0)),
         notes=(),
+    )
+
+
+def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
+    """Return what is drawn of another design of the loop, over the picture with the bode diagram at `frequency`."""
+    channel = loop.plants.torques.index(settings.channel) if settings.channel in loop.plants.torques else 0
+    shown = LoopFigures(loop.shown, loop.controller)
+    response = shown_channel(loop.shown, loop.controller, frequency, channel)
+    s = continuous_poles(shown.poles[0], loop.shown.period)
+    measures = exact_measures(loop.plants, loop.controller, asked_of(loop.spec))
+    return Overlay(
+        design=loop.design,
+        method=method,
+        response=response,
+        magnitude=np.abs(response),
+        phase=degrees(response),
+        poles=s,
+        step=_step(loop, shown, None, channel, s, bool(shown.decay[0] > 0.0)),
+        Omega_step=_manoeuvre(loop, shown, None, settings.axis),
+        Omega_gain=_Omega_gain(loop, shown, None, frequency, settings.axis).gain,
+        requirements=judged(loop.spec, loop.design, loop.plants, measures)[0],
     )
 
 

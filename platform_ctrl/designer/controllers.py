@@ -57,6 +57,32 @@ def full_options(design: DesignSpec, channel: Channels, nutation: float, period:
     return starting_values(more | given, channel, nutation, period)
 
 
+def classical_numbers(options: Mapping[str, float], parts: tuple[str, ...], channel: Channels) -> dict[str, float]:
+    """Return the options of a classical design without those of parts that are off, or that mean nothing here."""
+    return {name: x for name, x in meaningful(options, channel).items() if not part_of(name) or part_of(name) in parts}
+
+
+def default_numbers(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of a method that designs, those that are not given by its rules of thumb.
+
+    Raises
+    ------
+    DesignError
+        An option has no meaning for this loop.
+    """
+    if design.method == "hinf":
+        from platform_ctrl.design.hinf_loop import default_options
+
+        return default_options(design.options, channel, nutation)
+    if design.method == "lqg":
+        from platform_ctrl.design.lqg_loop import default_options as of_lqg
+
+        return of_lqg(design.options, channel, nutation)
+    from platform_ctrl.design.structured.caging import default_options as of_structure
+
+    return of_structure(design.options, design.structure or "pid", channel, nutation, period)
+
+
 def classical_arrays(
     options: Mapping[str, float], parts: tuple[str, ...], channel: Channels, nutation: float, period: float
 ) -> tuple[StateArrays, dict[str, float]]:
@@ -67,8 +93,7 @@ def classical_arrays(
     DesignError
         An option makes no sense.
     """
-    used = {name: x for name, x in meaningful(options, channel).items() if not part_of(name) or part_of(name) in parts}
-    complete = starting_values(used, channel, nutation, period)
+    complete = starting_values(classical_numbers(options, parts, channel), channel, nutation, period)
     controller = StateArrays(*classical_controller(complete, channel, period), dt=period)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError("classical: the options make a controller beyond floating-point numbers; expected others")

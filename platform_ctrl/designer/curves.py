@@ -143,7 +143,9 @@ def held_responses(
     )
 
 
-def gain_locus(plant: StateArrays, controller: StateArrays, highest: float = 2.5) -> tuple[FloatArray, ComplexArray]:
+def gain_locus(
+    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 80, breakaways: bool = True
+) -> tuple[FloatArray, ComplexArray]:
     """Return factors on all of a controller from 0 to `highest`, 1 among them, and the closed-loop poles (G, n) in s.
 
     Columns are continuous branches; s = ln(z)/T.
@@ -156,8 +158,10 @@ def gain_locus(plant: StateArrays, controller: StateArrays, highest: float = 2.5
         return np.asarray(np.linalg.eigvals(closed), dtype=np.complex128)
 
     # From 0 on poles move as the root of the factor: closer steps there.
-    gains = np.concatenate([np.linspace(0.0, 1.0, 41) ** 1.5, np.linspace(1.0, highest, 40)[1:]])
-    gains = np.union1d(gains, near_breakaways(gains, poles))
+    half = points // 2
+    gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, highest, half)[1:]])
+    if breakaways:
+        gains = np.union1d(gains, near_breakaways(gains, poles))
     return gains, continuous_poles(followed(poles(gains)), period)
 
 

@@ -204,6 +204,43 @@ class Part:
 
 
 @value
+class TimeResponse:
+    """Signals over time, of the plant shown, with the band of all others.
+
+    Attributes
+    ----------
+    title
+        What acts: for example ``"1 mN m step at Q9"``.
+    t : (T,)
+        s.
+    signals, units
+        Names and units of the k signals.
+    values : (k, T)
+        Of the plant shown.
+    low, high : (k, T)
+        Least and largest over the plants of the set; shape (k, 0) without a band.
+    drive : (T,)
+        What acts, over its largest value: dimensionless.
+    limit
+        What the job allows in the first unit, or None.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    title: str
+    t: FloatArray
+    signals: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    drive: FloatArray
+    limit: float | None = None
+
+
+@value
 class Overlay:
     """The loop of another design.
 
@@ -217,8 +254,8 @@ class Overlay:
         The same as gain (dimensionless) and unwrapped phase, degrees.
     poles : complex (n,)
         Of its closed loop, s-plane equivalents, rad/s.
-    step, Omega_step : (k, T)
-        Its responses over the times of `Picture.step` and `Picture.Omega_time`, same signals and units.
+    step, Omega_step
+        Its responses, as `Picture.step` and `Picture.Omega_time`: same signals and units, a step over times of its own.
     Omega_gain : (F,)
         Its response at the frequencies of `Picture.Omega_frequency`, rad s/rad.
     requirements
@@ -235,8 +272,8 @@ class Overlay:
     magnitude: FloatArray
     phase: FloatArray
     poles: ComplexArray
-    step: FloatArray
-    Omega_step: FloatArray
+    step: TimeResponse
+    Omega_step: TimeResponse
     Omega_gain: FloatArray
     requirements: tuple[CheckResult, ...] = ()
 
@@ -347,43 +384,6 @@ class Locus:
     others: ComplexArray
     reach: float
     damping: float | None
-
-
-@value
-class TimeResponse:
-    """Signals over time, of the plant shown, with the band of all others.
-
-    Attributes
-    ----------
-    title
-        What acts: for example ``"1 mN m step at Q9"``.
-    t : (T,)
-        s.
-    signals, units
-        Names and units of the k signals.
-    values : (k, T)
-        Of the plant shown.
-    low, high : (k, T)
-        Least and largest over the plants of the set; shape (k, 0) without a band.
-    drive : (T,)
-        What acts, over its largest value: dimensionless.
-    limit
-        What the job allows in the first unit, or None.
-
-    References
-    ----------
-    See docs/designer.md.
-    """
-
-    title: str
-    t: FloatArray
-    signals: tuple[str, ...]
-    units: tuple[str, ...]
-    values: FloatArray
-    low: FloatArray
-    high: FloatArray
-    drive: FloatArray
-    limit: float | None = None
 
 
 @value

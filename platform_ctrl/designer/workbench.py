@@ -4,23 +4,41 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.arguments import known_name, short
-from platform_ctrl.design.channels import Channels
-from platform_ctrl.designer.bounded import Bounded
-from platform_ctrl.designer.caged import CagedLoop, caged_parts
-from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL, classical_arrays, full_options, parts_given
-from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs
-from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
-from platform_ctrl.designer.values import Knob, Offer, Part, Picture, Settings
-from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import DesignSpec, Job, LoopSpec, Sampling
+from platform_ctrl.arguments import known_name, short, whole
+from platform_ctrl.designer import background
+from platform_ctrl.designer.caged import caged_overlay, caged_parts
+from platform_ctrl.designer.closing import Closing
+from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
+from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
+from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
+from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
+from platform_ctrl.designer.saving import Saved, controllers_beside, save
+from platform_ctrl.designer.stabilised import stabilised_parts
+from platform_ctrl.designer.tasks import Designing, ServoTuning, Tuning
+from platform_ctrl.designer.values import Influence, Knob, Offer, Overlay, Part, Picture, Settings
+from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
+from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.reading import read_job
+
+if TYPE_CHECKING:
+    from platform_ctrl.simulation import Trajectory
+
+Progress = Callable[[str], None]
+Cancelled = Callable[[], bool]
+
+
+def _never() -> bool:
+    return False
+
+
+def _silent(line: str) -> None:
+    del line
 
 
 class Workbench:
@@ -31,59 +49,107 @@ class Workbench:
     job
         The job, or the path of its file.
     controllers
-        Path of a ``result.json`` whose designs are shown as they are.
+        Path of a ``result.json`` whose designs are shown as they are; default: the file that `saved` leaves beside a
+        job, where there is one.
 
     Raises
     ------
     InputError
-        The job makes no sense.
+        The job or the controllers make no sense.
+
+    References
+    ----------
+    See docs/designer.md.
     """
 
     def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
         self.path = None if isinstance(job, Job) else Path(job)
         self.read = job if isinstance(job, Job) else read_job(job)
-        self._specs = {spec.name: spec for spec in self.read.loops}
-        self._quick = {
-            spec.name: QuickPlants(self.read, spec.gimbals) for spec in self.read.loops if spec.kind == "caging"
-        }
-        self._pictures: Bounded[Picture] = Bounded(8)
-        self._start = self._first()
+        if controllers is None and self.path is not None and controllers_beside(self.path).exists():
+            controllers = controllers_beside(self.path)
+        self._closing = Closing(self.read, None if controllers is None else Path(controllers))
+        self._start = self._closing.start
+
+    @property
+    def title(self) -> str:
+        """The job's name."""
+        return self.read.name
 
     def offer(self) -> Offer:
-        """Return what a page lets choose from."""
+        """Return what a page lets choose from.
+
+        Returns
+        -------
+        Offer
+            Names of loops, designs, channels and manoeuvres.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
         specs = self.read.loops
         return Offer(
             loops=tuple(spec.name for spec in specs),
             designs={spec.name: tuple(d.name for d in spec.designs) for spec in specs},
             methods={spec.name: {d.name: d.method for d in spec.designs} for spec in specs},
-            channels={spec.name: self._channels(spec) for spec in specs},
+            channels={spec.name: self._closing.channels_of(spec) for spec in specs},
             manoeuvres=tuple(one.name for one in self.read.manoeuvres),
         )
 
     def start(self, loop: str | None = None) -> Settings:
         """Return the settings of the job as it stands, at one of its loops.
 
+        Parameters
+        ----------
+        loop
+            Its name; None: the first.
+
+        Returns
+        -------
+        Settings
+            With all options of all designs.
+
         Raises
         ------
         ArgumentError
             There is no such loop.
+
+        References
+        ----------
+        See docs/designer.md.
         """
         return self._start if loop is None else self.chosen(self._start, loop=loop)
 
     def chosen(self, settings: Settings, *, loop: str | None = None, design: str | None = None) -> Settings:
         """Return the settings at another loop, or another design of it.
 
+        Parameters
+        ----------
+        settings
+            As they are.
+        loop, design
+            Names; None: as they are.
+
+        Returns
+        -------
+        Settings
+            With mode, channel, plant and overlays that fit.
+
         Raises
         ------
         ArgumentError
             There is no such loop or design.
+
+        References
+        ----------
+        See docs/designer.md.
         """
         name = settings.loop if loop is None else loop
-        known_name("loop", name, tuple(self._specs))
-        spec = self._specs[name]
+        spec = self._closing.spec(name)
         design = design if design is not None else settings.closed[name]
-        known_name("design", design, tuple(d.name for d in spec.designs))
-        channels = self._channels(spec)
+        names = tuple(d.name for d in spec.designs)
+        known_name("design", design, names)
+        channels = self._closing.channels_of(spec)
         return settings.but(
             mode="caged" if spec.kind == "caging" else "stabilised",
             loop=name,
@@ -91,52 +157,86 @@ class Workbench:
             closed={**settings.closed, name: design},
             channel=settings.channel if settings.channel in channels else channels[0],
             plant=settings.plant if name == settings.loop else "nominal",
-            overlays=tuple(o for o in settings.overlays if o in {d.name for d in spec.designs} - {design}),
+            overlays=tuple(o for o in settings.overlays if o in names and o != design),
         )
-
-    @property
-    def title(self) -> str:
-        """The job's name."""
-        return self.read.name
 
     def expect_plant(self, settings: Settings) -> None:
         """Judge the names that no list of a page holds: plant, channel, fixed knobs.
+
+        Parameters
+        ----------
+        settings
+            From outside.
 
         Raises
         ------
         ArgumentError
             The job has no such thing.
+
+        References
+        ----------
+        See docs/designer.md.
         """
-        spec, _ = self._design(settings)
+        spec, _ = self._closing.design(settings)
         labels = self.plants(settings)
         if settings.plant not in labels:
             raise ArgumentError(f"plant: given {short(settings.plant)}; expected the label of one of {len(labels)}")
-        known_name("channel", settings.channel, self._channels(spec))
+        known_name("channel", settings.channel, self._closing.channels_of(spec))
         for name in sorted(settings.fixed):
             known_name("fixed", name, tuple(knob.name for knob in self.knobs(settings)))
 
     def plants(self, settings: Settings) -> tuple[str, ...]:
-        """Return the labels of the plants that may be shown."""
-        spec, _ = self._design(settings)
-        if spec.kind != "caging":
-            return ("nominal",)
-        return self._quick[spec.name].labels(self._range(settings))
+        """Return the labels of the plants that may be shown.
+
+        Parameters
+        ----------
+        settings
+            They depend on the loop and on Omega.
+
+        Returns
+        -------
+        tuple of str
+            The nominal one first.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such loop.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        return self._closing.labels(settings)
 
     def knobs(self, settings: Settings) -> tuple[Knob, ...]:
         """Return all knobs of the settings, those of the design first.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+
+        Returns
+        -------
+        tuple of Knob
+            Optional parts that are off have none.
 
         Raises
         ------
         ArgumentError
             The settings name what the job does not have.
+
+        References
+        ----------
+        See docs/designer.md.
         """
-        spec, design = self._design(settings)
+        spec, design = self._closing.design(settings)
         options = settings.options[spec.name][design.name]
         parts = settings.optional.get(spec.name, {}).get(design.name, ())
         start = self._start.options[spec.name][design.name]
-        own = option_knobs(
-            design.method, options, start, settings.rate_hz, settings.fixed, MOVABLE.get(design.method, frozenset())
-        )
+        movable = MOVABLE.get(design.method, frozenset())
+        own = option_knobs(design.method, options, start, settings.rate_hz, settings.fixed, movable)
         Omega = tuple(map(float, self.read.Omega))
         return (
             *(knob for knob in own if not knob.part or knob.part in parts),
@@ -144,8 +244,28 @@ class Workbench:
         )
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
-        """Return the optional parts of the design that is worked on: lag and notches."""
-        spec, design = self._design(settings)
+        """Return the optional parts of the design that is worked on: lag and notches.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+
+        Returns
+        -------
+        tuple of Part
+            Empty for a method that knows none.
+
+        Raises
+        ------
+        ArgumentError
+            The settings name what the job does not have.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        spec, design = self._closing.design(settings)
         on = settings.optional.get(spec.name, {}).get(design.name, ())
         known = settings.options[spec.name][design.name]
         return tuple(
@@ -157,119 +277,493 @@ class Workbench:
     def switched(self, settings: Settings, part: str, on: bool) -> Settings:
         """Return the settings with an optional part switched on or off.
 
+        Parameters
+        ----------
+        settings
+            As they are.
+        part
+            Name of the part.
+        on
+            Whether it is to be there.
+
+        Returns
+        -------
+        Settings
+            The part's numbers are those that it had last.
+
         Raises
         ------
         ArgumentError
             The design has no such part.
+
+        References
+        ----------
+        See docs/designer.md.
         """
-        spec, design = self._design(settings)
+        spec, design = self._closing.design(settings)
         known_name("part", part, tuple(one.name for one in self.parts(settings)))
         now = set(settings.optional.get(spec.name, {}).get(design.name, ())) - {part}
-        new = tuple(sorted(now | {part} if on else now))
-        mine = {**settings.optional.get(spec.name, {}), design.name: new}
+        mine = {**settings.optional.get(spec.name, {}), design.name: tuple(sorted(now | {part} if on else now))}
         return settings.but(optional={**settings.optional, spec.name: mine})
 
     def moved(self, settings: Settings, knob: str, number: float) -> Settings:
         """Return the settings with a knob at another number.
 
+        Parameters
+        ----------
+        settings
+            As they are.
+        knob
+            Its name.
+        number
+            Where it is to stand, in its unit; also beyond the ends of its slider.
+
+        Returns
+        -------
+        Settings
+            What makes no sense together with the others is told by `picture`.
+
         Raises
         ------
         ArgumentError
             There is no such knob, or it cannot stand there.
+
+        References
+        ----------
+        See docs/designer.md.
         """
         return moved(settings, {one.name: one for one in self.knobs(settings)}, knob, number)
 
     def picture(self, settings: Settings) -> Picture:
         """Return what is drawn for the settings.
 
+        Parameters
+        ----------
+        settings
+            As the page is set.
+
+        Returns
+        -------
+        Picture
+            Requirements of a caging loop are as `check` measures them; those of all loops together are climbed on a
+            grid and lie within about a thousandth.
+
         Raises
         ------
         PlatformCtrlError
             One line: what makes no sense, and what does.
+
+        References
+        ----------
+        See docs/designer.md.
         """
         begun = time.perf_counter()
-        spec, design = self._design(settings)
-        if spec.kind != "caging":
-            raise DesignError(f"{spec.name}: cannot be shown")
+        spec, _ = self._closing.design(settings)
+        whole("axis", settings.axis, 1, 3)
         with np.errstate(all="ignore"):
-            parts = caged_parts(self._loop(settings, spec, design), settings)
+            if spec.kind == "caging":
+                loop, told = self._closing.caged(settings)
+                parts = caged_parts(loop, settings)
+                overlays, more = self._overlays(settings, spec, parts.bode.frequency)
+                parts = dataclasses.replace(
+                    parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more)
+                )
+            else:
+                free, told = self._closing.stabilised(settings)
+                kept = self._closing.kept(settings)
+                parts = dataclasses.replace(stabilised_parts(free, settings, kept), notes=told)
         return Picture(
             settings=settings,
-            plants=self._quick[spec.name].labels(self._range(settings)),
+            plants=self.plants(settings),
             elapsed=time.perf_counter() - begun,
             **{one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)},
         )
 
-    def _loop(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> CagedLoop:
-        quick, sampling = self._quick[spec.name], Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
-        Omega = self._range(settings)
-        plants = quick.plants(settings.spins, sampling, Omega)
-        at = np.array(settings.Omega)
-        if at.any():
-            shown = quick.shown(settings.plant, at, settings.spins, sampling, Omega)
-        else:
-            shown = plants.only([plants.labels.index(settings.plant) if settings.plant in plants.labels else 0])
-        channel = quick.channels(settings.spins)
-        K = self._controller(settings, spec, design, channel, plants.nutation)
-        job = dataclasses.replace(
-            self.read, platform=with_spins(self.read.platform, settings.spins), sampling=sampling, Omega=Omega
+    def overlay(self, settings: Settings, design: str) -> Overlay:
+        """Return another design of the loop, to be drawn over the picture of the settings.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+        design
+            Name of a design of the loop.
+
+        Returns
+        -------
+        Overlay
+            On the grid of the picture's bode diagram.
+
+        Raises
+        ------
+        DesignError
+            It is not designed yet.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        spec, _ = self._closing.design(settings)
+        known_name("design", design, tuple(d.name for d in spec.designs))
+        if spec.kind != "caging":
+            raise DesignError(f"{spec.name}: only caging loops show designs over one another")
+        frequency = self.picture(settings.but(overlays=())).bode.frequency
+        return self._overlay(settings, spec, design, frequency)[0]
+
+    def designed(self, settings: Settings, design: str | None = None) -> bool:
+        """Return whether a design of the loop is there for just these settings; those that knobs build always are.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+        design
+            Its name; None: the one that is worked on.
+
+        Returns
+        -------
+        bool
+            Whether `redesigned` has nothing to do.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such design.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        spec, own = self._closing.design(settings if design is None else settings.but(design=design))
+        return self._closing.live(own) or self._closing.store.has(
+            spec.name, own.name, self._closing.key(settings, spec, own)
         )
-        return CagedLoop(job=job, spec=spec, design=design.name, plants=plants, shown=shown, controller=K)
 
-    def _controller(
-        self, settings: Settings, spec: LoopSpec, design: DesignSpec, channel: Channels, nutation: float
-    ) -> StateArrays:
-        options = settings.options[spec.name][design.name]
-        parts = settings.optional.get(spec.name, {}).get(design.name, ())
-        if design.method == "classical":
-            return classical_arrays(options, parts, channel, nutation, 1.0 / settings.rate_hz)[0]
-        raise DesignError(f"{spec.name}, {design.name}: is not designed yet")
+    def redesigned(
+        self,
+        settings: Settings,
+        design: str | None = None,
+        progress: Progress = _silent,
+        cancelled: Cancelled = _never,
+    ) -> Settings:
+        """Have a design made by its method, in a process of its own; later pictures show it.
 
-    def _range(self, settings: Settings) -> FloatArray:
-        """Return the largest platform rate about each axis: the job's, or what is shown where that is more."""
-        return np.maximum(self.read.Omega, np.abs(settings.Omega))
+        Parameters
+        ----------
+        settings
+            As the page is set.
+        design
+            Its name; None: the one that is worked on.
+        progress
+            Called with a line now and then.
+        cancelled
+            Asked ten times a second; the process is ended as soon as it says yes.
 
-    def _design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
-        known_name("loop", settings.loop, tuple(self._specs))
-        spec = self._specs[settings.loop]
-        return spec, spec.designs[known_name("design", settings.design, tuple(d.name for d in spec.designs))]
+        Returns
+        -------
+        Settings
+            As they were.
 
-    def _channels(self, spec: LoopSpec) -> tuple[str, ...]:
+        Raises
+        ------
+        Abandoned
+            It was cancelled.
+        DesignError
+            The method found no controller.
+
+        References
+        ----------
+        See docs/loop-design.md.
+        """
+        if not self.designed(settings, design):
+            spec, own = self._closing.design(settings if design is None else settings.but(design=design))
+            question = Designing(job=self.job(settings), loop=spec.name, design=own.name)
+            made = background.worked_out(question, progress, cancelled)
+            self._closing.store.put(spec.name, own.name, self._closing.key(settings, spec, own), made)
+        return settings
+
+    def pulled_pole(self, settings: Settings, pole: complex, target: complex) -> Settings:
+        """Return the settings in which a closed-loop pole lies at `target`, or as near as the free knobs bring it.
+
+        Parameters
+        ----------
+        settings
+            As they are.
+        pole
+            Where it is now, rad/s in the s-plane: the nearest one of the plant shown is meant.
+        target
+            Where it is wanted, rad/s.
+
+        Returns
+        -------
+        Settings
+            With other numbers of the design's knobs that are not fixed.
+
+        Raises
+        ------
+        DesignError
+            No knob is free, or none moves it.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        if not (np.isfinite(pole) and np.isfinite(target)):
+            raise ArgumentError(f"pole: given {pole} to {target}; expected finite numbers, rad/s")
+        with np.errstate(all="ignore"):
+            reins, plant, _ = self._closing.reins(settings, self.knobs(settings))
+            return with_options(settings, pole_pulled(reins, plant, complex(pole), complex(target)))
+
+    def pulled_crossover(self, settings: Settings, frequency: float, now: float | None = None) -> Settings:
+        """Return the settings in which the shown channel crosses over at `frequency`, or as near as can be.
+
+        Parameters
+        ----------
+        settings
+            As they are.
+        frequency
+            Where its gain is to be 1, rad/s.
+        now
+            The crossover that is pulled, rad/s; None: the highest.
+
+        Returns
+        -------
+        Settings
+            With other numbers of the design's knobs that are not fixed.
+
+        Raises
+        ------
+        DesignError
+            No knob is free, none moves it, or the loop does not cross over.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        if not np.isfinite(frequency):
+            raise ArgumentError(f"frequency: given {frequency}; expected a finite number, rad/s")
+        if now is None:
+            found = self.picture(settings.but(band=False, overlays=())).bode.crossovers
+            if not len(found):
+                raise DesignError(f"{settings.channel}: its gain does not pass 1; expected a loop that crosses over")
+            now = float(found[-1])
+        with np.errstate(all="ignore"):
+            reins, plant, channel = self._closing.reins(settings, self.knobs(settings))
+            return with_options(settings, crossover_pulled(reins, plant, channel, now, float(frequency)))
+
+    def tuned(self, settings: Settings, progress: Progress = _silent, cancelled: Cancelled = _never) -> Settings:
+        """Return the settings with all knobs of the design that are not fixed tuned until its limits are met.
+
+        Parameters
+        ----------
+        settings
+            As they are: what is fixed stays.
+        progress
+            Called with a line now and then.
+        cancelled
+            Asked ten times a second; the process that tunes is ended as soon as it says yes.
+
+        Returns
+        -------
+        Settings
+            The best that were found.
+
+        Raises
+        ------
+        Abandoned
+            It was cancelled.
+        DesignError
+            No knob is free.
+
+        References
+        ----------
+        See docs/classical.md.
+        """
+        spec, design = self._closing.design(settings)
+        free = tuple(k.name for k in self.knobs(settings) if k.tunable and not k.fixed)
+        if not free:
+            raise DesignError(
+                f"{spec.name}, {design.name}: no knob is free to be tuned; expected one that is not fixed"
+            )
+        options = self._closing.used(settings, spec, design)
+        question: Tuning | ServoTuning
         if spec.kind == "caging":
-            return tuple(self.read.platform.torquer_on(gimbal).name for gimbal in spec.gimbals)
-        return tuple(t.name for t in self.read.platform.torquers if t.root_axis is not None)
+            question = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
+        else:
+            others = tuple(one for one in self._closing.saved_controllers(settings) if one.loop != spec.name)
+            question = ServoTuning(
+                job=self.job(settings),
+                loop=spec.name,
+                design=design.name,
+                movable=free,
+                options=options,
+                caging=tuple((o.controller, o.inputs, o.outputs, o.loop) for o in others),
+            )
+        found: dict[str, float] = background.worked_out(question, progress, cancelled)
+        return with_options(settings, {name: found[name] for name in free})
 
-    def _first(self) -> Settings:
-        options: dict[str, dict[str, dict[str, float]]] = {}
-        optional: dict[str, dict[str, tuple[str, ...]]] = {}
-        closed: dict[str, str] = {}
-        spins = {r.name: float(r.spin) for r in self.read.platform.rotors}
-        sampling = self.read.sampling
-        for spec in self.read.loops:
-            options[spec.name], optional[spec.name] = {}, {}
-            for design in spec.designs:
-                options[spec.name][design.name] = self._options(spec, design, spins)
-                optional[spec.name][design.name] = parts_given(design.options)
-            live = [d.name for d in spec.designs if d.method in ("classical", "platform-servo")]
-            closed[spec.name] = spec.use if spec.use in live or not live else live[0]
-        first = self.read.loops[0]
-        return Settings(
-            mode="caged" if first.kind == "caging" else "stabilised",
-            loop=first.name,
-            design=closed[first.name],
-            options=options,
-            optional=optional,
-            rate_hz=1.0 / sampling.period,
-            delay=sampling.delay,
-            spins=spins,
-            Omega=(0.0, 0.0, 0.0),
-            channel=self._channels(first)[0],
-            closed=closed,
+    def influence(self, settings: Settings) -> Influence:
+        """Return what each knob does to each requirement.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+
+        Returns
+        -------
+        Influence
+            Of all knobs whose effect is seen at once; of a method that designs, those of the plant alone.
+
+        Raises
+        ------
+        PlatformCtrlError
+            One line: why there is no picture of these settings either.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        spec, _ = self._closing.design(settings)
+        knobs = [knob for knob in self.knobs(settings) if not knob.background]
+
+        def with_knob(knob: Knob) -> Settings:
+            return self.moved(settings, knob.name, moved_knob(knob))
+
+        with np.errstate(all="ignore"):
+            if spec.kind == "caging":
+                loop, _ = self._closing.caged(settings)
+                return caged_influence(loop, knobs, lambda knob: self._closing.caged(with_knob(knob))[0])
+            return stabilised_influence(self._closing, settings, knobs, with_knob)
+
+    def job(self, settings: Settings) -> Job:
+        """Return the job that the settings stand for.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+
+        Returns
+        -------
+        Job
+            With their plant, sampling, range of Omega and options; the designs named in `closed` are closed.
+
+        Raises
+        ------
+        ArgumentError
+            The settings name what the job does not have.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        return self._closing.job(settings)
+
+    def saved(self, settings: Settings, path: str | Path, overwrite: bool = False) -> Saved:
+        """Write the settings as a job file, and its controllers beside it; comments of the job's own file stay.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+        path
+            Of the new job file, ending in .toml.
+        overwrite
+            Whether what stands there may go.
+
+        Returns
+        -------
+        Saved
+            Both paths; ``platform-ctrl check`` finds the controllers by itself.
+
+        Raises
+        ------
+        InputError
+            A file stands there, or it cannot be written.
+        DesignError
+            A loop has no controller yet.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        controllers = self._closing.saved_controllers(settings, strict=True)
+        closing = self._closing
+        used = {
+            spec.name: {d.name: closing.used(settings, spec, d) for d in spec.designs if closing.live(d)}
+            for spec in self.read.loops
+        }
+        closed = {**settings.closed, settings.loop: settings.design}
+        changed = {
+            loop: {
+                design: numbers
+                for design, numbers in designs.items()
+                if design == closed[loop] or closing.touched(settings, loop, design)
+            }
+            for loop, designs in used.items()
+        }
+        return save(
+            self.path,
+            Path(path),
+            overwrite,
+            settings.but(closed=closed),
+            self._start,
+            self.job(settings),
+            changed,
+            controllers,
         )
 
-    def _options(self, spec: LoopSpec, design: DesignSpec, spins: dict[str, float]) -> dict[str, float]:
-        if design.method == "classical":
-            quick = self._quick[spec.name]
-            nutation = quick.plants(spins, self.read.sampling, np.asarray(self.read.Omega)).nutation
-            return full_options(design, quick.channels(spins), nutation, self.read.sampling.period)
-        return dict(design.options)
+    def run(self, settings: Settings, manoeuvre: str) -> Trajectory:
+        """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
+
+        Parameters
+        ----------
+        settings
+            As the page is set.
+        manoeuvre
+            Its name.
+
+        Returns
+        -------
+        Trajectory
+            As `simulation.flight` returns it.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such manoeuvre.
+        DesignError
+            A loop has no controller yet.
+
+        References
+        ----------
+        See docs/simulation.md.
+        """
+        from platform_ctrl.check.simulated import fly
+
+        names = tuple(one.name for one in self.read.manoeuvres)
+        chosen = self.read.manoeuvres[known_name("manoeuvre", manoeuvre, names)]
+        return fly(self.job(settings), chosen, self._closing.all_controllers(settings)[0]).trajectory
+
+    def _overlays(
+        self, settings: Settings, spec: LoopSpec, frequency: np.ndarray
+    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
+        out, notes = [], []
+        for name in dict.fromkeys(settings.overlays):
+            if name == settings.design or name not in {d.name for d in spec.designs}:
+                continue
+            try:
+                found, note = self._overlay(settings, spec, name, frequency)
+            except PlatformCtrlError as error:
+                notes.append(str(error))
+                continue
+            out.append(found)
+            notes += [note] if note else []
+        return tuple(out), tuple(notes)
+
+    def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: np.ndarray) -> tuple[Overlay, str]:
+        other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        loop, told = self._closing.caged(settings.but(design=name))
+        with np.errstate(all="ignore"):
+            return caged_overlay(loop, settings, other.method, frequency), " ".join(told)

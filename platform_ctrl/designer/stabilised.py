@@ -1,0 +1,470 @@
+"""The picture of the loop on a free platform: all caging loops closed, the servo broken at one root torquer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.diagonal_mu import mu_bounds
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.analysis.norms import noise_rms_arrays
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, spectral_abscissa
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
+from platform_ctrl.designer.caged import CagedParts, settling, step_size
+from platform_ctrl.designer.curves import (
+    arrays_of,
+    channel_response,
+    degrees,
+    degrees_beside,
+    dense_grid,
+    gain_crossings,
+    gain_locus,
+    gain_range,
+    held_responses,
+    sample_times,
+)
+from platform_ctrl.designer.free_plants import ATTITUDE, FreePlants
+from platform_ctrl.designer.values import Bode, FrequencyGain, Locus, Margins, Nichols, Settings, TimeResponse
+from platform_ctrl.errors import DesignError
+from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.job import Job, LoopSpec
+from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.requirements import CheckResult
+
+if TYPE_CHECKING:
+    import control
+
+_POINTS = 240
+_EDGE = 0.999
+# Relative tolerance of the structured singular value on a grid.
+_MU = 1e-4
+
+# What a caging loop's margins are without the platform's reaction: the same while the servo moves.
+Kept = Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]
+
+
+@value
+class StabilisedLoop:
+    """All loops of a job closed around the free platform.
+
+    Attributes
+    ----------
+    job
+        With the settings' spins, sampling and range of Omega.
+    model
+        At rest.
+    spec
+        The stabilisation loop.
+    controllers
+        `control.StateSpace` of each loop, in the job's order.
+    plants, shown
+        The set (the nominal plant alone without a band), and the plant that is shown.
+    """
+
+    job: Job
+    model: LinearModel
+    spec: LoopSpec
+    controllers: tuple[control.StateSpace, ...]
+    plants: FreePlants
+    shown: FreePlants
+
+    def joined(self, plants: FreePlants) -> tuple[StateArrays, list[int], list[int], tuple[str, ...]]:
+        """Return all controllers as one, the plants' inputs and outputs that it uses, and its torquers."""
+        used = {name for K in self.controllers for name in K.output_labels}
+        torquers = [name for name in plants.torquers if name in used]
+        K = joined_arrays(self.controllers, plants.sensors, torquers, plants.period)
+        return K, [plants.torquers.index(name) for name in torquers], list(range(len(plants.sensors))), tuple(torquers)
+
+
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> CagedParts:
+    """Return what is drawn for the free platform.
+
+    Raises
+    ------
+    DesignError
+        No controller acts on the platform.
+    """
+    K, at, _, torquers = loop.joined(loop.shown)
+    roots = [t.name for t in loop.job.platform.torquers if t.root_axis is not None and t.name in torquers]
+    if not roots:
+        raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; expected a servo")
+    name = settings.channel if settings.channel in roots else roots[0]
+    channel = torquers.index(name)
+    P = _used(loop.shown.arrays, 0, at)
+    closed = closed_loop_arrays(*P[:4], *K[:4])
+    z = np.linalg.eigvals(closed[0])
+    s = continuous_poles(z, P.dt)
+    decay = -float(spectral_abscissa(s))
+    stable = decay > 0.0
+    grid = np.union1d(_grid(P, s), loop.plants.frequency)
+    S = sensitivities(-frequency_response_arrays(*K, grid) @ frequency_response_arrays(*P, grid))[0]
+    response = channel_response(S, channel)
+    banded = bool(settings.band and len(loop.plants.labels) > 1)
+    bode, nichols, worst = _frequency_parts(loop, settings, K, at, channel, grid, response, name, banded)
+    poles = _set_poles(loop, K, at) if banded else s[None]
+    step, low_frequency = _turning(loop, settings, K, at, grid, s, stable, banded)
+    results = requirements(loop, kept)
+    w, above = gain_crossings(grid, response)
+    down, up = gain_range(response) if stable else (math.nan, math.nan)
+    own = _peak_margin(P, K, channel, grid, S) if stable else 0.0
+    inside = np.all(spectral_abscissa(poles) < 0.0) if banded else stable
+    reference = max(float(w[-1]) if len(w) else 1.0, 1.0)
+    return CagedParts(
+        bode=bode,
+        nichols=nichols,
+        locus=_locus(loop, settings, P, K, channel, s, poles, reference),
+        step=step,
+        Omega_time=_rate_step(loop, settings, K, at, s, stable, banded),
+        Omega_frequency=low_frequency,
+        margins=Margins(
+            disk=own,
+            worst_disk=min(own, worst[0]) if inside else 0.0,
+            worst_plant=worst[1] if worst[0] < own else settings.plant,
+            gain_up=up,
+            gain_down=down,
+            phase=float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
+            delay=float((np.radians(above % 360.0) / w).min(initial=math.inf)) if stable else math.nan,
+            crossover=float(w[-1]) if len(w) else None,
+            bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
+            damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
+        ),
+        requirements=results,
+        goals=(),
+        stable=stable,
+        all_stable=bool(inside),
+        notes=(),
+    )
+
+
+def requirements(loop: StabilisedLoop, kept: Kept) -> tuple[CheckResult, ...]:
+    """Return the coupled limits held against the nominal plant, as `coupled_check` does; peaks are climbed on a grid.
+
+    Margins lie within about a thousandth above what `coupled_check` proves.
+    """
+    job, model, controllers = loop.job, loop.model, loop.controllers
+    K, at, _, torquers = loop.joined(loop.plants)
+    P = _used(loop.plants.arrays, 0, at)
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    s = continuous_poles(np.linalg.eigvals(A), P.dt)
+    decay = -float(spectral_abscissa(s))
+    m = len(torquers)
+    sensors = {one.name: one for one in job.platform.sensors}
+    rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
+    noise = noise_rms_arrays(A, B[:, m:], C[:m], D[:m, m:], rms)
+    coupled, simultaneous = np.zeros(m), (0.0, 0.0)
+    if decay > 0.0:
+        grid = _grid(P, s)
+        S = sensitivities(-frequency_response_arrays(*K, grid) @ frequency_response_arrays(*P, grid))[0]
+        coupled = np.array([_peak_margin(P, K, k, grid, S) for k in range(m)])
+        simultaneous = _simultaneous(P, K, grid, S)
+    decoupled = _decoupled(job, model, controllers, kept)
+    alone = np.array([decoupled[name] for name in torquers])
+    cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
+    return coupled_results(job, decay, torquers, cost, simultaneous, noise)
+
+
+def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], kept: Kept) -> dict[str, float]:
+    gimbal = {t.name for t in job.platform.torquers if t.gimbal is not None}
+    caging = [K for K in controllers if set(K.output_labels) <= gimbal]
+
+    def of_caging() -> dict[str, float]:
+        return _margins_of(coupled_plant(job, model, caging), caging, job) if caging else {}
+
+    def of_servo() -> dict[str, float]:
+        return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job)
+
+    return of_servo() | kept("caging", of_caging)
+
+
+def _margins_of(plant: control.StateSpace, controllers: Sequence[control.StateSpace], job: Job) -> dict[str, float]:
+    """Return the disk margin of every channel broken alone, by torquer; 0 where the loop is not stable."""
+    K = one_controller(job, controllers, plant)
+    names = list(K.output_labels)
+    at = [plant.input_labels.index(name) for name in names]
+    seen = [plant.output_labels.index(name) for name in K.input_labels]
+    arrays, k = state_arrays(plant, "plant"), state_arrays(K, "controller")
+    P = StateArrays(arrays.A, arrays.B[:, at], arrays.C[seen], arrays.D[np.ix_(seen, at)], arrays.dt)
+    s = continuous_poles(np.linalg.eigvals(closed_loop_arrays(*P[:4], *k[:4])[0]), P.dt)
+    if not spectral_abscissa(s) < 0.0:
+        return dict.fromkeys(names, 0.0)
+    grid = _grid(P, s)
+    S = sensitivities(-frequency_response_arrays(*k, grid) @ frequency_response_arrays(*P, grid))[0]
+    return {name: _peak_margin(P, k, j, grid, S) for j, name in enumerate(names)}
+
+
+def _used(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
+    A, B, C, D, dt = arrays_of(arrays, k)
+    return StateArrays(A, B[:, at], C, D[:, at], dt)
+
+
+def _grid(P: StateArrays, s: ComplexArray) -> FloatArray:
+    nyquist = math.pi / P.dt
+    finite = s[np.isfinite(s)]
+    slowest = float(np.abs(finite).min(initial=nyquist))
+    low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
+    own = continuous_poles(np.linalg.eigvals(P.A), P.dt)
+    # Free poles at z = 1 are integrators, no resonances.
+    return dense_grid(np.concatenate([s, own]), low, _EDGE * nyquist)
+
+
+def _peak_margin(P: StateArrays, K: StateArrays, channel: int, grid: FloatArray, S: ComplexArray) -> float:
+    """Return 1/max |S_ii - 1/2|: the largest on the grid, climbed between its neighbours."""
+
+    def size(w: FloatArray) -> FloatArray:
+        found = sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0]
+        return np.asarray(np.abs(found[:, channel, channel] - 0.5))
+
+    sizes = np.abs(S[:, channel, channel] - 0.5)
+    k = int(np.argmax(sizes))
+    best, low, high = float(sizes[k]), grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+    for _ in range(2):
+        w = np.linspace(low, high, 11)
+        found = size(w)
+        j = int(np.argmax(found))
+        best, low, high = max(best, float(found[j])), w[max(j - 1, 0)], w[min(j + 1, 10)]
+    return 1.0 / best
+
+
+def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexArray) -> tuple[float, float]:
+    """Return both bounds of the simultaneous disk margin: the grid every third point, then around the worst."""
+    half = 0.5 * np.eye(S.shape[-1])
+    coarse = np.arange(0, len(grid), 3)
+    rough = mu_bounds(S[coarse] - half, 1e-3).upper
+    k = int(coarse[int(np.argmax(rough))])
+    low, high = grid[max(k - 3, 0)], grid[min(k + 3, len(grid) - 1)]
+    best = (float(rough.max()), 0.0)
+    for _ in range(2):
+        w = np.linspace(low, high, 9)
+        M = sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0] - half
+        found = mu_bounds(M, _MU)
+        j = int(np.argmax(found.upper))
+        best = (float(found.upper[j]), float(found.lower[j]))
+        low, high = w[max(j - 1, 0)], w[min(j + 1, 8)]
+    upper, lower = best
+    return 1.0 / upper, 1.0 / lower if lower > 0.0 else math.inf
+
+
+def _frequency_parts(
+    loop: StabilisedLoop,
+    settings: Settings,
+    K: StateArrays,
+    at: list[int],
+    channel: int,
+    grid: FloatArray,
+    response: ComplexArray,
+    name: str,
+    banded: bool,
+) -> tuple[Bode, Nichols, tuple[float, str]]:
+    magnitude, phase = np.abs(response), degrees(response)
+    none = np.zeros(0)
+    w, low, high, phase_low, phase_high = none, none, none, none, none
+    labels: tuple[str, ...] = (settings.plant,)
+    phases, sizes, where = phase[None], magnitude[None], grid
+    worst = (math.inf, settings.plant)
+    if banded:
+        w = loop.plants.frequency
+        at_grid = np.searchsorted(grid, w)
+        S = sensitivities(-frequency_response_arrays(*K, w) @ loop.plants.response[..., at])[0]
+        responses = channel_response(S, channel)
+        sizes = np.abs(responses)
+        phases = degrees_beside(responses, response[at_grid], phase[at_grid])
+        here, here_phase = magnitude[at_grid], phase[at_grid]
+        low, high = np.minimum(sizes.min(axis=0), here), np.maximum(sizes.max(axis=0), here)
+        phase_low, phase_high = np.minimum(phases.min(axis=0), here_phase), np.maximum(phases.max(axis=0), here_phase)
+        peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
+        k = int(np.argmax(peaks))
+        worst = (1.0 / float(peaks[k]), loop.plants.labels[k])
+        labels, where = loop.plants.labels, w
+    bode = Bode(
+        channel=name,
+        frequency=grid,
+        response=response,
+        magnitude=magnitude,
+        phase=phase,
+        band_frequency=w,
+        magnitude_low=low,
+        magnitude_high=high,
+        phase_low=phase_low,
+        phase_high=phase_high,
+        crossovers=gain_crossings(grid, response)[0],
+        nyquist=math.pi / loop.shown.period,
+    )
+    asked = loop.job.coupled.disk_margin
+    return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=asked), worst
+
+
+def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
+    A, B, C, D, dt = loop.plants.arrays
+    return continuous_poles(np.linalg.eigvals(closed_loop_arrays(A, B[..., at], C, D[..., at], *K[:4])[0]), dt)
+
+
+def _locus(
+    loop: StabilisedLoop,
+    settings: Settings,
+    P: StateArrays,
+    K: StateArrays,
+    channel: int,
+    s: ComplexArray,
+    poles: ComplexArray,
+    crossover: float,
+) -> Locus:
+    """The servo's gain varies on all root axes; the caging loops stay closed as they are."""
+    roots = {t.name for t in loop.job.platform.torquers if t.root_axis is not None}
+    names = loop.joined(loop.shown)[3]
+    moving = np.array([name in roots for name in names])
+    inner = StateArrays(K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt)
+    # Both halves read the same states of the controller: close the inner rows first, then the rest as feedback.
+    A, B, C, D = closed_loop_arrays(*P[:4], *inner[:4])
+    n, m = len(P.A), P.B.shape[1]
+    feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
+    if P.D.any():
+        gains, branches = gain_locus(P, K, points=40, breakaways=False)
+    else:
+        closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
+        static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
+        gains, branches = gain_locus(closed, static, points=40, breakaways=False)
+    del n, C, D, channel, settings
+    finite = np.isfinite(s)
+    size = np.where(finite, np.abs(s), np.inf)
+    nyquist = math.pi / P.dt
+    reach = min(8.0 * crossover, nyquist)
+    others = poles.ravel()
+    return Locus(
+        gains=gains,
+        branches=branches,
+        present=s,
+        draggable=np.asarray(finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
+        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
+        reach=reach,
+        damping=None,
+    )
+
+
+def _responses(
+    plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int, to_rate: bool
+) -> FloatArray:
+    """Return attitude (3), angles and torques after a torque on the platform (or a step of its rate) about `axis`."""
+    A, B, C, D, _ = plants.turned
+    m, p = len(plants.torquers), len(plants.sensors)
+    loops = closed_loop_arrays(A, B, C, D, *K[:4], torques=at, angles=list(range(p)))
+    a, b, c, d = loops
+    k = len(at)
+    order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)]
+    column = slice(m + axis - 1, m + axis)
+    del to_rate
+    return held_responses(a, b[..., column], c[..., order, :], d[..., order, column], u, every)
+
+
+def _turning(
+    loop: StabilisedLoop,
+    settings: Settings,
+    K: StateArrays,
+    at: list[int],
+    grid: FloatArray,
+    s: ComplexArray,
+    stable: bool,
+    banded: bool,
+) -> tuple[TimeResponse, FrequencyGain]:
+    axis, period = settings.axis, loop.shown.period
+    size, title, limit = _acting(loop, axis)
+    slow = s[np.isfinite(s) & (np.abs(s) < math.pi / period)]
+    t, every = sample_times(settling(slow, 2e3 * period / period**2 / 40.0, period, stable), period, _POINTS)
+    u = np.full(every * (len(t) - 1) + 1, size)
+    own = _responses(loop.shown, K, at, axis, u, every, False)[0]
+    low, high = np.zeros((len(own), 0)), np.zeros((len(own), 0))
+    if banded:
+        others = _responses(loop.plants, K, at, axis, u, every, False)
+        low, high = np.minimum(others.min(axis=0), own), np.maximum(others.max(axis=0), own)
+    torquers = [loop.shown.torquers[k] for k in at]
+    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
+    step = TimeResponse(
+        title=title,
+        t=t,
+        signals=(*ATTITUDE, *loop.shown.sensors, *torquers),
+        units=("rad",) * 3
+        + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors)
+        + ("N m",) * len(torquers),
+        values=own,
+        low=low,
+        high=high,
+        drive=np.ones(len(t)),
+        limit=limit,
+    )
+    m, p, k = len(loop.shown.torquers), len(loop.shown.sensors), len(at)
+    column = slice(m + axis - 1, m + axis)
+
+    def attitude(one: int, w: FloatArray, plants: FreePlants) -> FloatArray:
+        A, B, C, D, dt = plants.turned
+        a, b, c, d = closed_loop_arrays(A[one], B[one], C[one], D[one], *K[:4], torques=at, angles=list(range(p)))
+        found = frequency_response_arrays(a, b[:, column], c[k + p :], d[k + p :, column], dt, w)
+        return np.asarray(np.linalg.norm(found[..., 0], axis=-1))
+
+    none = np.zeros(0)
+    w_band, low_gain, high_gain = none, none, none
+    if banded:
+        w_band = loop.plants.frequency
+        gains = np.array([attitude(one, w_band, loop.plants) for one in range(len(loop.plants.labels))])
+        low_gain, high_gain = gains.min(axis=0), gains.max(axis=0)
+    return step, FrequencyGain(
+        title=f"torque M{axis} on the platform → attitude",
+        unit="rad/(N m)",
+        frequency=grid,
+        gain=attitude(0, grid, loop.shown),
+        band_frequency=w_band,
+        low=low_gain,
+        high=high_gain,
+    )
+
+
+def _acting(loop: StabilisedLoop, axis: int) -> tuple[float, str, float | None]:
+    """Return the torque step of the job's stabilised manoeuvre about an axis, or one that the torquer can hold."""
+    for one in loop.job.manoeuvres:
+        if one.mode == "stabilised" and one.axis == axis and one.torque:
+            return one.torque, one.name, one.limits.get("attitude")
+    limits = [t.limit for t in loop.job.platform.torquers if t.root_axis == axis]
+    size = step_size(math.inf if not limits or limits[0] is None else limits[0])
+    return size, f"{1e3 * size:g} mN m step about axis {axis}", None
+
+
+def _rate_step(
+    loop: StabilisedLoop, settings: Settings, K: StateArrays, at: list[int], s: ComplexArray, stable: bool, banded: bool
+) -> TimeResponse:
+    """The attitude after an impulse of torque that would turn the free platform by 1 mrad/s about the axis."""
+    axis, period = settings.axis, loop.shown.period
+    t, every = sample_times(settling(s, 50.0 / period, period, stable), period, _POINTS)
+    u = np.zeros(every * (len(t) - 1) + 1)
+    u[0] = 1e-3 * float(loop.model.root_inertia[axis - 1, axis - 1]) / period
+    own = _responses(loop.shown, K, at, axis, u, every, True)[0]
+    low, high = np.zeros((len(own), 0)), np.zeros((len(own), 0))
+    if banded:
+        others = _responses(loop.plants, K, at, axis, u, every, True)
+        low, high = np.minimum(others.min(axis=0), own), np.maximum(others.max(axis=0), own)
+    p, k = len(loop.shown.sensors), len(at)
+    kept = [*range(3 + p)]
+    del k
+    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
+    drive = np.zeros(len(t))
+    drive[0] = 1.0
+    return TimeResponse(
+        title=f"impulse of torque: 1 mrad/s about axis {axis}",
+        t=t,
+        signals=(*ATTITUDE, *loop.shown.sensors),
+        units=("rad",) * 3 + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors),
+        values=own[kept],
+        low=low[kept],
+        high=high[kept],
+        drive=drive,
+    )
+
+
+def _bandwidth(grid: FloatArray, S: ComplexArray, rows: list[int]) -> float:
+    """Lowest frequency at which the largest singular value of S on the root axes reaches 1/sqrt(2), rad/s."""
+    sizes = np.linalg.norm(S[:, rows][:, :, rows], 2, axis=(-2, -1))
+    above = np.flatnonzero(sizes >= math.sqrt(0.5))
+    return float(grid[above[0]]) if above.size else float(grid[-1])

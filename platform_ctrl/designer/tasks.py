@@ -1,0 +1,227 @@
+"""What is worked out in a process of its own: the rest of the knobs tuned, a design by its method."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pickle
+import sys
+from collections.abc import Callable
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.frozen import value
+from platform_ctrl.job import Job
+
+Say = Callable[[str], None]
+
+
+@value
+class Tuning:
+    """A classical design whose free options are to be moved until the limits are met.
+
+    Attributes
+    ----------
+    job
+        With the settings' plant and sampling.
+    loop
+        Name.
+    options
+        All that are used.
+    movable
+        Names of those that may be moved.
+    """
+
+    job: Job
+    loop: str
+    options: dict[str, float]
+    movable: tuple[str, ...]
+
+    def worked_out(self, say: Say) -> dict[str, float]:
+        """Return the options, tuned."""
+        from platform_ctrl.design.channels import channels
+        from platform_ctrl.design.classical import classical_controller, upper_bounds
+        from platform_ctrl.design.plants import loop_plants, rows_of
+        from platform_ctrl.design.tuning import tune
+        from platform_ctrl.linearisation import linearise
+        from platform_ctrl.requirements import loop_requirements
+
+        spec = next(one for one in self.job.loops if one.name == self.loop)
+        model = linearise(self.job.platform)
+        channel, plants = channels(model, rows_of(model, spec.gimbals)), loop_plants(self.job, spec.gimbals)
+        return tune(
+            self.options,
+            self.movable,
+            lambda trial: classical_controller(trial, channel, plants.period),
+            plants,
+            loop_requirements(spec.limits),
+            upper=upper_bounds(plants.period),
+            progress=lambda ratio: say(f"worst requirement at {ratio:.0%} of its limit"),
+        )
+
+
+@value
+class ServoTuning:
+    """A platform servo whose free options are to be moved until the coupled limits are met.
+
+    Attributes
+    ----------
+    job
+        With the settings' plant and sampling.
+    loop, design
+        Names.
+    movable
+        Names of the options that may be moved.
+    options
+        All of them.
+    caging
+        Controller, inputs, outputs and loop of each caging loop.
+    """
+
+    job: Job
+    loop: str
+    design: str
+    movable: tuple[str, ...]
+    options: dict[str, float]
+    caging: tuple[tuple[StateArrays, tuple[str, ...], tuple[str, ...], str], ...]
+
+    def worked_out(self, say: Say) -> dict[str, float]:
+        """Return the options, tuned: a simplex search over their logarithms, as `design.tuning.tune` does it."""
+        import numpy as np
+        from scipy.optimize import minimize
+
+        worst = self.worst_ratio()
+        best = [np.inf]
+
+        def ratio(x: object) -> float:
+            numbers = dict(zip(self.movable, map(float, np.exp(np.asarray(x))), strict=True))
+            found = worst(self.options | numbers)
+            if found < best[0]:
+                best[0] = found
+                say(f"worst requirement at {found:.0%} of its limit")
+            return found
+
+        def enough(intermediate_result: object) -> None:
+            if getattr(intermediate_result, "fun", np.inf) <= 0.95:
+                raise StopIteration
+
+        start = np.log([self.options[name] for name in self.movable])
+        if ratio(start) <= 0.95:
+            return dict(self.options)
+        found = minimize(
+            ratio,
+            start,
+            method="Nelder-Mead",
+            callback=enough,
+            options={"maxfev": 60 * len(start), "adaptive": True, "xatol": 2e-3, "fatol": 2e-4},
+        )
+        return self.options | dict(zip(self.movable, map(float, np.exp(found.x)), strict=True))
+
+    def worst_ratio(self) -> Callable[[dict[str, float]], float]:
+        """Return what gives the largest ratio of the coupled limits for some options; beyond 10 where unstable."""
+        from platform_ctrl.analysis.arrays import state_space
+        from platform_ctrl.check.coupled import sensed_rates
+        from platform_ctrl.design.stabilisation import platform_servo
+        from platform_ctrl.designer.free_plants import corners, free_plants
+        from platform_ctrl.designer.stabilised import StabilisedLoop, requirements
+        from platform_ctrl.linearisation import linearise
+
+        spec = next(one for one in self.job.loops if one.name == self.loop)
+        design = next(one for one in spec.designs if one.name == self.design)
+        model = linearise(self.job.platform)
+        others = [state_space(K, inputs, outputs, name=loop) for K, inputs, outputs, loop in self.caging]
+        plants = free_plants(self.job, corners(self.job)[:1], sensed_rates(self.job, others), False)
+        known: dict[str, dict[str, float]] = {}
+
+        def kept(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
+            if name not in known:
+                known[name] = make()
+            return known[name]
+
+        def worst(options: dict[str, float]) -> float:
+            try:
+                servo = platform_servo(self.job, model, spec, dataclasses.replace(design, options=options))
+            except PlatformCtrlError:
+                return 100.0
+            loop = StabilisedLoop(
+                job=self.job,
+                model=model,
+                spec=spec,
+                controllers=(*others, servo.controller),
+                plants=plants,
+                shown=plants,
+            )
+            results = requirements(loop, kept)
+            stable = results[0]
+            if not stable.value > 0.0:
+                return 10.0 + min(-stable.value, 1e6)
+            return min(max(one.ratio for one in results), 10.0)
+
+        return worst
+
+
+@value
+class Made:
+    """A controller that a method has made.
+
+    Attributes
+    ----------
+    controller
+        u = K y, in the order of the loop's pick-offs and torquers.
+    options, claims
+        As the method completes and states them.
+    """
+
+    controller: StateArrays
+    options: dict[str, float]
+    claims: dict[str, float]
+
+
+@value
+class Designing:
+    """A design that its method is to make.
+
+    Attributes
+    ----------
+    job
+        With the settings' plant, sampling and options.
+    loop, design
+        Names.
+    """
+
+    job: Job
+    loop: str
+    design: str
+
+    def worked_out(self, say: Say) -> Made:
+        """Return the controller."""
+        from platform_ctrl.design.jobs import loops
+
+        spec = next(one for one in self.job.loops if one.name == self.loop)
+        design = next(one for one in spec.designs if one.name == self.design)
+        alone = dataclasses.replace(spec, designs=(design,), use=design.name)
+        [outcome] = loops(dataclasses.replace(self.job, loops=(alone,)), say)
+        made = outcome.closed
+        return Made(
+            controller=state_arrays(made.controller, made.name), options=dict(made.options), claims=dict(made.claims)
+        )
+
+
+def answer() -> None:
+    """Read one question from standard input, work it out, and write lines and the answer to standard output."""
+    # Solvers may print: what they say is not part of the answer.
+    pipe = os.fdopen(os.dup(1), "wb")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+
+    def tell(kind: str, content: object) -> None:
+        pipe.write(pickle.dumps((kind, content)))
+        pipe.flush()
+
+    question = pickle.load(sys.stdin.buffer)
+    try:
+        tell("done", question.worked_out(lambda line: tell("told", line)))
+    except PlatformCtrlError as error:
+        # What was being solved may not be for a pipe.
+        plain = DesignError(str(error)) if isinstance(error, DesignError) else error
+        tell("failed", plain)
