@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, ConsoleMessage, Page
 
     from platform_ctrl.designer.server import Make, PageServer
 
@@ -68,6 +68,11 @@ class Screen:
     requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
 
+    def hear(self, said: ConsoleMessage) -> None:
+        """Note an error or a warning; a driver without a graphics card complains about the pictures of the screen."""
+        if said.type in ("error", "warning") and "GL Driver Message" not in said.text:
+            self.complaints.append(said.text)
+
     def hosts(self) -> set[str]:
         """Return HOST:PORT of everything that was loaded from, without what the page holds itself (data, blob)."""
         return {parts.netloc for parts in map(urlsplit, self.requests) if parts.scheme not in ("data", "blob")}
@@ -87,10 +92,7 @@ def screen(
         seen.page.on("request", lambda request: seen.requests.append(request.url))
         seen.page.on("websocket", lambda socket: seen.requests.append(socket.url))
         seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
-        seen.page.on(
-            "console",
-            lambda said: seen.complaints.append(said.text) if said.type in ("error", "warning") else None,
-        )
+        seen.page.on("console", seen.hear)
         if address is not None:
             seen.page.goto(address)
         yield seen

@@ -14,6 +14,7 @@ import typer
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
+from platform_ctrl.cli.export_command import export
 from platform_ctrl.cli.held_baseline import writable
 from platform_ctrl.cli.help_layout import Teaching, TeachingGroup
 from platform_ctrl.cli.inputs import (
@@ -31,6 +32,7 @@ from platform_ctrl.cli.inputs import (
 )
 from platform_ctrl.cli.job_outcome import Extras, delivered
 from platform_ctrl.cli.new_command import new
+from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
 
 app = typer.Typer(
@@ -41,7 +43,7 @@ app = typer.Typer(
     epilog="Exit code: 0 done, every requirement met; 1 done, a requirement not met, or no controller found; 2 the "
     "input is wrong; 130 interrupted. platform-ctrl COMMAND --help tells more, with examples.",
 )
-BEGIN, DESIGN, FLY = "To begin with", "Design and check", "Fly on the non-linear plant"
+BEGIN, DESIGN, FLY, OUT = "To begin with", "Design and check", "Fly on the non-linear plant", "The way out"
 
 
 def _print_version(wanted: bool) -> None:
@@ -151,5 +153,7 @@ def design(
 
 
 app.command(cls=Teaching, rich_help_panel=DESIGN)(check)
+app.command(cls=Teaching, rich_help_panel=DESIGN)(serve)
 app.command(cls=Teaching, rich_help_panel=FLY)(simulate)
 app.command(cls=Teaching, rich_help_panel=FLY)(campaign)
+app.command(cls=Teaching, rich_help_panel=OUT)(export)

@@ -116,8 +116,18 @@ class PageServer:
         ----------
         See docs/designer.md.
         """
+        # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
+        loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(loop)
         with _one_line_each():
-            asyncio.run(self._answer(ready, heed))
+            try:
+                loop.run_until_complete(self._answer(ready, heed))
+            finally:
+                for task in asyncio.all_tasks(loop):
+                    task.cancel()
+                loop.run_until_complete(asyncio.sleep(0))
+                asyncio.set_event_loop(None)
+                loop.close()
 
     def end(self) -> None:
         """Let `run` return; from any thread.

@@ -44,6 +44,11 @@ class Path extends Curve {
 const SECTION = [[1e-4, 1.35], [0.2, 1.35], [0.24, 1.1], [0.26, 0.42], [0.66, 0.42], [0.7, 0.92], [0.76, 1], [0.96, 1], [1, 0.8]];
 const section = (half) => [...SECTION, ...SECTION.toReversed().map(([r, y]) => [r, -y])].map(([r, y]) => new Vector2(r, y * half));
 
+const rim = ([start, end], radius) => {
+  const turn = new Quaternion().setFromUnitVectors(UP, end.clone().sub(start).normalize());
+  return Array.from({ length: 12 }, (_, k) => new Vector3(radius * Math.cos((k * Math.PI) / 6), 0, radius * Math.sin((k * Math.PI) / 6)).applyQuaternion(turn).add(start));
+};
+
 export class Bodies {
   constructor(scene) {
     this.nodes = scene.nodes;
@@ -64,6 +69,15 @@ export class Bodies {
   // Angles of the gimbals and of the rotors, each in the order of the nodes.
   turn(angles) {
     for (let k = 1; k < this.nodes.length; k += 1) this.groups[k].quaternion.setFromAxisAngle(this.axes[k], angles[k - 1]);
+  }
+
+  // Where everything is as the angles are now.
+  points() {
+    this.root.updateMatrixWorld(true);
+    return this.nodes.flatMap((node, k) => node.pieces.flatMap((piece) => {
+      const points = piece.points.map(vector);
+      return (piece.kind === "disc" ? rim(points, piece.radius) : points).map((point) => this.groups[k].localToWorld(point));
+    }));
   }
 
   paint(theme) {

@@ -1,7 +1,7 @@
 // The viewer: goes round the platform by mouse, fingers and keys, and comes nearer.
 import { Matrix4, PerspectiveCamera, Quaternion, Vector3 } from "./three.module.min.js";
 
-const FIELD = 24, STEP = Math.PI / 36;
+const FIELD = 24, STEP = Math.PI / 36, MARGIN = 1.08;
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
 export class Orbit {
@@ -19,9 +19,9 @@ export class Orbit {
     canvas.addEventListener("dblclick", () => this.home());
   }
 
-  // Rows: to the right, up and toward the viewer; centre and reach: middle and radius of what is seen.
-  stage(rows, centre, reach) {
-    this.centre = new Vector3(...centre);
+  // Rows: to the right, up and toward the viewer; centre and reach: middle and radius of what is seen; its points.
+  stage(rows, centre, reach, points) {
+    this.points = points;
     const [right, up, toward] = rows.map((row) => new Vector3(...row));
     const k = [0, 1, 2].reduce((best, one) => (Math.abs(up.getComponent(one)) > Math.abs(up.getComponent(best)) ? one : best), 0);
     const pole = new Vector3().setComponent(k, Math.sign(up.getComponent(k)));
@@ -29,6 +29,11 @@ export class Orbit {
     this.frame.setFromRotationMatrix(new Matrix4().makeBasis(aside, pole, new Vector3().crossVectors(aside, pole)));
     this.start = Math.asin(clamp(toward.dot(pole), -1, 1));
     this.reach = reach;
+    this.centre = new Vector3(...centre);
+    for (const way of this.across()) {
+      const along = points.map((point) => point.dot(way));
+      this.centre.addScaledVector(way, 0.5 * (Math.max(...along) + Math.min(...along)) - this.centre.dot(way));
+    }
     this.home();
   }
 
@@ -45,10 +50,8 @@ export class Orbit {
   }
 
   place() {
-    const half = Math.tan((FIELD * Math.PI) / 360), narrow = Math.min(1, this.camera.aspect);
-    const distance = (0.95 * this.reach) / Math.sin(Math.atan(half * narrow)) / this.zoom;
-    const ce = Math.cos(this.elevation);
-    this.camera.position.set(ce * Math.sin(this.azimuth), Math.sin(this.elevation), ce * Math.cos(this.azimuth)).multiplyScalar(distance).applyQuaternion(this.frame);
+    const distance = this.distance() / this.zoom;
+    this.camera.position.copy(this.toward(this.azimuth, this.elevation)).multiplyScalar(distance);
     this.camera.up.set(0, 1, 0).applyQuaternion(this.frame);
     this.camera.near = Math.max(0.05, distance - 2 * this.reach);
     this.camera.far = distance + 4 * this.reach;
@@ -57,6 +60,30 @@ export class Orbit {
     this.camera.updateProjectionMatrix();
     this.camera.updateMatrixWorld();
     this.changed();
+  }
+
+  toward(azimuth, elevation) {
+    const ce = Math.cos(elevation);
+    return new Vector3(ce * Math.sin(azimuth), Math.sin(elevation), ce * Math.cos(azimuth)).applyQuaternion(this.frame);
+  }
+
+  // Right and up as the platform is seen at first, and the way to the viewer.
+  across(all = false) {
+    const toward = this.toward(0, this.start ?? 0.5), pole = new Vector3(0, 1, 0).applyQuaternion(this.frame);
+    const right = new Vector3().crossVectors(pole, toward).normalize();
+    return [right, new Vector3().crossVectors(toward, right), ...(all ? [toward] : [])];
+  }
+
+  // From where everything is just seen, as the platform stands at first.
+  distance() {
+    const [right, up, toward] = this.across(true);
+    const high = Math.tan((FIELD * Math.PI) / 360), wide = high * this.camera.aspect;
+    let distance = 1;
+    for (const point of this.points ?? []) {
+      const from = point.clone().sub(this.centre), near = from.dot(toward);
+      distance = Math.max(distance, near + Math.abs(from.dot(right)) / wide, near + Math.abs(from.dot(up)) / high);
+    }
+    return MARGIN * distance;
   }
 
   turn(azimuth, elevation) {

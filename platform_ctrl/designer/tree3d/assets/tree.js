@@ -21,7 +21,7 @@ canvas:focus-visible { outline: 2px solid var(--accent, #0b5c8f); outline-offset
 .note { padding: 2px 8px 0; min-height: 17px; color: var(--muted, #5c6675); font-size: 11.5px; overflow: hidden; white-space: nowrap; text-overflow: ellipsis; }
 .none { position: absolute; inset: 0; display: grid; place-content: center; padding: 24px; text-align: center; color: var(--muted, #5c6675); }
 .bar { display: flex; min-width: 0; overflow: hidden; align-items: center; gap: 9px; padding: 5px 8px 3px; white-space: nowrap; color: var(--muted, #5c6675); }
-.bar[inert] { opacity: 0.45; }
+.bar[inert] { display: none; }
 button { display: inline-grid; place-items: center; width: 26px; height: 24px; padding: 0; color: var(--ink, #1b2430); background: var(--page, #fff); border: 1px solid var(--line, #dde1e7); border-radius: 4px; cursor: pointer; }
 button svg { width: 11px; height: 11px; fill: currentColor; }
 button:hover { border-color: var(--frame, #b9c0ca); background: var(--panel, #f6f7f9); }
@@ -36,7 +36,7 @@ input[type="checkbox"] { width: 13px; height: 13px; margin: 0; accent-color: var
 select { height: 24px; font: inherit; color: var(--ink, #1b2430); background: var(--page, #fff); border: 1px solid var(--line, #dde1e7); border-radius: 4px; }
 :focus-visible { outline: 2px solid var(--accent, #0b5c8f); outline-offset: 1px; }
 @container (max-width: 640px) { .long { display: none; } }
-@container (max-width: 400px) { .factor input { width: 44px; } .time output { min-width: 48px; } }
+@container (max-width: 480px) { .bar { flex-wrap: wrap; gap: 3px 9px; padding-top: 2px; } .time { flex-basis: calc(100% - 40px); } .word { display: none; } .names { font-size: 10.5px; } .names.many .rotor { display: none; } }
 :host { container-type: size; }
 `;
 const BODY = `
@@ -48,7 +48,7 @@ const BODY = `
 <div class="bar" role="group" aria-label="The run in 3-D">
   <button type="button" aria-label="Play" title="Play or pause (Space)"><svg viewBox="0 0 10 10" aria-hidden="true"><path/></svg></button>
   <label class="time"><span class="long">t</span><input type="range" min="0" max="1" step="any" value="0" aria-label="Time"><output>0 s</output></label>
-  <label title="Seconds of the run in a second of yours">time <select aria-label="Time is shown times"></select></label>
+  <label title="Seconds of the run in a second of yours"><span class="word">time</span> <select aria-label="Time is shown times"></select></label>
   <label class="factor" title="Angles are milliradians: this many times as large they can be seen">angles <input type="range" min="0" max="2" step="0.01" value="0" aria-label="Angles are shown times"><output>× 1</output></label>
   <label class="platform" title="The platform’s own angles as many times too"><input type="checkbox" aria-label="Platform’s angles too">platform<span class="long">&nbsp;too</span></label>
 </div>`;
@@ -169,8 +169,9 @@ class GimbalTree extends HTMLElement {
       return name;
     });
     this.thirds = [1, 2, 3].map((k) => Object.assign(document.createElement("span"), { className: "root", textContent: String(k) }));
+    names.classList.toggle("many", told.nodes.length > 6);
     names.replaceChildren(...this.names, ...this.thirds);
-    this.orbit.stage(told.camera, told.centre, told.reach);
+    this.orbit.stage(told.camera, told.centre, told.reach, this.bodies.points());
     this.horizon(told);
     this.paint();
     this.fly();
@@ -310,6 +311,7 @@ class GimbalTree extends HTMLElement {
       group.localToWorld(place);
       place.project(this.orbit.camera);
       const box = [name.offsetWidth, name.offsetHeight];
+      if (!box[0]) return;
       const x = Math.min(Math.max((0.5 + 0.5 * place.x) * width + shift - box[0] / 2, 2), width - box[0] - 2);
       let y = (0.5 - 0.5 * place.y) * height - box[1] / 2;
       for (const [ax, ay, aw] of taken) if (Math.abs(ay - y) < box[1] - 3 && x < ax + aw && ax < x + box[0]) y = ay + box[1] - 2;

@@ -1,0 +1,154 @@
+"""``platform-ctrl serve``: the designer's page for a job, in the browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, job_of
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    from platform_ctrl.designer.server import PageServer
+
+
+def serve(
+    job: JobFile,
+    controllers: Controllers = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host", metavar="ADDRESS", help="Address to listen on; another than this machine's own needs --allow."
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port",
+            metavar="PORT",
+            min=0,
+            max=65535,
+            help="Port to listen on; 0: any free one. Default: 5006, or a free one after it.",
+            show_default=False,
+        ),
+    ] = None,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow",
+            metavar="NAME",
+            help="Name or address by which browsers may ask for this machine; may be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    browser: Annotated[
+        bool | None,
+        typer.Option(
+            "--open/--no-browser",
+            help="Open the page in a browser, or do not. Default: open it where there is a terminal and a screen.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Shape the loops of a job by hand, on a page in the browser.
+
+    Every option of a design has a slider, and Bode, Nichols, root locus, responses, margins and requirements follow.
+    What is saved there is a job that check accepts. Only this machine reaches the page; Ctrl-C ends it. Needs the extra
+    designer.
+
+    \b
+    platform-ctrl serve job.toml                            opens the page in a browser
+    platform-ctrl serve job.toml --controllers result.json  with the controllers of a design to compare with
+    platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
+    platform-ctrl serve job.toml --json                     the address as JSON, for another program
+    """  # noqa: D301
+    from platform_ctrl.cli.terminal import progress
+
+    with progress(quiet or as_json, f"reading {job}"):
+        read = job_of(job)
+        if controllers is not None and not controllers.is_file():
+            raise InputError(f"--controllers {controllers}: there is no such file; expected what design writes")
+        from platform_ctrl.designer.server import PORT, PageServer, require_bokeh
+
+        require_bokeh()
+        from platform_ctrl.designer.workbench import Workbench
+
+        server = PageServer(Workbench(job, controllers), host=host, port=port, allow=allow or ())
+
+    def ready() -> None:
+        shown = _wanted(browser, as_json)
+        if as_json:
+            typer.echo(json.dumps({"schema": 1, "job": read.name, "address": server.address, "port": server.port}))
+        else:
+            if port is None and server.port != PORT:
+                typer.echo(f"port {PORT} is taken: another one is used", err=True)
+            typer.echo(f"{read.name}: {server.address} (Ctrl-C ends it)")
+        if not server.hosts.own:
+            typer.echo(_warned(server), err=True)
+        sys.stdout.flush()
+        if shown:
+            _open(server.address)
+
+    with _noted() as heed:
+        server.run(ready, heed)
+
+
+@contextmanager
+def _noted() -> Iterator[Callable[[], None]]:
+    """Yield what raises `KeyboardInterrupt` if there was one: raised wherever the server is, it would leave a mess.
+
+    Should the server not come to ask, the third Ctrl-C is raised at once.
+    """
+    seen: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        if len(seen) > 2:
+            raise KeyboardInterrupt
+
+    def heed() -> None:
+        if seen:
+            raise KeyboardInterrupt
+
+    default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not default or threading.current_thread() is not threading.main_thread():
+        yield heed  # the signal is ignored or somebody else's, or belongs to another thread
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield heed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _warned(server: PageServer) -> str:
+    names = ", ".join(sorted(server.hosts.names))
+    return (
+        f"listening on {server.hosts.listening}: whoever reaches this machine on port {server.port} as {names} can see "
+        "this job, keep its processors busy and write files where the page saves; there is no password"
+    )
+
+
+def _wanted(browser: bool | None, as_json: bool) -> bool:
+    """Whether to open a browser: as asked, else where someone sits before a screen."""
+    if browser is not None:
+        return browser
+    screen = sys.platform in ("win32", "darwin") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return screen and not as_json and sys.stdout.isatty()
+
+
+def _open(address: str) -> None:
+    import webbrowser
+
+    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
