@@ -154,7 +154,7 @@ def campaign(
 
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
-        file = controller_file(controllers, None)
+        file = controller_file(controllers, None, job)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.plan import plan
         from platform_ctrl.check.given import read_controllers

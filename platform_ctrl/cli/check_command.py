@@ -78,7 +78,7 @@ def check(
     folder = out or CHECKED
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
-        file = controller_file(controllers, out)
+        file = controller_file(controllers, out, job)
         held = Held.given(baseline, update_baseline)
         extras = Extras.given(read, pdf, campaign)
         from platform_ctrl.check import checked

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
 RESULT = "result.json"
+# What the designer saves beside JOB.toml.
+BESIDE = ".controllers.json"
 REPORT = "report.html"
 PDF = "report.pdf"
 
@@ -38,8 +40,8 @@ Controllers = Annotated[
     typer.Option(
         "--controllers",
         metavar="FILE",
-        help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: "
-        f"{DESIGNED / RESULT}.",
+        help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
+        f"{BESIDE} in place of .toml where that file stands, else {DESIGNED / RESULT}.",
         show_default=False,
         autocompletion=completion.controller_files,
     ),
@@ -110,8 +112,11 @@ def _tables(path: Path) -> dict[str, Any]:
         return {}
 
 
-def controller_file(given: Path | None, folder: Path | None) -> Path:
-    """Return the file that controllers come from: the one that was given, or what design left.
+def controller_file(given: Path | None, folder: Path | None, job: Path | None = None) -> Path:
+    """Return the file that controllers come from.
+
+    The one that was given, or what was saved beside the job, or a result in the folder that was named, or what design
+    left.
 
     Raises
     ------
@@ -120,6 +125,9 @@ def controller_file(given: Path | None, folder: Path | None) -> Path:
     """
     if given is not None:
         return given
+    beside = None if job is None else job.with_name(job.stem + BESIDE)
+    if beside is not None and beside.is_file():
+        return beside
     file = folder / RESULT if folder is not None and os.path.exists(folder / RESULT) else DESIGNED / RESULT
     if not file.exists():
         raise InputError(

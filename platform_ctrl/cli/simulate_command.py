@@ -88,7 +88,7 @@ def simulate(
             chosen: int | Manoeuvre = int(wanted)
         else:
             chosen = _manoeuvre(read, wanted, job, "--run" if manoeuvre is None else "--manoeuvre")
-        file = controller_file(controllers, None)
+        file = controller_file(controllers, None, job)
         from platform_ctrl.check.given import read_controllers
 
         closed = read_controllers(file, read)

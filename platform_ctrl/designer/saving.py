@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.check.records import SCHEMA, write_record
+from platform_ctrl.check.records import SCHEMA, plain, write_record
 from platform_ctrl.designer.controllers import part_of
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import InputError
@@ -112,7 +112,7 @@ def save(
     text = job_text(source, path.parent, settings, start, used)
     read_job(_plain(text), folder=path.parent)
     record = {"schema": SCHEMA, "controllers": [_entry(one, job) for one in controllers]}
-    write_record(record, beside)
+    write_record(plain(record), beside)
     write_whole(path, text)
     return Saved(job=path, controllers=beside)
 
