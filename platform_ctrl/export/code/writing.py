@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from platform_ctrl.arguments import known_names
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
@@ -24,6 +25,8 @@ from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
     import control
+
+    from platform_ctrl.export.fixed import FixedPoint
 
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
@@ -62,6 +65,8 @@ def write_c(
     sha256: str = "",
     versions: Mapping[str, str] | None = None,
     command: str = "",
+    ranges: Mapping[str, float] | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> Written:
     """Write the controllers of a job as C99: a header and a source file for each, and one pair that runs all.
 
@@ -84,6 +89,10 @@ def write_c(
         ``versions`` of the result file, for the headers.
     command
         The command that writes, for the headers.
+    ranges
+        Fixed point alone: largest magnitudes of inputs, in SI units, that the plant does not say or says otherwise.
+    limits
+        Fixed point alone: where integrals stop, by state, in units of the state; default from the torquers' limits.
 
     Returns
     -------
@@ -116,13 +125,25 @@ def write_c(
         remarks.append(windup.remark)
         notes += windup.notes
     signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
+    known_names("ranges", list(ranges or {}), [name for scheme in schemes for name in scheme.inputs])
+    known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
     prefixes = Names(24)
     texts: dict[str, str] = {}
     units = []
     for scheme, remark in zip(schemes, remarks, strict=True):
         prefix = prefixes[scheme.name].lower()
         if number == "q31" or number == "q15":
-            texts |= _fixed(job, scheme, number, prefix, signals)
+            # Ball arithmetic is loaded when it is needed.
+            from platform_ctrl.export import fixed
+
+            made = _fixed(job, scheme, number, ranges, limits)
+            texts[f"{prefix}.h"] = fixed.header(made, prefix, signals, (remark,))
+            texts[f"{prefix}.c"] = fixed.source(made, prefix, signals)
+            worst = ", ".join(
+                f"{name} {made.error[name]:.2g} {what}"
+                for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
+            )
+            notes.append(f"{scheme.name}: {number}, no overflow; apart from integrals off by at most {worst}")
             continue
         said = [remark]
         if number == "float":
@@ -211,12 +232,16 @@ def _range(job: Job, name: str) -> float:
 
 
 def _fixed(
-    job: Job, scheme: Scheme, number: Literal["q31", "q15"], prefix: str, signals: dict[str, str]
-) -> dict[str, str]:
-    from platform_ctrl.export import fixed
+    job: Job,
+    scheme: Scheme,
+    number: Literal["q31", "q15"],
+    ranges: Mapping[str, float] | None,
+    limits: Mapping[str, float] | None,
+) -> FixedPoint:
+    from platform_ctrl.export.fixed import fixed_point, input_ranges
 
-    made = fixed.fixed_point(scheme, fixed.input_ranges(scheme.inputs, job), number=number)
-    return {f"{prefix}.h": fixed.header(made, prefix, signals), f"{prefix}.c": fixed.source(made, prefix, signals)}
+    own = {name: limit for name, limit in (limits or {}).items() if name in scheme.states}
+    return fixed_point(scheme, input_ranges(scheme.inputs, job, ranges), number=number, limits=own)
 
 
 def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:

@@ -36,7 +36,7 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
 
     References
     ----------
-    ISO/IEC 9899:1999.
+    See docs/fixed-point.md.
     """
     p, s, upper = prefix, fixed.scheme, prefix.upper()
     guard = f"{upper}_H"
@@ -120,7 +120,7 @@ def source(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
 
     References
     ----------
-    ISO/IEC 9899:1999.
+    See docs/fixed-point.md.
     """
     return _Source(fixed, prefix, signals).text()
 

@@ -101,7 +101,7 @@ def fixed_point(
         ``"q31"``: 32-bit counts, coefficients of 31 bits; ``"q15"``: 16-bit inputs, signals and outputs, 32-bit
         states, coefficients of 15 bits.
     limits
-        Where integrals stop, by state; default twice what they need for all torques within the limits.
+        Where integrals stop, by state, in its unit; default twice what they need for all torques within the limits.
     accuracy
         Largest bound of the error as a share of an output's limit.
     fractions

@@ -167,7 +167,7 @@ class FixedPoint:
         for all inputs in range.
     poles
         Largest magnitude of the poles in z of every asymptotically stable part, as rounded, by the name of its
-        section.
+        section; dimensionless.
     samples
         Number of samples over which impulse responses were summed; their tails are bounded.
     proof
