@@ -28,6 +28,7 @@ from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 from platform_ctrl import __version__
 from platform_ctrl.check.given import read_controllers
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
+from platform_ctrl.export.fmu.library_exit import let_go_once
 from platform_ctrl.export.fmu.signals import (
     QUATERNION,
     UNITS,
@@ -45,8 +46,9 @@ from platform_ctrl.scenario import Scenario
 from platform_ctrl.simulation import Stepper, acting
 
 JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
-# How far a communication point may lie from a sample, in periods: what sums of steps are rounded by, and much more.
-_NEAR = 1e-6
+# How far the length of a step may be from whole periods, and where it begins from a sample, in periods: more than what
+# differences and long sums of steps are rounded by.
+_NEAR, _DRIFT = 1e-6, 1e-2
 # Units that are shown in their place, and how many of them make one.
 _SHOWN = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi)}
 
@@ -88,6 +90,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         for name in (JOB, CONTROLLERS):
             if sha256((folder / name).read_bytes()).hexdigest() != about["sha256"][name]:
                 raise InputError(f"resources/{name}: is not the file that the FMU was written with")
+        let_go_once(folder, about["identifier"])
         self._about = about
         self._job: Job = read_job(folder / JOB)
         self._controllers = read_controllers(folder / CONTROLLERS, self._job)
@@ -229,18 +232,17 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     def _step(self, time: float, length: float) -> Fmi3Status:
         stepper, period = self._current(), self._job.sampling.period
         if stepper is None:
-            if self._failure:
-                self.log(self._failure, Fmi3Status.error)
+            self.log(self._failure or "the run has been terminated", Fmi3Status.error)
             return Fmi3Status.error
         if not math.isfinite(self._start):
             self._start = time - stepper.sample * period
         expected = self._start + stepper.sample * period
-        if not abs(time - expected) <= _NEAR * period:
+        if not abs(time - expected) <= _DRIFT * period:
             raise SimulationError(
                 f"the step begins at t = {time:.9g} s; expected where the last ended, {expected:.9g} s"
             )
         samples = round(length / period) if math.isfinite(length) else 0
-        if samples < 1 or abs(length - samples * period) > _NEAR * period * max(1.0, abs(time) / 1e3):
+        if samples < 1 or abs(length - samples * period) > _NEAR * period:
             text = f"a step of {length:.9g} s: expected a whole number of sample periods of {period:.9g} s"
             self.log(text, Fmi3Status.discard)
             return Fmi3Status.discard

@@ -28,17 +28,23 @@ from platform_ctrl.writing import write_whole
 if TYPE_CHECKING:
     import control
 
+# The library ends the process if a module cannot be imported, but tells the importer what an instance raises.
 _SCRIPT = '''"""{title}: plant and sampled controllers. Written by platform_ctrl {version}."""
 
 from pythonfmu3 import Fmi3Slave
 
 try:
     from platform_ctrl.export.fmu.slave import PlatformSlave
-except ImportError as error:
-    raise ImportError(
+except Exception as error:
+    MISSING = (
         "this FMU needs the package platform_ctrl, version {version}, in the Python that runs it: "
-        f"pip install platform_ctrl ({{error}})"
-    ) from error
+        "pip install platform_ctrl (" + str(error) + ")"
+    )
+
+    def refuse(self, **kwargs):
+        raise ImportError(MISSING)
+
+    PlatformSlave = type("PlatformSlave", (Fmi3Slave,), {{"__init__": refuse, "do_step": refuse}})
 
 
 class Unit(PlatformSlave, Fmi3Slave):
