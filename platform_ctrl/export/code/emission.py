@@ -300,7 +300,7 @@ class _Source:
         return self.locals[f"limit {output}"]
 
     def _constant(self, x: float, name: str) -> str:
-        label = self.locals[f"k {name}"]
+        label = self.locals.new(f"k {name}")
         self.constants.append(f"static const {self.kind} {label} = {literal(x, self.kind)};")
         return label
 

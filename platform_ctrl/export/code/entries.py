@@ -133,6 +133,9 @@ def unit_of(job: Job, signal: str) -> str:
 def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
     arrays = state_arrays(K, "controller")
     loop, _, design = str(K.name).partition(", ")
+    if loop not in {spec.name for spec in job.loops}:
+        # Named by python-control, or by somebody: the loop is told by what is set.
+        loop, design = _closed_by(job, tuple(K.output_labels)) or str(K.name), ""
     return {
         "name": loop,
         "design": design,
@@ -142,6 +145,16 @@ def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
         "outputs": list(K.output_labels),
         "delay": job.sampling.delay,
     }
+
+
+def _closed_by(job: Job, outputs: tuple[str, ...]) -> str | None:
+    """Return the name of the loop whose torques these are."""
+    gimbals = {torquer.name: torquer.gimbal for torquer in job.platform.torquers}
+    acted_on = {gimbals.get(name) for name in outputs}
+    for spec in job.loops:
+        if acted_on == (set(spec.gimbals) if spec.kind == "caging" else {None}):
+            return spec.name
+    return None
 
 
 def _without_excess(record: Mapping[str, Any]) -> tuple[Mapping[str, Any], FloatArray | None]:

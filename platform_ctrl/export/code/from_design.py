@@ -24,7 +24,7 @@ from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel, linearise
 
 # How far a scheme's matrices and response may be from those of the controller: rounding of a few operations.
-_SAME_MATRICES = 1e-9
+_SAME_MATRICES = 1e-11
 _SAME_RESPONSE = 1e-8
 _FREQUENCIES = 240
 

@@ -46,14 +46,18 @@ class Names:
     def __getitem__(self, name: str) -> str:
         """Return the identifier of `name`."""
         if name not in self._known:
-            base = identifier(name, self._longest)
-            new, count = base, 1
-            while new.lower() in self._used:
-                count += 1
-                new = f"{base[: self._longest - len(str(count)) - 1]}_{count}"
-            self._used.add(new.lower())
-            self._known[name] = new
+            self._known[name] = self.new(name)
         return self._known[name]
+
+    def new(self, name: str) -> str:
+        """Return an identifier that resembles `name` and was not given before."""
+        base = identifier(name, self._longest)
+        out, count = base, 1
+        while out.lower() in self._used:
+            count += 1
+            out = f"{base[: self._longest - len(str(count)) - 1]}_{count}"
+        self._used.add(out.lower())
+        return out
 
     def rename(self, name: str, as_name: str) -> None:
         """Let `name` give the identifier of another name from now on."""

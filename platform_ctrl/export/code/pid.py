@@ -13,7 +13,6 @@ from platform_ctrl.design.channels import Channels
 from platform_ctrl.export.code.entries import Entry
 from platform_ctrl.export.code.scheme import Section
 from platform_ctrl.export.code.sections import row
-from platform_ctrl.frozen import FloatArray
 
 
 def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tuple[Section, ...] | None:
@@ -42,11 +41,12 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
     See docs/structured.md.
     """
     n, T = len(channel.basis), entry.arrays.dt
-    A, C, D = entry.arrays.A, entry.arrays.C, entry.arrays.D
+    A, B, C, D, _ = entry.arrays
     if len(A) != 3 * n:
         return None
     columns = [entry.inputs.index(name) for name in angles]
-    C, D = channel.basis @ C, channel.basis @ D[:, columns] @ channel.basis.T
+    B, C = B[:, columns] @ channel.basis.T, channel.basis @ C
+    D = channel.basis @ D[:, columns] @ channel.basis.T
     gains = np.zeros((3, n, n))
     filters: list[Section] = []
     integrals: list[Section] = []
@@ -61,7 +61,8 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
             return None
         frequency = float(np.sqrt(-continuous[1, 0]))
         damping = float(-continuous[1, 1] / (2.0 * frequency))
-        a, b, c, d = _filtered(frequency, damping, T)
+        # By this rule the states are seen through (A + 1)/2, and the input by half of what drives them.
+        a, b, c, d = discrete, B[own, k], 0.5 * (discrete + np.eye(2)), 0.5 * B[own, k]
         # What the gains of this direction see of [filter, integral, y]: angle, integral, rate.
         seen = np.array(
             [
@@ -71,7 +72,11 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
             ]
         )
         shown = np.column_stack([C[:, own], C[:, 2 * n + k], D[:, k]])
-        gains[:, :, k] = np.linalg.lstsq(seen.T, shown.T, rcond=None)[0]
+        # Angle, integral and rate each in its own size, and so is what the states hold of them.
+        rows = np.linalg.norm(seen, axis=1)
+        states = np.maximum(np.abs(seen / rows[:, None]).max(axis=0), 1e-300)
+        scaled = seen / rows[:, None] / states
+        gains[:, :, k] = np.linalg.lstsq(scaled.T, (shown / states).T, rcond=None)[0] / rows[:, None]
         angle, slope, state = f"angle_{k + 1}", f"slope_{k + 1}", f"integral_{k + 1}_x"
         held = [f"filter_{k + 1}_x1", f"filter_{k + 1}_x2"]
         sources = [f"direction_{k + 1}", *held]
@@ -125,12 +130,3 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
         signals=tuple(row(name, channel.basis.T[i], directions) for i, name in enumerate(entry.outputs)),
     )
     return (into, *filters, *integrals, mixed, back)
-
-
-def _filtered(frequency: float, damping: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return y -> [F y, s F y] of the low-pass F, by Tustin's rule, in its angle and rate."""
-    A = np.array([[0.0, 1.0], [-(frequency**2), -2.0 * damping * frequency]])
-    half = 0.5 * period
-    inverse = np.asarray(np.linalg.inv(np.eye(2) - half * A), dtype=np.float64)
-    into: FloatArray = inverse[:, 1] * frequency**2
-    return inverse @ (np.eye(2) + half * A), period * into, inverse, half * into

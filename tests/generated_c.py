@@ -1,0 +1,141 @@
+"""Generated C in tests: controllers by numbers, compiled with every warning on, run by ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from platform_ctrl.design.channels import channels
+from platform_ctrl.design.classical import classical_controller
+from platform_ctrl.design.plants import rows_of
+from platform_ctrl.design.stabilisation import platform_servo
+from platform_ctrl.design.structured.families import Pid
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.job import Job
+from platform_ctrl.linearisation import linearise
+
+WARNINGS = [
+    "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Wdouble-promotion",
+    "-Wfloat-conversion", "-Wcast-qual", "-Wstrict-prototypes", "-Wundef", "-Werror",
+]  # fmt: skip
+LANGUAGES = {"gcc": "-std=c99", "g++": "-std=c++11", "clang": "-std=c99"}
+
+CLASSICAL = {
+    ("4", "5", "7"): {
+        "crossover_hz": 46.0, "integral_hz": 2.0, "damping_hz": 49.0, "damping2_hz": 75.0, "lead_hz": 5.0,
+        "rolloff_hz": 880.0, "inertial_crossover_hz": 70.0, "inertial_lead_hz": 30.0, "inertial_rolloff_hz": 836.0,
+        "lag_hz": 4.0, "lag_ratio": 1.5,
+    },
+    ("9", "10"): {
+        "crossover_hz": 70.0, "integral_hz": 2.0, "damping_hz": 78.0, "damping2_hz": 92.0, "lead_hz": 7.0,
+        "rolloff_hz": 900.0, "notch_hz": 200.0, "notch_depth": 0.7, "notch_width": 0.15,
+    },
+}  # fmt: skip
+
+
+def classical_entry(job: Job, gimbals: tuple[str, ...], **other: float) -> dict[str, Any]:
+    """A classical caging loop as it stands in result.json."""
+    model = linearise(job.platform)
+    options = CLASSICAL[gimbals] | other
+    block = classical_controller(options, channels(model, rows_of(model, gimbals)), job.sampling.period)
+    return entry(job, f"caging {'-'.join(gimbals)}", block, gimbals) | {
+        "design": "classical", "method": "classical", "options": options,
+    }  # fmt: skip
+
+
+def pid_entry(job: Job, gimbals: tuple[str, ...]) -> dict[str, Any]:
+    """A matrix PID as the structured design makes it."""
+    model = linearise(job.platform)
+    channel = channels(model, rows_of(model, gimbals))
+    like = classical_controller(CLASSICAL[gimbals], channel, job.sampling.period)
+    family = Pid(like, channel, job.sampling.period, 500.0, 12.6, 5000.0)
+    return entry(job, f"caging {'-'.join(gimbals)}", family.block(family.start), gimbals) | {
+        "design": "structured", "method": "structured", "options": {"integral_hz": 2.0},
+    }  # fmt: skip
+
+
+def servo_entry(job: Job) -> dict[str, Any]:
+    """The platform servo of the job."""
+    spec = job.loops[2]
+    design = platform_servo(job, linearise(job.platform), spec, spec.designs[0])
+    K = design.controller
+    return {
+        "name": spec.name, "design": design.name, "method": design.method, "dt": job.sampling.period,
+        **{name: getattr(K, name).tolist() for name in "ABCD"}, "inputs": list(K.input_labels),
+        "outputs": list(K.output_labels), "delay": job.sampling.delay, "options": design.options,
+    }  # fmt: skip
+
+
+def entry(job: Job, name: str, block: Sequence[FloatArray], gimbals: tuple[str, ...]) -> dict[str, Any]:
+    """A controller of some gimbals from its matrices."""
+    return {
+        "name": name, "dt": job.sampling.period, "delay": job.sampling.delay,
+        **{key: np.asarray(item).tolist() for key, item in zip("ABCD", block, strict=True)},
+        "inputs": [job.platform.pickoff_on(g).name for g in gimbals],
+        "outputs": [job.platform.torquer_on(g).name for g in gimbals],
+    }  # fmt: skip
+
+
+def compiler(name: str = "gcc") -> str:
+    """Path of a compiler; the test is skipped where there is none."""
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"no {name} on this machine: generated C cannot be compiled")
+    return found
+
+
+def compiled(files: Sequence[Path], out: Path, name: str = "gcc", *more: str) -> Path:
+    """All sources of `files` as one shared library (or what `more` says), without a warning."""
+    warnings = [w for w in WARNINGS if name != "g++" or w != "-Wstrict-prototypes"]
+    language = ["-x", "c++"] if name == "g++" else []
+    sources = [str(file) for file in files if file.suffix == ".c"]
+    flags = more or ("-shared", "-fPIC", "-O1")
+    command = [compiler(name), *language, LANGUAGES[name], *warnings, *flags, "-o", str(out), *sources]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+class Machine:
+    """A compiled controller (or all of a job), stepped from here."""
+
+    def __init__(
+        self,
+        library: Path,
+        prefix: str,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        number: type,
+        statuses: Sequence[str] = (),
+    ) -> None:
+        self._in = type("In", (ctypes.Structure,), {"_fields_": [(name, number) for name in inputs]})()
+        fields = [*((name, number) for name in outputs), *((name, ctypes.c_uint) for name in statuses)]
+        self._out = type("Out", (ctypes.Structure,), {"_fields_": fields})()
+        self._inputs, self._outputs = list(inputs), list(outputs)
+        # Larger than any state here: its fields are the code's own business.
+        self._state = ctypes.create_string_buffer(1 << 14)
+        loaded = ctypes.CDLL(str(library))
+        self._step, self._reset = getattr(loaded, f"{prefix}_step"), getattr(loaded, f"{prefix}_reset")
+        self._step.restype, self._reset.restype = ctypes.c_uint, None
+        self.reset()
+
+    def reset(self) -> None:
+        self._reset(self._state)
+
+    def step(self, values: Sequence[float]) -> tuple[list[float], int]:
+        for name, x in zip(self._inputs, values, strict=True):
+            setattr(self._in, name, x)
+        status = self._step(self._state, ctypes.byref(self._in), ctypes.byref(self._out))
+        return [getattr(self._out, name) for name in self._outputs], int(status)
+
+    def run(self, readings: FloatArray) -> tuple[FloatArray, list[int]]:
+        """Outputs (N, outputs) and status of every sample."""
+        steps = [self.step(row) for row in np.asarray(readings).tolist()]
+        return np.array([values for values, _ in steps]), [status for _, status in steps]
