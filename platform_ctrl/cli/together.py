@@ -28,7 +28,7 @@ def together(folder: Path) -> Iterator[Path]:
     """
     unfinished: Path | None = None
     try:
-        with _uninterrupted():
+        with uninterrupted():
             try:
                 # In the same folder, so that putting a file in place is one step of the file system.
                 unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
@@ -41,7 +41,7 @@ def together(folder: Path) -> Iterator[Path]:
         except OSError as error:
             meant = str(error.filename or folder).replace(str(unfinished), str(folder))
             raise InputError(f"{meant}: cannot be written: {error.strerror or error}") from None
-        with _uninterrupted():
+        with uninterrupted():
             for file in sorted(unfinished.iterdir()):
                 try:
                     os.replace(file, folder / file.name)
@@ -49,12 +49,12 @@ def together(folder: Path) -> Iterator[Path]:
                     raise InputError(f"{folder / file.name}: cannot be written: {error.strerror or error}") from None
     finally:
         if unfinished is not None:
-            with _uninterrupted():
+            with uninterrupted():
                 shutil.rmtree(unfinished, ignore_errors=True)
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
+def uninterrupted() -> Iterator[None]:
     """Let a Ctrl-C wait until the end."""
     if threading.current_thread() is not threading.main_thread():
         yield

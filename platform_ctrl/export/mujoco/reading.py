@@ -64,7 +64,12 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
         model = mujoco.MjSpec.from_file(str(file)).compile()
     except Exception as error:
         raise InputError(f"{label}: is no model that MuJoCo takes: {one_line(' '.join(str(error).split()))}") from None
-    return read_platform(_Model(mujoco, model, label, dict(spins or {})).tables())
+    with np.errstate(all="ignore"):  # what is not finite is refused with its place
+        tables = _Model(mujoco, model, label, dict(spins or {})).tables()
+    try:
+        return read_platform(tables)
+    except InputError as error:
+        raise InputError(f"{label}: {str(error).removeprefix('plant given as a dict: ')}") from None
 
 
 def loaded() -> Any:

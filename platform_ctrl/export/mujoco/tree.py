@@ -14,7 +14,10 @@ from platform_ctrl.reading.mistakes import given, one_line
 # Lengths that count as zero, over the distance of the farthest joint or centre of mass.
 NEAR = 1e-6
 
-BALL, SLIDE, HINGE, FREE = 1, 2, 3, 0
+# No place, mass or inertia in whatever units is as large.
+_LARGEST = 1e50
+
+FREE, BALL, HINGE = 0, 1, 3
 
 
 @dataclasses.dataclass
@@ -75,6 +78,11 @@ def bodies_of(mujoco: Any, model: Any, label: str) -> tuple[list[Body], int, flo
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
+    read = (data.xpos, data.xmat, data.xipos, data.ximat, data.xaxis, data.xanchor, model.body_mass, model.body_inertia)
+    if any(not np.all(np.abs(numbers) < _LARGEST) for numbers in read):
+        raise InputError(
+            f"{label}: has a place, mass or inertia that is not finite or huge; expected what can be built"
+        )
     held = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0 and _moves(model, k)]
     if not held:
         raise InputError(

@@ -8,8 +8,9 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
-from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.arguments import one_of, positive, short
 from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer, expect_platform
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.bodies import Placed, children, placed, rotor_mass, rotors_on
 from platform_ctrl.export.mujoco.shapes import (
     add_looks,
@@ -25,8 +26,8 @@ from platform_ctrl.writing import write_whole
 
 Root = Literal["free", "prescribed", "fixed"]
 
-# Inertia of the drive of a regulated rotor, over C, and of what turns a prescribed root, over that of everything: so much
-# less do they give way.
+# Inertia of the drive of a regulated rotor, over C, and of what turns a prescribed root, over that of everything: they
+# give way by so much less.
 REGULATED = 1e11
 PRESCRIBED = 1e11
 
@@ -57,7 +58,7 @@ def write_mjcf(
     Raises
     ------
     ArgumentError
-        `platform` is none, another `root`, or a step that is not above zero.
+        `platform` is none, another `root`, a step that is not above zero, or a name that MuJoCo has for something else.
     InputError
         The file cannot be written there.
 
@@ -68,13 +69,16 @@ def write_mjcf(
     expect_platform(platform)
     one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
     step = positive("write_mjcf: step", step)
+    _judge_names(platform)
     notes = _notes(platform, root)
     top = Element("mujoco", model=_line(platform.name))
-    for line in (platform.source, *(f"not in this file: {note}" for note in notes)):
+    for line in (platform.source, *notes):
         if line:
             top.append(Comment(f" {_line(line).replace('--', '- -')} "))
     SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
-    option = SubElement(top, "option", timestep=repr(step), integrator="RK4", gravity=text(-platform.specific_force))
+    option = SubElement(
+        top, "option", timestep=repr(step), integrator="RK4", gravity=text(0.0 - platform.specific_force)
+    )
     SubElement(option, "flag", contact="disable")
     bodies = placed(platform)
     add_looks(top, bodies[0].radius)
@@ -93,6 +97,15 @@ def write_mjcf(
     indent(top)
     write_whole(path, tostring(top, encoding="unicode") + "\n")
     return notes
+
+
+def _judge_names(platform: Platform) -> None:
+    bodies = [platform.root_name, *platform.gimbal_names, *(f"rotor {rotor.name}" for rotor in platform.rotors)]
+    joints = ["root", *platform.angle_names, *(f"spin {rotor.name}" for rotor in platform.rotors)]
+    for names, reserved in ((bodies, "world"), (joints, "")):
+        for k, name in enumerate(names):
+            if name == reserved or name in names[:k]:
+                raise ArgumentError(f"write_mjcf: {short(name)} names something else in MuJoCo; expected another name")
 
 
 def _add_root(world: Element, platform: Platform, bodies: list[Placed], root: Root, step: float) -> list[float]:
@@ -277,33 +290,30 @@ def _add_sensors(top: Element, platform: Platform, root: Root) -> None:
 
 def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
     """Say what of the plant has no place in MJCF, or another form there."""
-    out = []
-    for friction in platform.frictions:
-        if max(friction.breakaway) > 0.0:
-            form = "MuJoCo's frictionloss (mean of both directions) in place of a smooth Coulomb or Stribeck curve"
-            out.append(f"dry friction of gimbal {friction.gimbal}: {form}")
-    for cage in platform.cages:
-        if cage.clearance:
-            out.append(f"cage of gimbal {cage.gimbal} with its clearance")
-    for erection in platform.erections:
-        out.append(f"erection of gimbal {erection.gimbal}: add its torque to that of the gimbal's torquer")
-    for torquer in platform.torquers:
-        if torquer.root_axis is not None and root != "free":
-            out.append(f"torquer {torquer.name}: it acts on the root, which is {root}")
-        elif torquer.rate_limit is not None:
-            out.append(f"rate limit of torquer {torquer.name}")
-    for sensor in platform.sensors:
-        if sensor.quantisation:
-            out.append(f"quantisation of {sensor.name}")
-    for rotor in platform.rotors:
-        if rotor.control == "servo" and rotor.torque_limit is not None:
-            out.append(f"torque limit of the speed loop of rotor {rotor.name}")
-    for gimbal in platform.gimbals:
-        if gimbal.stops is not None:
-            out.append(f"stops of gimbal {gimbal.name} as impacts: they are contacts that give a little")
-    if platform.unbalances and platform.specific_force.any() and root != "fixed":
-        out.append("specific force that turns with the root: gravity keeps its direction in the world")
-    return tuple(_line(note) for note in out)
+    moved = root != "fixed" and platform.unbalances and platform.specific_force.any()
+    held = [t.name for t in platform.torquers if t.root_axis is not None and root != "free"]
+    found: dict[str, list[str]] = {
+        "dry friction of {}: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve": [
+            friction.gimbal for friction in platform.frictions if max(friction.breakaway) > 0.0
+        ],
+        "cage of {}: left out, for its clearance": [cage.gimbal for cage in platform.cages if cage.clearance],
+        "erection of {}: left out; add it to the control of a torquer": [one.gimbal for one in platform.erections],
+        f"torquer {{}}: left out, the root is {root}": held,
+        "rate limit of {}: left out": [
+            t.name for t in platform.torquers if t.rate_limit is not None and t.name not in held
+        ],
+        "quantisation of {}: left out": [one.name for one in platform.sensors if one.quantisation],
+        "torque limit of the speed loop of {}: left out": [
+            rotor.name for rotor in platform.rotors if rotor.control == "servo" and rotor.torque_limit is not None
+        ],
+        "stops of {}: contacts that give a little, in place of impacts": [
+            gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None
+        ],
+        "specific force {}: gravity, which keeps its direction in the world when the root turns": [
+            text(platform.specific_force) for _ in range(bool(moved))
+        ],
+    }
+    return tuple(_line(note.format(", ".join(names))) for note, names in found.items() if names)
 
 
 def _line(words: str) -> str:
