@@ -134,6 +134,8 @@ class _Source:
         self.states, self.shifts = _state_names(fixed), _shifts(fixed)
         self.locals = Names(56)
         self.constants: list[str] = []
+        # Which product a name of its own belongs to: another one of that name is named by its ends.
+        self.owners: dict[str, str] = {}
         self.reads: dict[str, str] = {}
         self.limited = [name for name in self.scheme.outputs if self.formats[name].saturates]
         rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
@@ -348,9 +350,10 @@ class _Source:
         if product.coefficient == 1:
             return f"({kind}){taken}"
         name = self.named.get((row.target, product.source), "")
-        label = self.locals[
-            f"k {section.name} {name}" if name else f"k {row.target} from {product.source.removeprefix('excess of ')}"
-        ]
+        plain = f"k {row.target} from {product.source.removeprefix('excess of ')}"
+        own = f"k {section.name} {name}"
+        key = own if name and self.owners.setdefault(own, plain) == plain else plain
+        label = self.locals[key]
         number = _literal(product.coefficient, row.accumulator)
         meant = product.coefficient * 2.0 ** (self._fraction(product.source) - self._fraction(row.target) - row.shift)
         more = " beside the state itself" if row.keeps and product.source == row.target else ""
