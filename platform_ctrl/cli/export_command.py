@@ -177,7 +177,7 @@ def export(
         read = job_of(job)
         needed = bool(folders) or mat is not None or fmu is not None
         wanted = needed or models is not None or controllers is not None
-        file = _controllers(controllers, needed) if wanted else None
+        file = _controllers(controllers, job, needed) if wanted else None
         _judge_targets(job, file, files, folders)
         owned = {option: own_files(f"--{option}", path) for option, path in folders.items()}
         work = _Work(read, job, file, {"number": number, "anti_windup": anti_windup}, form, root, manoeuvre)
@@ -239,10 +239,10 @@ class _Work:
         return {"schema": 1, "job": self.job.name, "platform": self.job.platform.name, "controllers": of}
 
 
-def _controllers(given: Path | None, needed: bool) -> Path | None:
+def _controllers(given: Path | None, job: Path, needed: bool) -> Path | None:
     """Return the file of the controllers; None where they are not needed and there are none."""
     try:
-        return controller_file(given, None)
+        return controller_file(given, None, job)
     except InputError:
         if needed:
             raise
