@@ -1,0 +1,470 @@
+"""Plant and controllers as an FMU: its description, and its numbers beside our own simulation, to the last bit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import control
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
+
+from one_gyro_job import JOB
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.fmu import write_fmu
+from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
+from platform_ctrl.job import Job, manoeuvre_scenario
+from platform_ctrl.reading import read_job
+from platform_ctrl.simulation import HalfCosine, Scenario, Stepper, TimeTable, Trajectory, acting, flight
+
+MANOEUVRES = """
+[[manoeuvre]]
+name = "turn"
+mode = "caged"
+axis = 1
+rate = 1.0
+rise = 0.02
+hold = 0.01
+duration = 0.06
+initial = { alpha9 = 0.0001 }
+limits = {}
+
+[[manoeuvre]]
+name = "it's a step"
+mode = "stabilised"
+axis = 2
+torque = 0.1
+duration = 0.03
+initial = { Omega3 = 0.01 }
+limits = {}
+"""
+COLUMNS = {
+    "angle": ("q", "angle_names"),
+    "rate": ("rate", "angle_names"),
+    "momentum": ("p", "angle_names"),
+    "reading": ("reading", "pickoff_names"),
+    "command": ("command", "torquer_names"),
+    "torque": ("torque", "torquer_names"),
+}
+
+
+def by_numbers(names: list[tuple[str, str]], period: float) -> list[control.StateSpace]:
+    """Lags with a gain, a controller for each pair of reading and torquer."""
+    return [
+        control.ss([[0.9]], [[0.1]], [[-40.0]], [[-60.0 - k]], period, inputs=[y], outputs=[u], name=f"{y} to {u}")
+        for k, (y, u) in enumerate(names)
+    ]
+
+
+@pytest.fixture(scope="module")
+def gyro() -> tuple[Job, list[control.StateSpace]]:
+    job = read_job(tomllib.loads(JOB + MANOEUVRES))
+    return job, by_numbers([("alpha9", "Q10"), ("beta10", "Q9")], job.sampling.period)
+
+
+@pytest.fixture(scope="module")
+def unit(gyro, tmp_path_factory) -> Path:
+    return write_fmu(*gyro, tmp_path_factory.mktemp("fmu") / "gyro.fmu")
+
+
+@pytest.fixture(autouse=True)
+def same_path() -> Iterator[None]:
+    """The library puts the unit's resources before everything else on Python's path, and leaves them there."""
+    before = list(sys.path)
+    yield
+    sys.path[:] = before
+
+
+class Instance:
+    """One instance of a unit, with FMI's calls by the variables' names."""
+
+    def __init__(self, folder: str, name: str = "one", **parameters: float) -> None:
+        described = fmpy.read_model_description(folder)
+        self.references = {one.name: one.valueReference for one in described.modelVariables}
+        self.messages: list[str] = []
+        self.fmu = FMU3Slave(
+            instanceName=name,
+            guid=described.guid,
+            unzipDirectory=folder,
+            modelIdentifier=described.coSimulation.modelIdentifier,
+        )
+        self.fmu.instantiate(logMessage=lambda environment, status, category, text: self.messages.append(text.decode()))
+        self.begin(**parameters)
+
+    def begin(self, **parameters: float) -> None:
+        for name, number in parameters.items():
+            put = self.fmu.setFloat64 if isinstance(number, float) else self.fmu.setInt64
+            put([self.references[name.replace("__", ".")]], [number])
+        self.fmu.enterInitializationMode()
+        self.fmu.exitInitializationMode()
+
+    def put(self, name: str, number: float) -> None:
+        self.fmu.setFloat64([self.references[name]], [number])
+
+    def get(self, name: str) -> float:
+        return self.fmu.getFloat64([self.references[name]])[0]
+
+    def step(self, time: float, length: float) -> None:
+        self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=length)
+
+    def free(self) -> None:
+        self.fmu.terminate()
+        self.fmu.freeInstance()
+
+
+@pytest.fixture(scope="module")
+def folder(unit, tmp_path_factory) -> str:
+    return fmpy.extract(unit, tmp_path_factory.mktemp("unit"))
+
+
+def flown(job: Job, controllers: list[control.StateSpace], name: str, **more: Any) -> Trajectory:
+    [one] = [manoeuvre for manoeuvre in job.manoeuvres if manoeuvre.name == name]
+    scenario = replace(manoeuvre_scenario(job, one), **more)
+    return flight(scenario, acting(controllers, job.platform, scenario.mode), period=job.sampling.period)
+
+
+def differing(found: Any, expected: Trajectory, every: int = 1) -> list[str]:
+    """Outputs that are not those of a trajectory to the last bit."""
+    wanted = {
+        variable_name(group, name): getattr(expected, column)[::every, k]
+        for group, (column, names) in COLUMNS.items()
+        for k, name in enumerate(getattr(expected, names))
+    }
+    wanted |= {f"platform.Omega{k + 1}": expected.Omega[::every, k] for k in range(3)}
+    wanted |= {f"platform.attitude_{part}": expected.attitude[::every, k] for k, part in enumerate("wxyz")}
+    assert len(found["time"]) == len(expected.t[::every])
+    return [name for name, numbers in wanted.items() if not np.array_equal(found[name], numbers)]
+
+
+# Stepping.
+
+
+@pytest.mark.parametrize("name", ["turn", "it's a step"])
+def test_a_run_in_pieces_is_the_run_to_the_last_bit(gyro, name):
+    job, controllers = gyro
+    whole = flown(job, controllers, name)
+    scenario = manoeuvre_scenario(job, next(one for one in job.manoeuvres if one.name == name))
+    stepper = Stepper(scenario, acting(controllers, job.platform, scenario.mode), period=job.sampling.period)
+    parts = [stepper.now, stepper.advance(1), stepper.advance(7)]
+    kept = stepper.snapshot()
+    once = stepper.advance(11)
+    stepper.restore(kept)
+    assert np.array_equal(stepper.now.q, parts[-1].q[-1:])
+    again = stepper.advance(11)
+    parts += [again, stepper.advance(len(whole.t) - 20)]
+    assert np.array_equal(once.reading, again.reading)
+    for column in ("t", "q", "rate", "p", "reading", "command", "torque", "Omega", "attitude"):
+        assert np.array_equal(np.concatenate([getattr(part, column) for part in parts]), getattr(whole, column)), column
+    assert np.array_equal(stepper.now.saturated, whole.saturated)
+
+
+def test_Omega_held_or_sloping_is_a_time_table_flown_step_by_step(gyro):
+    job, controllers = gyro
+    period = job.sampling.period
+    points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.3, 0.1, 0.0], [0.3, 0.1, 0.0]]
+    table = TimeTable(t=np.array([0.0, 10 * period, 25 * period, 40 * period]), values=np.array(points))
+    scenario = Scenario(platform=job.platform, mode="caged", duration=40 * period, delay=job.sampling.delay)
+    expected = flight(replace(scenario, Omega_table=table), controllers, period=period)
+    # On a table of the scenario's own, input and table add up: half of each.
+    half = replace(scenario, Omega_table=replace(table, scale=0.5))
+    for stepped, share in ((scenario, 1.0), (half, 0.5)):
+        stepper = Stepper(stepped, controllers, period=period)
+        found = [stepper.now]
+        for a, b, samples in ((0, 1, 10), (1, 2, 15), (2, 3, 15)):
+            slope = (np.array(points[b]) - points[a]) / (samples * period)
+            found.append(stepper.advance(samples, Omega=share * np.array(points[a]), Omega_rate=share * slope))
+        q, Omega = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "Omega"))
+        assert Omega == pytest.approx(expected.Omega, rel=1e-12, abs=1e-15)
+        assert q == pytest.approx(expected.q, rel=1e-9, abs=1e-12 * np.abs(expected.q).max())
+
+
+def test_a_jump_of_Omega_leaves_angles_and_joint_momenta(gyro):
+    job, _ = gyro
+    stepper = Stepper(
+        Scenario(platform=job.platform, mode="caged", duration=1.0, delay=0.0), [], period=1e-5, step=1e-5
+    )
+    before = stepper.advance(3)
+    after = stepper.advance(1, Omega=[0.0, 0.5, 0.0])
+    assert not before.rate.any()
+    assert after.Omega[0] == pytest.approx([0.0, 0.5, 0.0])
+    # At rest against inertial space the joints about axis 2 turn back against the platform, all but for what the
+    # rotors do to them in one step.
+    coupled = [k for k, gimbal in enumerate(job.platform.gimbals) if abs(gimbal.axis[1]) == 1.0]
+    assert after.rate[0, coupled] == pytest.approx([-0.5] * len(coupled), rel=0.05)
+    assert np.abs(after.q).max() < 1e-5
+    assert np.abs(after.p).max() < 1e-3 * np.abs(after.rate).max()
+
+
+def test_torques_given_on_the_way_are_those_of_the_scenario(gyro):
+    job, controllers = gyro
+    period, n = job.sampling.period, len(job.platform.gimbals)
+    scenario = Scenario(platform=job.platform, mode="stabilised", duration=20 * period, delay=job.sampling.delay)
+    expected = flight(replace(scenario, torque=np.array([0.1, 0.0, -0.2])), controllers, period=period)
+    stepper = Stepper(scenario, controllers, period=period)
+    assert np.array_equal(stepper.advance(20, torque=[0.1, 0.0, -0.2]).q, expected.q[1:])
+    # A torquer that is commanded a constant torque, and a torque beside it that takes it away again.
+    pushed = control.ss([], [], [], [[0.0]], period, inputs=["alpha9"], outputs=["Q9"])
+    stepper = Stepper(replace(scenario, delay=0.0), [pushed], period=period)
+    acting_on = np.zeros(n)
+    acting_on[job.platform.gimbal_names.index("9")] = 1e-3
+    moved = stepper.advance(10, gimbal_torque=acting_on).q[-1]
+    assert abs(moved[job.platform.angle_names.index("alpha9")]) > 1e-6
+    held = stepper.advance(10)
+    free = Stepper(replace(scenario, delay=0.0), [pushed], period=period).advance(20, gimbal_torque=acting_on)
+    assert np.array_equal(held.q[-1], free.q[-1])
+
+
+def test_a_stepper_says_what_it_cannot_do(gyro):
+    job, controllers = gyro
+    period = job.sampling.period
+    caged = Stepper(Scenario(platform=job.platform, mode="caged", duration=0.0, delay=0.0), controllers, period=period)
+    with pytest.raises(ArgumentError, match="torque: given in mode 'caged'"):
+        caged.advance(1, torque=[0.0, 0.0, 0.0])
+    with pytest.raises(ArgumentError, match="samples: given 0"):
+        caged.advance(0)
+    with pytest.raises(ArgumentError, match=r"Omega: given shape \(2,\)"):
+        caged.advance(1, Omega=[0.0, 0.0])
+    with pytest.raises(ArgumentError, match="snapshot: given shape"):
+        caged.restore([1.0])
+    free = Scenario(platform=job.platform, mode="stabilised", duration=0.0, delay=0.0)
+    with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'"):
+        Stepper(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
+    assert caged.sample == 0
+
+
+# The unit.
+
+
+def test_the_description_is_valid_and_names_every_signal_with_its_unit(gyro, unit):
+    job, _ = gyro
+    assert validate_fmu(str(unit)) == []
+    described = fmpy.read_model_description(unit, validate=True)
+    found = {one.name: one for one in described.modelVariables}
+    for signal in (*parameters_of(job, 3), *inputs_of(job), *outputs_of(job)):
+        one = found[signal.name]
+        assert (one.type, one.causality, one.variability) == (signal.kind, signal.causality, signal.variability)
+        assert (one.unit or "") == signal.unit
+    assert {one.name: len(one.displayUnits) for one in described.unitDefinitions}["rad"] == 1
+    assert described.coSimulation.canGetAndSetFMUstate
+    assert float(described.coSimulation.fixedInternalStepSize) == job.sampling.period
+    assert float(found["spin.'11'"].start) == next(r.spin for r in job.platform.rotors if r.name == "11")
+    assert described.defaultExperiment.stepSize == str(job.sampling.period)
+
+
+def test_the_file_holds_what_it_is_made_of_and_is_the_same_every_time(gyro, unit, tmp_path):
+    job, controllers = gyro
+    result = tmp_path / "result.json"
+    result.write_text('{"schema": 1}')
+    again = write_fmu(job, controllers, tmp_path / "again.fmu")
+    assert again.read_bytes() == unit.read_bytes()
+    with_result = write_fmu(job, controllers, tmp_path / "other.fmu", manoeuvre="it's a step", result=result)
+    with zipfile.ZipFile(with_result) as packed:
+        about = packed.read("resources/about.json").decode()
+        assert sha256(result.read_bytes()).hexdigest() in about
+        assert read_job(tomllib.loads(packed.read("resources/job.toml").decode())).name == job.name
+        assert b"three-gyro platform" in packed.read("resources/plant.toml")
+        assert {entry.date_time for entry in packed.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+    assert fmpy.read_model_description(with_result).modelVariables[1].start == "4"
+
+
+@pytest.mark.parametrize(("name", "number", "every"), [("turn", 3, 1), ("it's a step", 4, 3)])
+def test_a_manoeuvre_of_the_unit_is_that_of_the_simulation_to_the_last_bit(gyro, unit, name, number, every):
+    job, controllers = gyro
+    expected = flown(job, controllers, name)
+    found = fmpy.simulate_fmu(
+        str(unit),
+        stop_time=float(expected.t[-1]),
+        output_interval=every * job.sampling.period,
+        start_values={"manoeuvre": number},
+    )
+    assert differing(found, expected, every) == []
+    assert found["saturated.Q9"][-1] == expected.saturated[expected.torquer_names.index("Q9")]
+
+
+def test_the_main_plant_with_all_loops_is_that_of_the_simulation(tmp_path):
+    job = read_job("examples/three_gyro_platform.toml")
+    pairs = [("alpha4", "Q5"), ("beta5", "Q4"), ("beta7", "Q7"), ("alpha9", "Q10"), ("beta10", "Q9")]
+    period = job.sampling.period
+    servo = control.ss([[1.0]], [[period]], [[0.3]], [[-5.0]], period, inputs=["Q10"], outputs=["M3"], name="servo")
+    controllers = [*by_numbers(pairs, period), servo]
+    unit = write_fmu(job, controllers, tmp_path / "main.fmu", manoeuvre="0.1 N m step about axis 3")
+    expected = flown(job, controllers, "0.1 N m step about axis 3", duration=0.05, seed=5, run=2)
+    found = fmpy.simulate_fmu(
+        str(unit), stop_time=0.05, output_interval=period, start_values={"seed": 5, "run": 2}, validate=False
+    )
+    assert np.abs(expected.command[:, expected.torquer_names.index("M3")]).max() > 0.0
+    assert differing(found, expected) == []
+
+
+def test_parameters_are_those_of_the_scenario(gyro, unit):
+    job, controllers = gyro
+    period = job.sampling.period
+    rotors = tuple(
+        replace(one, angular_momentum=1000.0 * one.axial_inertia) if one.name == "11" else one
+        for one in job.platform.rotors
+    )
+    scenario = replace(
+        manoeuvre_scenario(job, job.manoeuvres[0]),
+        platform=replace(job.platform, rotors=rotors),
+        delay=0.0008,
+        q=manoeuvre_scenario(job, job.manoeuvres[0]).q + np.eye(5)[0] * 1e-4,
+        rate=np.eye(5)[4] * 1e-3,
+    )
+    expected = flight(scenario, acting(controllers, job.platform, "caged"), period=period, step=2e-4, noise=False)
+    given = {"manoeuvre": 3, "noise": False, "delay": 0.0008, "step": 2e-4, "spin.'11'": 1000.0}
+    given |= {"initial.alpha4": 1e-4, "initial.beta10_rate": 1e-3}
+    stop = float(expected.t[-1])
+    found = fmpy.simulate_fmu(str(unit), stop_time=stop, output_interval=period, start_values=given)
+    assert differing(found, expected) == []
+
+
+def test_a_rate_given_sample_by_sample_comes_close_to_the_same_manoeuvre(gyro, unit):
+    job, controllers = gyro
+    period = job.sampling.period
+    profile = HalfCosine(axis=1, rate=1.0, rise=0.02, hold=0.01)
+    scenario = Scenario(platform=job.platform, mode="caged", duration=0.06, delay=job.sampling.delay, profile=profile)
+    expected = flight(scenario, acting(controllers, job.platform, "caged"), period=period, noise=False)
+    t = period * np.arange(122)
+    rate = np.append(expected.Omega[:, 0], 0.0)
+    slope = np.append(np.diff(rate), 0.0) / period
+    names = [("time", np.float64), ("Omega1", np.float64), ("Omega1_rate", np.float64)]
+    largest = np.abs(expected.q).max()
+    for slopes, error in ((slope, 3e-3), (0.0 * slope, 0.1)):
+        rows = np.array(list(zip(t, rate, slopes, strict=True)), dtype=names)
+        found = fmpy.simulate_fmu(
+            str(unit),
+            stop_time=0.06,
+            output_interval=period,
+            input=rows,
+            start_values={"manoeuvre": 1, "noise": False},
+        )
+        for k, angle in enumerate(expected.angle_names):
+            assert found[f"angle.{angle}"] == pytest.approx(expected.q[:, k], abs=error * largest)
+
+
+def test_instances_keep_apart_and_reset_begins_anew(gyro, folder):
+    job, controllers = gyro
+    period = job.sampling.period
+    expected = {name: flown(job, controllers, name) for name in ("turn", "it's a step")}
+    turn, step = Instance(folder, "turn", manoeuvre=3), Instance(folder, "step", manoeuvre=4)
+    for k in range(20):
+        for one, name in ((turn, "turn"), (step, "it's a step")):
+            assert one.get("angle.alpha9") == expected[name].q[k, 3]
+            one.step(k * period, period)
+    turn.fmu.reset()
+    turn.begin(manoeuvre=4)
+    turn.step(0.0, 20 * period)
+    assert turn.get("angle.beta10") == step.get("angle.beta10") == expected["it's a step"].q[20, 4]
+    kept = step.fmu.getFMUState()
+    told = step.fmu.serializeFMUState(kept)
+    step.step(20 * period, 5 * period)
+    step.fmu.setFMUState(step.fmu.deserializeFMUState(told))
+    step.put("disturbance.alpha9", 0.0)
+    step.step(20 * period, 10 * period)
+    assert step.get("angle.beta10") == expected["it's a step"].q[30, 4]
+    assert step.get("time") == 30 * period
+    turn.free()
+    step.free()
+
+
+def test_steps_between_samples_are_discarded_and_the_run_goes_on(gyro, folder):
+    job, controllers = gyro
+    period = job.sampling.period
+    expected = flown(job, controllers, "turn")
+    one = Instance(folder, manoeuvre=3)
+    for length in (0.5 * period, 1.5 * period, 0.0, -period):
+        with pytest.raises(FMICallException, match="status 2"):
+            one.step(0.0, length)
+        assert "expected a whole number of sample periods of 0.0005 s" in one.messages[-1]
+    one.step(0.0, 3 * period)
+    assert one.get("angle.alpha9") == expected.q[3, 3]
+    one.free()
+
+
+def test_what_goes_wrong_is_logged_and_an_error_of_the_step(folder):
+    def refused(text: str, inputs: dict[str, float], time: float = 0.0, **parameters: float) -> None:
+        one = Instance(folder, **parameters)
+        if time > 0.0:
+            one.step(0.0, 0.0005)
+        for name, number in inputs.items():
+            one.put(name, number)
+        with pytest.raises(FMICallException, match="status 3"):
+            one.step(time, 0.0005)
+        assert text in one.messages[-1], one.messages
+        with pytest.raises(FMICallException, match="status 3"):  # nor later
+            one.step(0.0005, 0.0005)
+        one.fmu.reset()
+        one.begin(manoeuvre=3)
+        one.step(0.0, 0.0005)
+        one.free()
+
+    refused("M1 to M3 are inputs of stabilised runs", {"M2": 1.0}, manoeuvre=1)
+    refused("Omega1 to Omega3 are inputs of caged runs", {"Omega1": 1.0}, manoeuvre=2)
+    refused("Omega1: given a number that is not finite", {"Omega1": float("nan")}, manoeuvre=1)
+    refused("manoeuvre: given 9; expected 1 to 4", {}, manoeuvre=9)
+    refused("delay: given -1.0", {}, manoeuvre=1, delay=-1.0)
+    refused("initial.Omega1 to 3 are parameters of stabilised runs", {}, manoeuvre=1, initial__Omega1=1.0)
+    refused("expected where the last ended, 0.0005 s", {}, time=0.1, manoeuvre=1)
+    refused("spin.'11': is set while the unit runs", {"spin.'11'": 5.0}, manoeuvre=1)
+    refused("diverged at t", {"disturbance.alpha9": 1e300}, manoeuvre=1)
+
+
+def test_the_unit_runs_elsewhere_and_from_another_process(gyro, unit, tmp_path):
+    job, controllers = gyro
+    moved = tmp_path / "another place" / "gyro moved.fmu"
+    moved.parent.mkdir()
+    moved.write_bytes(unit.read_bytes())
+    program = (
+        "import sys, fmpy; "
+        f"r = fmpy.simulate_fmu({str(moved)!r}, stop_time=0.01, output_interval=0.0005); "
+        "print(r['angle.alpha9'][-1].hex())"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(Path.cwd()), "PATH": "", "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.split()[-1] == float(flown(job, controllers, "turn").q[20, 3]).hex()
+
+
+def test_what_cannot_be_written_is_refused_in_one_line(gyro, tmp_path, monkeypatch):
+    job, controllers = gyro
+    with pytest.raises(ArgumentError, match="manoeuvre: given 'roll'"):
+        write_fmu(job, controllers, tmp_path / "x.fmu", manoeuvre="roll")
+    with pytest.raises(ArgumentError, match="seed is 9223372036854775808"):
+        write_fmu(replace(job, seed=2**63), controllers, tmp_path / "x.fmu")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_fmu(job, controllers, tmp_path / "no folder" / "x.fmu")
+    with pytest.raises(InputError, match=r"no result\.json: cannot be read"):
+        write_fmu(job, controllers, tmp_path / "x.fmu", result=tmp_path / "no result.json")
+    wrong = control.ss([], [], [], [[1.0]], job.sampling.period, inputs=["alpha9"], outputs=["Q99"])
+    with pytest.raises(ArgumentError, match="Q99"):
+        write_fmu(job, [wrong], tmp_path / "x.fmu")
+    monkeypatch.setitem(sys.modules, "pythonfmu3.builder", None)
+    with pytest.raises(InputError, match=r"not installed: pip install 'platform_ctrl\[fmu\]'"):
+        write_fmu(job, controllers, tmp_path / "x.fmu")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_changed_resources_are_not_run(unit, tmp_path):
+    folder = fmpy.extract(unit, tmp_path)
+    file = tmp_path / "resources" / "controllers.json"
+    file.write_text(file.read_text().replace("-60.0", "-61.0"))
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        Instance(folder)
