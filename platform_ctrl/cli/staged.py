@@ -14,6 +14,7 @@ from pathlib import Path
 from platform_ctrl.cli.together import uninterrupted
 from platform_ctrl.errors import InputError
 from platform_ctrl.reading.json_file import read_json
+from platform_ctrl.writing import write_whole
 
 # What a folder holds that an export made: the files that are its own.
 RECORD = "export.json"
@@ -97,6 +98,8 @@ class Stage:
         return unfinished
 
     def _aside(self, target: Path, undo: list[tuple[Path | None, Path]]) -> None:
+        if target.is_dir() and not target.is_symlink():
+            raise InputError(f"{target}: is a folder; expected a file or nothing there")
         if os.path.lexists(target):
             before = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=target.parent))
             self._folders.append(before)
@@ -132,6 +135,9 @@ def all_or_none() -> Iterator[Stage]:
             yield stage
         except InputError as error:
             raise InputError(stage.named(str(error))) from None
+        except OSError as error:  # a full disk
+            where = stage.named(str(error.filename or "export"))
+            raise InputError(f"{where}: cannot be written: {error.strerror or error}") from None
         with uninterrupted():
             stage.place()
     finally:
@@ -178,7 +184,7 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
 def write_folder_record(folder: Path, about: Mapping[str, object]) -> None:
     """Write which files of a folder are an export's own."""
     files = {path.name: sha256(path) for path in sorted(folder.iterdir())}
-    (folder / RECORD).write_text(json.dumps({"schema": 1, **about, "files": files}, indent=2) + "\n", encoding="utf-8")
+    write_whole(folder / RECORD, json.dumps({"schema": 1, **about, "files": files}, indent=2) + "\n")
 
 
 def sha256(path: Path) -> str:
