@@ -32,7 +32,8 @@ class CrossoverHandle:
         self.callbacks: list[Callable[[float], None]] = []
         self._plot = plot
         self._shown: float | None = None
-        self._own = False
+        # Where it was put last; while the document holds its events, news of that comes later.
+        self._put: tuple[float, float] | None = None
         self.box = BoxAnnotation(
             left=1.0, right=2.0, editable=True, movable="x", resizable="none", visible=False, name="crossover-handle",
             fill_alpha=0.14, hover_fill_alpha=0.38, line_alpha=0.0, hover_line_alpha=0.0, propagate_hover=True,
@@ -57,15 +58,12 @@ class CrossoverHandle:
             self._place()
 
     def _place(self) -> None:
-        self._own = True
-        try:
-            if self._shown is None:
-                self.box.visible = False
-                return
-            half = self._half()
-            self.box.update(left=self._shown / half, right=self._shown * half, visible=True)
-        finally:
-            self._own = False
+        if self._shown is None:
+            self.box.visible = False
+            return
+        half = self._half()
+        left, right = self._put = self._shown / half, self._shown * half
+        self.box.update(left=left, right=right, visible=True)
 
     def _half(self) -> float:
         """Return the factor that half the bar's width is on the axis."""
@@ -80,7 +78,9 @@ class CrossoverHandle:
 
     def _moved(self, name: str, old: object, new: object) -> None:
         left, right = self.box.left, self.box.right
-        if self._own or not all(isinstance(end, int | float) and 0.0 < end < math.inf for end in (left, right)):
+        if not all(isinstance(end, int | float) and 0.0 < end < math.inf for end in (left, right)):
+            return
+        if self._put is not None and (left == self._put[0] or right == self._put[1]):
             return
         if name == "right":  # both ends come one after the other, this one last
             self.pulling.move(math.sqrt(left * right))

@@ -40,7 +40,9 @@ class PoleHandles:
         # While a ring is dragged: which, where its pole stands in the last picture, and where it was wanted then.
         self._caught: tuple[int, complex] | None = None
         self._wanted = 0j
-        self._own = False
+        # Where each was put last; while the document holds its events, news of that comes later.
+        self._put: dict[int, list[float]] = {}
+        self._putting = False
         self.boxes = []
         for k in range(NUMBER):
             box = BoxAnnotation(
@@ -74,19 +76,18 @@ class PoleHandles:
         self._place()
 
     def _place(self) -> None:
-        self._own = True
-        try:
-            wide, high = self._sizes()
-            for k, box in enumerate(self.boxes):
-                if self._caught is not None and self._caught[0] == k:
-                    continue
-                if k >= len(self._poles):
-                    box.visible = False
-                    continue
-                x, y = float(self._poles[k].real), float(self._poles[k].imag)
-                box.update(left=x - wide, right=x + wide, bottom=y - high, top=y + high, visible=True)
-        finally:
-            self._own = False
+        wide, high = self._sizes()
+        for k, box in enumerate(self.boxes):
+            if self._caught is not None and self._caught[0] == k:
+                continue
+            if k >= len(self._poles):
+                box.visible = False
+                continue
+            x, y = float(self._poles[k].real), float(self._poles[k].imag)
+            left, right, bottom, top = self._put[k] = [x - wide, x + wide, y - high, y + high]
+            self._putting = True
+            box.update(left=left, right=right, bottom=bottom, top=top, visible=True)
+            self._putting = False
 
     def _sizes(self) -> tuple[float, float]:
         """Return half the size of a ring in rad/s across and up."""
@@ -101,10 +102,10 @@ class PoleHandles:
 
     def _mover(self, k: int) -> Callable[[str, object, object], None]:
         def moved(name: str, old: object, new: object) -> None:
-            if self._own:
-                return
             box = self.boxes[k]
             edges = [box.left, box.right, box.bottom, box.top]
+            if self._putting or edges == self._put.get(k):
+                return
             if not all(isinstance(edge, int | float) and math.isfinite(edge) for edge in edges):
                 return
             if self._caught is None or self._caught[0] != k:
