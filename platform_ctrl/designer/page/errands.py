@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from platform_ctrl.arguments import known_name
 from platform_ctrl.designer.page.asking import Ask
 from platform_ctrl.designer.page.saving import check_line, target
 from platform_ctrl.designer.page.telling import influence_told
+from platform_ctrl.designer.saving import controllers_beside
 from platform_ctrl.errors import PlatformCtrlError
 
 if TYPE_CHECKING:
@@ -126,14 +128,14 @@ class Errands:
             return
         self._cancelled = cancelled = threading.Event()
         settings, last = session.settings, [0.0]
-        session.answer(ask.count, busy={"text": "Tuning the rest", "share": 0.0, "cancel": True})
+        session.answer(ask.count, busy={"text": "Tuning the rest", "share": None, "cancel": True})
 
-        def progress(share: float) -> None:
+        def progress(line: str) -> None:
             now = time.monotonic()
             if now - last[0] < TOLD:
                 return
             last[0] = now
-            busy = {"text": "Tuning the rest", "share": min(max(float(share), 0.0), 1.0), "cancel": True}
+            busy = {"text": f"Tuning the rest: {line}", "share": None, "cancel": True}
             session.later(lambda: session.answer(busy=busy) if self._cancelled is cancelled else None)
 
         def tuned() -> Callable[[], None]:
@@ -159,16 +161,18 @@ class Errands:
         session = self._session
         path = target(self._folder(), ask.more["name"])
         settings, overwrite = session.settings, ask.more["overwrite"]
-        if path.exists() and not overwrite:
-            told = {"kind": "error", "text": f"{path.name} exists already: overwrite it?", "exists": True}
+        there = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
+        if there and not overwrite:
+            told = {"kind": "error", "text": f"{there[0]} is there already: overwrite it?", "exists": True}
             session.answer(ask.count, saved=told)
             return
         session.answer(ask.count)
 
         def saved() -> Callable[[], None]:
             session.workbench.saved(settings, path, overwrite=overwrite)
-            told = {"kind": "good", "text": f"Saved: {path}", "command": check_line(path)}
-            return lambda: session.answer(saved=told, line={"text": f"Saved: {path}", "kind": "good"})
+            text = f"Saved: {path}"
+            told = {"kind": "good", "text": text, "command": check_line(path)}
+            return lambda: session.answer(saved=told, line={"text": text, "kind": "good"})
 
         self._do(saved, lambda line: session.answer(saved={"kind": "error", "text": line}))
 
@@ -181,8 +185,10 @@ class Errands:
 
         def flown() -> Callable[[], None]:
             trajectory = session.workbench.run(settings, manoeuvre)
+            platform = session.workbench.job(settings).platform
 
             def show() -> None:
+                session.tree.stage(platform)
                 session.tree.show(trajectory)
                 session.answer(busy=None, flown=manoeuvre)
 

@@ -16,6 +16,7 @@ from platform_ctrl.designer.page.errands import Errands, words_of
 from platform_ctrl.designer.page.newest import Newest
 from platform_ctrl.designer.page.wire import Wire
 from platform_ctrl.designer.plots import Plots
+from platform_ctrl.designer.tree3d.view import TreeView
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.frozen import value
 
@@ -86,6 +87,7 @@ class Session:
         self.wire = Wire(name="wire")
         self.wire.on_change("asked", self._asked)
         self.plots = Plots(dark=False)
+        self.tree = TreeView(workbench.read.platform)
         self.plots.on_pole_pulled(self._pole_pulled)
         self.plots.on_crossover_pulled(self._crossover_pulled)
         self._answered = 0
@@ -98,7 +100,7 @@ class Session:
 
     def roots(self) -> list[Any]:
         """Return what the document holds, each under the name that the template knows."""
-        return [*self.plots.layout.values(), self.wire]
+        return [*self.plots.layout.values(), self.tree.layout, self.wire]
 
     def close(self, session_context: object) -> None:
         """End what is going on and let go of everything; the page is gone."""
