@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from generated_c import Machine, classical_entry, compiled, entry
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.errors import ArgumentError, InputError, NotCertifiedError
+from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
 from platform_ctrl.export.code.from_design import same_response, scheme_of, with_excess
@@ -74,14 +74,11 @@ def stable(draw: st.DrawFn) -> tuple[FloatArray, int]:
 
 
 @given(stable())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_whatever_is_written_out_is_the_same_controller(case: tuple[FloatArray, int]) -> None:
     A, seed = case
     given_one = controller(turned(A, seed), seed)
-    try:
-        scheme = scheme_of(read_job_once(), given_one)
-    except NotCertifiedError:
-        return
+    scheme = scheme_of(read_job_once(), given_one)
     made, own = arrays(scheme), given_one.arrays
     w = np.array([3.0, 60.0, 700.0, 3000.0, 6000.0])
     a, b = (frequency_response_arrays(*K[:4], PERIOD, w) for K in (made, own))

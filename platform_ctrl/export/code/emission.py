@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -10,12 +9,14 @@ import numpy as np
 
 from platform_ctrl.export.code.cost import Cost, cost_of
 from platform_ctrl.export.code.identifiers import Names, comment
-from platform_ctrl.export.code.scheme import Row, Scheme, Term
+from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term
+from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark
 from platform_ctrl.frozen import value
 
 Number = Literal["double", "float"]
 
-_WIDTH = 100
+# Indentation inside the step's condition.
+_INNER = " " * 8
 _LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 
 
@@ -100,13 +101,17 @@ def header(unit: Unit) -> str:
     s, p, kind = unit.scheme, unit.prefix, unit.number
     names = _state_names(unit)
     guard = f"{p.upper()}_H"
-    inputs = [_field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
+    inputs = [field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
     outputs, commanded = [], []
     for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
         bound = f"{what}, within +-{limit:.9g}: for the torquer" if np.isfinite(limit) else f"{what}, not limited"
-        outputs.append(_field(kind, unit.signals[name], bound))
-        commanded.append(_field(kind, f"{unit.signals[name]}_commanded", f"{what}, before the limit"))
-    states = [f"    {kind} {names[name]};" for name in s.states]
+        outputs.append(field(kind, unit.signals[name], bound))
+        commanded.append(field(kind, f"{unit.signals[name]}_commanded", f"{what}, before the limit"))
+    states = [
+        field(kind, names[row.target], f"{number}. {section.name}")
+        for number, section in enumerate(s.sections, 1)
+        for row in section.states
+    ]
     return "\n".join(
         [
             *_head(unit),
@@ -189,32 +194,101 @@ class _Source:
         self.body: list[str] = []
         self.reads = {name: f"in->{unit.signals[name]}" for name in self.scheme.inputs}
         self.reads |= {name: f"state->{self.states[name]}" for name in self.scheme.states}
+        limits = zip(self.scheme.outputs, self.scheme.torque_limits, strict=True)
+        self.limits = {name: limit for name, limit in limits if np.isfinite(limit)}
 
     def text(self) -> str:
-        s, p = self.scheme, self.unit.prefix
-        for number, section in enumerate(s.sections, 1):
-            title = f"{number}. {section.name}: {section.note or section.kind}"
-            self._blank(self.constants, title)
-            self._blank(self.body, title, "        ")
-            label = section.name
-            for row in section.signals:
-                target = self.locals[row.target]
-                self.body += self._sum(target, row, label, "")
-                self.reads[row.target] = target
-            for row in section.states:
-                self.body += self._sum(self._next(row.target), row, label, "")
-            if not any(
-                abs(term.coefficient) != 1.0 for row in (*section.signals, *section.states) for term in row.terms
-            ):
-                del self.constants[-2:]
-        limited = [name for name, limit in zip(s.outputs, s.torque_limits, strict=True) if np.isfinite(limit)]
-        if limited:
-            self._limits()
-        self._excess(limited)
-        results = [self._next(name) for name in s.states] + [self.reads[name] for name in s.outputs]
+        for number, section in enumerate(self.scheme.sections, 1):
+            self._paragraph(f"{number}. {section.name}: {section.note or section.kind}", *self._section(section))
+        if self.limits:
+            self._paragraph("Limits of the torquers", *self._limited())
+            excess = self._excess()
+            if excess[1]:
+                self._paragraph("Anti-windup: what the limits cut off goes back into the states", *excess)
+        return "\n".join([*self._beginning(), *self._reset(), *self._step()])
+
+    def _paragraph(self, title: str, constants: list[str], statements: list[str]) -> None:
+        """Add what belongs together to the constants and to the body, each under the same title."""
+        if constants:
+            self.constants += ["", *remark(title, ""), *constants]
+        self.body += ["", *remark(title, _INNER), *statements]
+
+    def _section(self, section: Section) -> tuple[list[str], list[str]]:
+        constants: list[str] = []
+        statements: list[str] = []
+        for row in section.signals:
+            target = self.locals[row.target]
+            statements += self._sum(target, row, section.name, constants)
+            self.reads[row.target] = target
+        for row in section.states:
+            statements += self._sum(self._next(row.target), row, section.name, constants)
+        return constants, statements
+
+    def _limited(self) -> tuple[list[str], list[str]]:
+        constants, statements = [], []
+        for name, what in zip(self.scheme.outputs, self.scheme.output_units, strict=True):
+            if name in self.limits:
+                bound = self.locals[f"limit {name}"]
+                number = literal(self.limits[name], self.kind)
+                constants.append(f"static const {self.kind} {bound} = {number}; /* {comment(what)} */")
+                cut = f"limited({self.reads[name]}, {bound})"
+                statements.append(f"{_INNER}const {self.kind} {self.locals[f'limited {name}']} = {cut};")
+        return constants, statements
+
+    def _excess(self) -> tuple[list[str], list[str]]:
+        """Add to the next states what the limits cut off; a state's next value gets another name."""
+        constants: list[str] = []
+        statements: list[str] = []
+        rows = [
+            Row(target=row.target, terms=tuple(term for term in row.terms if term.source in self.limits))
+            for row in self.scheme.excess
+        ]
+        rows = [row for row in rows if row.terms]
+        for name in dict.fromkeys(term.source for row in rows for term in row.terms):
+            over = self.reads[f"excess {name}"] = self.locals[f"excess {name}"]
+            cut = self.locals[f"limited {name}"]
+            statements.append(f"{_INNER}const {self.kind} {over} = {cut} - {self.reads[name]};")
+        for row in rows:
+            terms = tuple(Term(coefficient=t.coefficient, source=f"excess {t.source}") for t in row.terms)
+            back = Row(target=f"{row.target} back", terms=terms)
+            before, after = self._next(row.target), f"next {row.target} without windup"
+            statements += self._sum(self.locals[after], back, "", constants, f"{before} + ")
+            self.locals.rename(f"next {row.target}", after)
+        return constants, statements
+
+    def _next(self, state: str) -> str:
+        return self.locals[f"next {state}"]
+
+    def _sum(self, target: str, row: Row, label: str, constants: list[str], first: str = "") -> list[str]:
+        """Return the statement that makes `target` the sum of a row, on one line or a product a line."""
+        parts = [self._product(term, row, label, constants) for term in row.terms]
+        parts = parts or [("", literal(0.0, self.kind))]
+        sign, text = parts[0]
+        lines = [f"{_INNER}const {self.kind} {target} = {first}{sign}{text}"]
+        lines += [f"{_INNER}    {sign or '+'} {text}" for sign, text in parts[1:]]
+        lines[-1] += ";"
+        joined = " ".join(line.strip() if k else line for k, line in enumerate(lines))
+        return [joined] if len(joined) <= WIDTH else lines
+
+    def _product(self, term: Term, row: Row, label: str, constants: list[str]) -> tuple[str, str]:
+        """Return the sign and the text of a product; its coefficient becomes a constant with a name."""
+        taken = self.reads[term.source]
+        if abs(term.coefficient) == 1.0:
+            return "-" if term.coefficient < 0.0 else "", taken
+        name = f"{label} {term.name}" if term.name else f"{row.target} from {term.source}"
+        constant = self.locals.new(f"k {name}")
+        constants.append(f"static const {self.kind} {constant} = {literal(term.coefficient, self.kind)};")
+        return "", f"{constant} * {taken}"
+
+    def _beginning(self) -> list[str]:
         lines = [
-            *_banner(self.unit),
-            f'#include "{p}.h"',
+            *block(
+                [
+                    f"{self.unit.prefix}.c: the controller {self.scheme.name!r}. See {self.unit.prefix}.h. "
+                    "Generated; do not edit."
+                ]
+            ),
+            f'#include "{self.unit.prefix}.h"',
             "",
             "#include <float.h>",
             "",
@@ -230,7 +304,7 @@ class _Source:
             "}",
             "",
         ]
-        if limited:
+        if self.limits:
             lines += [
                 "/* The value within +- the limit. */",
                 f"static {self.kind} limited({self.kind} value, {self.kind} limit)",
@@ -247,118 +321,50 @@ class _Source:
                 "}",
                 "",
             ]
-        zero = literal(0.0, self.kind)
-        outputs = [self.unit.signals[name] for name in s.outputs]
+        return lines
+
+    def _reset(self) -> list[str]:
+        p, zero = self.unit.prefix, literal(0.0, self.kind)
+        outputs = [self.unit.signals[name] for name in self.scheme.outputs]
         fields = [*outputs, *(f"{name}_commanded" for name in outputs)]
-        lines += [
+        return [
             f"void {p}_reset({p}_state *state)",
             "{",
-            *(f"    state->{self.states[name]} = {zero};" for name in s.states),
+            *(f"    state->{self.states[name]} = {zero};" for name in self.scheme.states),
             *(f"    state->last.{name} = {zero};" for name in fields),
             "}",
             "",
+        ]
+
+    def _step(self) -> list[str]:
+        s, p = self.scheme, self.unit.prefix
+        results = [self._next(name) for name in s.states] + [self.reads[name] for name in s.outputs]
+        lines = [
             f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)",
             "{",
             f"    unsigned int status = {p.upper()}_HELD;",
             "",
             *_condition([f"usable(in->{self.unit.signals[name]})" for name in s.inputs], "    "),
-            *self.body,
+            # No empty line behind the brace.
+            *self.body[1:],
             "",
-            "        /* Taken over only where every result is finite. */",
-            *_condition([f"usable({name})" for name in results], "        "),
-            f"            status = {p.upper()}_OK;",
+            f"{_INNER}/* Taken over only where every result is finite. */",
+            *_condition([f"usable({name})" for name in results], _INNER),
+            f"{_INNER}    status = {p.upper()}_OK;",
         ]
         for name in s.outputs:
-            field, command = self.unit.signals[name], self.reads[name]
-            given = self._limited(name) if name in limited else command
+            last, command = f"{_INNER}    state->last.{self.unit.signals[name]}", self.reads[name]
+            given = self.locals[f"limited {name}"] if name in self.limits else command
+            lines += [f"{last} = {given};", f"{last}_commanded = {command};"]
+        lines += [f"{_INNER}    state->{self.states[name]} = {self._next(name)};" for name in s.states]
+        for name in self.limits:
+            command, bound = self.reads[name], self.locals[f"limit {name}"]
             lines += [
-                f"            state->last.{field} = {given};",
-                f"            state->last.{field}_commanded = {command};",
+                f"{_INNER}    if (({command} > {bound}) || ({command} < -{bound})) {{",
+                f"{_INNER}        status = {p.upper()}_LIMITED;",
+                f"{_INNER}    }}",
             ]
-        lines += [f"            state->{self.states[name]} = {self._next(name)};" for name in s.states]
-        for name in limited:
-            # The limits are constants: a value that was cut off lies beyond one of them.
-            command, bound = self.reads[name], self._limit(name)
-            lines += [
-                f"            if (({command} > {bound}) || ({command} < -{bound})) {{",
-                f"                status = {p.upper()}_LIMITED;",
-                "            }",
-            ]
-        lines += ["        }", "    }", "    *out = state->last;", "    return status;", "}", ""]
-        return "\n".join(lines)
-
-    def _blank(self, lines: list[str], title: str, indent: str = "") -> None:
-        lines += ["", *_remark(title, indent)] if indent else ["", "\n".join(_remark(title, indent))]
-
-    def _next(self, state: str) -> str:
-        return self.locals[f"next {state}"]
-
-    def _limited(self, output: str) -> str:
-        return self.locals[f"limited {output}"]
-
-    def _limit(self, output: str) -> str:
-        return self.locals[f"limit {output}"]
-
-    def _constant(self, x: float, name: str) -> str:
-        label = self.locals.new(f"k {name}")
-        self.constants.append(f"static const {self.kind} {label} = {literal(x, self.kind)};")
-        return label
-
-    def _sum(self, target: str, row: Row, label: str, first: str) -> list[str]:
-        """Return the statement that makes `target` the sum of a row, a product a line."""
-        parts = [self._product(term, row, label) for term in row.terms] or [("", literal(0.0, self.kind))]
-        sign, text = parts[0]
-        lines = [f"        const {self.kind} {target} = {first}{sign}{text}"]
-        lines += [f"            {sign or '+'} {text}" for sign, text in parts[1:]]
-        lines[-1] += ";"
-        joined = " ".join(line.strip() if k else line for k, line in enumerate(lines))
-        return [joined] if len(joined) <= _WIDTH else lines
-
-    def _product(self, term: Term, row: Row, label: str) -> tuple[str, str]:
-        taken = self.reads[term.source]
-        if abs(term.coefficient) == 1.0:
-            return ("-" if term.coefficient < 0.0 else "", taken)
-        name = f"{label} {term.name}" if term.name else f"{row.target} from {term.source}"
-        return "", f"{self._constant(term.coefficient, name)} * {taken}"
-
-    def _limits(self) -> None:
-        s = self.scheme
-        self._blank(self.constants, "Limits of the torquers")
-        self._blank(self.body, "Limits of the torquers", "        ")
-        for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
-            if np.isfinite(limit):
-                bound = self._limit(name)
-                self.constants.append(
-                    f"static const {self.kind} {bound} = {literal(limit, self.kind)}; /* {comment(what)} */"
-                )
-                self.body.append(
-                    f"        const {self.kind} {self._limited(name)} = limited({self.reads[name]}, {bound});"
-                )
-
-    def _excess(self, limited: Sequence[str]) -> None:
-        """Add to the next states what the limits cut off; a state's next value becomes another name."""
-        s = self.scheme
-        rows = [
-            Row(target=row.target, terms=tuple(term for term in row.terms if term.source in limited))
-            for row in s.excess
-        ]
-        rows = [row for row in rows if row.terms]
-        if not rows:
-            return
-        title = "Anti-windup: what the limits cut off goes back into the states"
-        self._blank(self.constants, title)
-        self._blank(self.body, title, "        ")
-        for name in dict.fromkeys(term.source for row in rows for term in row.terms):
-            over = self.locals[f"excess {name}"]
-            self.body.append(f"        const {self.kind} {over} = {self._limited(name)} - {self.reads[name]};")
-            self.reads[f"excess {name}"] = over
-        for row in rows:
-            before = self._next(row.target)
-            target = self.locals[f"next {row.target} without windup"]
-            terms = tuple(Term(coefficient=t.coefficient, source=f"excess {t.source}") for t in row.terms)
-            back = Row(target=f"{row.target} back", terms=terms)
-            self.body += self._sum(target, back, "", f"{before} + ")
-            self.locals.rename(f"next {row.target}", f"next {row.target} without windup")
+        return [*lines, f"{_INNER}}}", "    }", "    *out = state->last;", "    return status;", "}", ""]
 
 
 def _head(unit: Unit) -> list[str]:
@@ -369,10 +375,10 @@ def _head(unit: Unit) -> list[str]:
         f"{unit.prefix}.h: the controller {s.name!r}.",
         f"Generated by platform_ctrl; do not edit. Numbers are of type {unit.number}.",
         "",
-        *_provenance(unit),
+        *provenance(s.provenance),
         "",
         f"Call {unit.prefix}_step once for every sample, {rate:.9g} Hz (every {s.period:.9g} s), with the readings "
-        f"of that instant. {_acts(s.period, s.delay)}",
+        f"of that instant. {acts(s.period, s.delay)}",
         "",
         "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
         "the axis in the plant file, as the angles are.",
@@ -396,76 +402,20 @@ def _head(unit: Unit) -> list[str]:
         "Inputs that are not finite, and states or commands that would not be: the step changes nothing, gives the "
         f"last outputs again and returns {unit.prefix.upper()}_HELD. Pointers are not checked.",
     ]
-    return _block(paragraphs)
-
-
-def _provenance(unit: Unit, whole: bool = False) -> list[str]:
-    origin = unit.scheme.provenance
-    design = f"{origin.design} (method {origin.method})" if origin.method else origin.design
-    said = [
-        ("Job", origin.job),
-        ("Plant", origin.plant),
-        ("Loop", "" if whole else origin.loop),
-        ("Design", "" if whole else design),
-        ("Controllers", f"sha256 {origin.sha256}" if origin.sha256 else ""),
-        ("Versions", ", ".join(f"{name} {number}" for name, number in origin.versions.items())),
-        ("Made by", origin.command),
-    ]
-    return [f"{name + ':':<12} {text}" for name, text in said if text]
-
-
-def _acts(period: float, delay: float) -> str:
-    if delay == 0.0:
-        return "The outputs act at the instant of the sample and are held until the next ones act."
-    share = delay / period
-    when = f", {share:.6g} of a period" if abs(share - 1.0) > 1e-9 else ", with the next sample"
-    return (
-        f"The outputs act {delay:.9g} s after the sample{when}: not sooner, not later; they are held until the next "
-        "ones act."
-    )
-
-
-def _banner(unit: Unit) -> list[str]:
-    s = unit.scheme
-    return _block([f"{unit.prefix}.c: the controller {s.name!r}. See {unit.prefix}.h. Generated; do not edit."])
-
-
-def _block(paragraphs: Sequence[str]) -> list[str]:
-    lines = ["/*"]
-    for paragraph in paragraphs:
-        text = comment(paragraph) if paragraph else ""
-        # A label's column is kept.
-        label, _, rest = paragraph.partition(":")
-        if paragraph.startswith(label + ":") and rest[:2] == "  ":
-            text = f"{comment(label)}:{' ' * (len(rest) - len(rest.lstrip()))}{comment(rest)}"
-        lines += [f" * {line}".rstrip() for line in textwrap.wrap(text, _WIDTH - 3, subsequent_indent="  ") or [""]]
-    return [*lines, " */"]
-
-
-def _remark(text: str, indent: str) -> list[str]:
-    lines = textwrap.wrap(comment(text), _WIDTH - len(indent) - 6)
-    if len(lines) == 1:
-        return [f"{indent}/* {lines[0]} */"]
-    return [f"{indent}/* {lines[0]}", *(f"{indent} * {line}" for line in lines[1:-1]), f"{indent} * {lines[-1]} */"]
+    return block(paragraphs)
 
 
 def _condition(tests: Sequence[str], indent: str) -> list[str]:
     """Return the head of an if statement that all tests have to pass, some of them a line."""
-    if not tests:
-        return [f"{indent}if (1) {{"]
     lines, line = [], f"{indent}if ("
     for k, test in enumerate(tests):
         part = (" && " if k else "") + test
-        if len(line) + len(part) > _WIDTH - 4:
+        if len(line) + len(part) > WIDTH - 4:
             lines.append(f"{line} &&")
             line = f"{indent}    {test}"
         else:
             line += part
     return [*lines, f"{line}) {{"]
-
-
-def _field(kind: str, name: str, what: str) -> str:
-    return f"    {kind} {name}; /* {comment(what)} */"
 
 
 def _state_names(unit: Unit) -> Mapping[str, str]:
