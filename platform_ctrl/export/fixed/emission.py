@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from platform_ctrl.export.code.emission import Unit, _acts, _block, _provenance, _remark
-from platform_ctrl.export.code.identifiers import Names, comment
+from platform_ctrl.export.code.identifiers import Names
+from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark
 from platform_ctrl.export.fixed.splitting import excess_of
 from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, Format, IntegerRow, Product
 from platform_ctrl.export.fixed.wording import format_lines
-
-_WIDTH = 100
 
 
 def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tuple[str, ...] = ()) -> str:
@@ -43,7 +41,7 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
     states = _state_names(fixed)
     shifts = _shifts(fixed)
     lines = [
-        *_head(fixed, prefix, signals, remarks),
+        *_head(fixed, prefix, remarks),
         f"#ifndef {guard}",
         f"#define {guard}",
         "",
@@ -62,19 +60,19 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
         f"typedef struct {p}_in {{",
     ]
     for name in s.inputs:
-        lines.append(_field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+        lines.append(field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
     lines += [f"}} {p}_in;", "", f"typedef struct {p}_out {{"]
     for name in s.outputs:
-        lines.append(_field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+        lines.append(field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
     for name in s.outputs:
-        lines.append(_field(_wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
+        lines.append(field(_wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
     lines += [f"}} {p}_out;", "", f"typedef struct {p}_state {{"]
     for name, identifier in states.items():
         form = fixed.formats[name]
         if name in shifts:
-            lines.append(_field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
+            lines.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
         else:
-            lines.append(_field(_integer(form.bits), identifier, form.q))
+            lines.append(field(_integer(form.bits), identifier, form.q))
     if not states:
         lines.append("    int32_t none; /* not used */")
     lines += [
@@ -159,7 +157,7 @@ class _Source:
         for number, section in enumerate(self.fixed.sections, 1):
             self.constants = constants.setdefault(number, [])
             if section.signals:
-                body += ["", *_remark(f"{number}. {section.name}: {section.note or section.kind}", "    ")]
+                body += ["", *remark(f"{number}. {section.name}: {section.note or section.kind}", "    ")]
             for row in section.signals:
                 body += self._signal(row, section)
         body += self._limits()
@@ -171,13 +169,13 @@ class _Source:
         for number, section in enumerate(self.fixed.sections, 1):
             if constants[number]:
                 told += [
-                    *_remark(f"{number}. {section.name}: {section.note or section.kind}", ""),
+                    *remark(f"{number}. {section.name}: {section.note or section.kind}", ""),
                     *constants[number],
                     "",
                 ]
         return "\n".join(
             [
-                *_block([f"{p}.c: the controller {s.name!r}. See {p}.h. Generated; do not edit."]),
+                *block([f"{p}.c: the controller {s.name!r}. See {p}.h. Generated; do not edit."]),
                 f'#include "{p}.h"',
                 "",
                 *told,
@@ -244,16 +242,16 @@ class _Source:
         return lines
 
     def _integrals(self) -> list[str]:
-        self.reads |= {name: f"state->{field}" for name, field in self.states.items() if name not in self.shifts}
+        self.reads |= {name: f"state->{own}" for name, own in self.states.items() if name not in self.shifts}
         read = [name for name in self.shifts if name in self.sources]
         if not read:
             return []
         lines = ["", "    /* Integrals, as counts */"]
         for name in read:
-            local, shift, field = self.locals[name], self.shifts[name], f"state->{self.states[name]}"
+            local, shift, own = self.locals[name], self.shifts[name], f"state->{self.states[name]}"
             kind = _integer(self.formats[name].bits)
             half = (1 << shift) // 2
-            taken = f"shifted64({field} + {_literal(half, 64)}, {shift}U)" if shift else field
+            taken = f"shifted64({own} + {_literal(half, 64)}, {shift}U)" if shift else own
             lines.append(f"    const {kind} {local} = ({kind}){taken};")
             self.reads[name] = local
         return lines
@@ -277,7 +275,7 @@ class _Source:
             )
         cut = [name for name in self.limited if excess_of(name) in self.sources]
         if cut:
-            lines += ["", *_remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
+            lines += ["", *remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
         for name in cut:
             local = self.locals[excess_of(name)]
             over = f"(int64_t){self.locals[f'limited {name}']} - {self.reads[name]}"
@@ -290,7 +288,7 @@ class _Source:
     def _next(self, number: int, section: FixedSection) -> list[str]:
         if not section.states:
             return []
-        lines = ["", *_remark(f"{number}. {section.name}: next states", "    ")]
+        lines = ["", *remark(f"{number}. {section.name}: next states", "    ")]
         for row in section.states:
             local = self.locals[f"next {row.target}"]
             if row.target in self.shifts:
@@ -304,7 +302,7 @@ class _Source:
 
     def _stored(self) -> list[str]:
         lines = [""]
-        lines += [f"    state->{field} = {self.locals[f'next {name}']};" for name, field in self.states.items()]
+        lines += [f"    state->{own} = {self.locals[f'next {name}']};" for name, own in self.states.items()]
         if not self.states:
             lines.append("    state->none = 0;")
         upper = self.prefix.upper()
@@ -350,39 +348,38 @@ class _Source:
         if product.coefficient == 1:
             return f"({kind}){taken}"
         name = self.named.get((row.target, product.source), "")
-        plain = f"k {row.target} from {product.source.removeprefix('excess of ')}"
+        plain = f"k {row.target} from {product.source}"
         own = f"k {section.name} {name}"
         key = own if name and self.owners.setdefault(own, plain) == plain else plain
         label = self.locals[key]
         number = _literal(product.coefficient, row.accumulator)
         meant = product.coefficient * 2.0 ** (self._fraction(product.source) - self._fraction(row.target) - row.shift)
-        more = " beside the state itself" if row.keeps and product.source == row.target else ""
-        self.constants.append(f"static const {kind} {label} = {number}; /* {meant:.9g}{more} */")
+        told = f"{1.0 + meant:.9g} - 1" if row.keeps and product.source == row.target else f"{meant:.9g}"
+        self.constants.append(f"static const {kind} {label} = {number}; /* {told} */")
         return f"{label} * {taken}"
 
     def _fraction(self, name: str) -> int:
         return self.formats[name.removeprefix("excess of ")].fraction
 
 
-def _head(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tuple[str, ...]) -> list[str]:
+def _head(fixed: FixedPoint, prefix: str, remarks: tuple[str, ...]) -> list[str]:
     s = fixed.scheme
-    unit = Unit(scheme=s, number="double", prefix=prefix, signals=signals)
     rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
     products = sum(len(row.products) for row in rows)
-    return _block(
+    return block(
         [
             f"{prefix}.h: the controller {s.name!r} in fixed point, {fixed.number}.",
             "Generated by platform_ctrl; do not edit. All numbers of a step are integers.",
             "",
-            *_provenance(unit),
+            *provenance(s.provenance),
             "",
             f"Call {prefix}_step once for every sample, {1.0 / s.period:.9g} Hz (every {s.period:.9g} s), with the "
-            f"counts of that instant. {_acts(s.period, s.delay)}",
+            f"counts of that instant. {acts(s.period, s.delay)}",
             "",
             "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
             "the axis in the plant file, as the angles are.",
             "",
-            *(line for remark in remarks for line in (remark, "")),
+            *(line for paragraph in remarks for line in (paragraph, "")),
             *format_lines(fixed),
             "",
             *fixed.proof,
@@ -398,11 +395,11 @@ def _counted(form: Format) -> str:
     return f"{form.q}: 1 is {form.bit:.17g} {form.unit}, within +-{form.largest}".replace("  ", " ")
 
 
-def _to_count(prefix: str, field: str, form: Format) -> list[str]:
+def _to_count(prefix: str, name: str, form: Format) -> list[str]:
     kind = _integer(form.bits)
     largest = f"{form.largest}.0"
     return [
-        f"static inline {kind} {prefix}_count_{field}(double value)",
+        f"static inline {kind} {prefix}_count_{name}(double value)",
         "{",
         f"    const double scaled = value * {_power(form.fraction)};",
         f"    {kind} count = 0;",
@@ -450,13 +447,9 @@ def _literal(number: int, bits: int) -> str:
     return f"INT{bits}_C({number})" if bits != 16 else str(number)
 
 
-def _field(kind: str, name: str, what: str) -> str:
-    return f"    {kind} {name}; /* {comment(what)} */"
-
-
 def _wrapped(statement: str, between: str = " + ") -> list[str]:
     """Return a statement on several lines where it is too long for one."""
-    if len(statement) <= _WIDTH:
+    if len(statement) <= WIDTH:
         return [statement]
     parts = statement.split(between)
     sign = between.strip()

@@ -99,7 +99,9 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         form = fixed.formats[name]
         lines.append(
             f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that nothing it gains is lost, and ends "
-            f"at +-{form.range:.6g}." + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
+            f"at +-{form.range:.6g}; while no limit acts it parts from that of the controller in real arithmetic by at "
+            f"most {fixed.drift[name]:.2g} in a second, {fixed.drift[name] / form.range:.1g} of its end."
+            + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
         )
     for name, unit in zip(fixed.scheme.outputs, fixed.scheme.output_units, strict=True):
         lines.append(
