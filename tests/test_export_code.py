@@ -219,7 +219,7 @@ def test_the_header_says_what_a_reviewer_asks(written: dict[str, list[Path]]) ->
         assert said in text
     code = next(f for f in written["double"] if f.name == "caging_4_5_7.c").read_text()
     for said in (
-        "(s + wz)/(s/wr + 1): zero at 5 Hz, pole at 880 Hz", "1 + wi/s: corner at 2 Hz",
+        "(s + wz)/(s/wr + 1), zero at 5 Hz, pole at 880 Hz", "1 + wi/s, corner at 2 Hz",
         "zero at 4 Hz, pole at 2.66667 Hz", "Anti-windup",
     ):  # fmt: skip
         assert said in code

@@ -147,85 +147,93 @@ def classical_diagram(
 
 def classical_stages(options: dict[str, float], channel: Channels, period: float) -> list[Stage]:
     """Return the blocks between the measured directions and the torques in these directions."""
-    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
-    pairs = len(channel.momenta)
     inputs = [_measured(k) for k in range(len(channel.basis))]
     out: list[Stage] = []
     if "spin_notch_hz" in options:
-        spin = notch(rad["spin_notch_hz"], options["spin_notch_depth"], options["spin_notch_width"], period)
         for k, source in enumerate(inputs):
             inputs[k] = f"quiet_{k + 1}"
-            note = "at the spin frequency: " + _notch_note(options, "spin_notch")
-            out.append(Stage(f"spin_notch_{k + 1}", "notch", note, spin, (source,), (inputs[k],)))
-    integral = first_order(1.0, rad["integral_hz"], 1.0, 0.0, period)
-    for k in range(2 * pairs):
-        name, source = f"{k // 2 + 1}_{k % 2 + 1}", inputs[k]
-        last = _integrated(out, options, integral, name, source, period)
-        if "notch_hz" in options:
-            sharp = notch(rad["notch_hz"], options["notch_depth"], options["notch_width"], period)
-            out.append(
-                Stage(f"notch_{name}", "notch", _notch_note(options, "notch"), sharp, (last,), (f"cross_{name}",))
-            )
-            last = f"cross_{name}"
-        lead = first_order(1.0, rad["lead_hz"], 1.0 / rad["rolloff_hz"], 1.0, period)
-        note = f"(s + wz)/(s/wr + 1): zero at {options['lead_hz']:.6g} Hz, pole at {options['rolloff_hz']:.6g} Hz"
-        out.append(Stage(f"lead_{name}", "lead", note, lead, (source,), (f"rate_{name}",)))
-        if k % 2:
-            # A torque about one axis turns the other: integrals act across, leads directly.
-            h = channel.momenta[k // 2]
-            strength = h * rad["crossover_hz"]
-            one, two = (
-                -channel.inertias[k - 1 + i] * rad[option] for i, option in enumerate(("damping_hz", "damping2_hz"))
-            )
-            mix = np.array([[0.0, one, -strength, 0.0], [strength, 0.0, 0.0, two]])
-            cross = (last.removesuffix(name) + f"{k // 2 + 1}_1", f"rate_{k // 2 + 1}_1")
-            note = (
-                f"across: h = {h:.6g} N m s times {options['crossover_hz']:.6g} Hz; direct: inertia times "
-                f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
-            )
-            out.append(
-                Stage(
-                    f"pair_{k // 2 + 1}",
-                    "mix",
-                    note,
-                    gain(mix),
-                    (*cross, last, f"rate_{name}"),
-                    (_set(k - 1), _set(k)),
-                )
-            )
-    for k in range(2 * pairs, len(channel.inertias)):
-        name = f"inertial_{k + 1 - 2 * pairs}"
-        w0, wz = rad["inertial_crossover_hz"], rad["inertial_lead_hz"]
-        strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
-        lead = first_order(1.0 / wz, 1.0, 1.0 / rad["inertial_rolloff_hz"], 1.0, period)
-        last = _integrated(out, options, integral, name, inputs[k], period)
-        zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
-        note = f"(s/wz + 1)/(s/wr + 1): zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
-        out.append(Stage(f"lead_{name}", "lead", note, lead, (last,), (f"rate_{name}",)))
-        note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
-        out.append(Stage(name, "mix", note, gain(-strength), (f"rate_{name}",), (_set(k),)))
+            out.append(_notch(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
+    pairs = len(channel.momenta)
+    for pair in range(pairs):
+        out += _pair(options, channel, pair, inputs[2 * pair : 2 * pair + 2], period)
+    for k in range(2 * pairs, len(inputs)):
+        out += _inertial(options, channel, k, inputs[k], period)
     return out
 
 
-def _integrated(
-    out: list[Stage], options: dict[str, float], integral: Block, name: str, source: str, period: float
-) -> str:
-    """Append integral and lag of a direction and return the name of what they give."""
-    corner = options["integral_hz"]
-    last = f"integral_{name}"
-    out.append(Stage(f"pi_{name}", "integral", f"1 + wi/s: corner at {corner:.6g} Hz", integral, (source,), (last,)))
-    if "lag_hz" not in options:
-        return last
-    zero, pole = options["lag_hz"], options["lag_hz"] / options["lag_ratio"]
-    lag = first_order(1.0, 2.0 * np.pi * zero, 1.0, 2.0 * np.pi * zero / options["lag_ratio"], period)
-    note = f"(s + wl)/(s + wl/ratio): zero at {zero:.6g} Hz, pole at {pole:.6g} Hz"
-    out.append(Stage(f"lag_{name}", "lag", note, lag, (last,), (f"lagged_{name}",)))
-    return f"lagged_{name}"
+def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Sequence[str], period: float) -> list[Stage]:
+    """Return the blocks of a gyroscopic pair: a torque about one axis turns the other, so integrals act across."""
+    out: list[Stage] = []
+    crosses, rates = [], []
+    for axis, source in enumerate(inputs, 1):
+        name, where = f"_{pair + 1}_{axis}", f"pair {pair + 1}, axis {axis}"
+        out += _integrated(options, name, where, source, period)
+        if "notch_hz" in options:
+            out.append(_notch(options, "notch", name, where, out[-1].outputs[0], f"sharp{name}", period))
+        crosses.append(out[-1].outputs[0])
+        lead = first_order(1.0, _rad(options, "lead_hz"), 1.0 / _rad(options, "rolloff_hz"), 1.0, period)
+        zero, pole = options["lead_hz"], options["rolloff_hz"]
+        note = f"{where}: (s + wz)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
+        rates.append(f"rate{name}")
+        out.append(Stage(f"lead{name}", "lead", note, lead, (source,), (rates[-1],)))
+    h = channel.momenta[pair]
+    across = h * _rad(options, "crossover_hz")
+    one, two = (
+        -channel.inertias[2 * pair + i] * _rad(options, option)
+        for i, option in enumerate(("damping_hz", "damping2_hz"))
+    )
+    mix = np.array([[0.0, one, -across, 0.0], [across, 0.0, 0.0, two]])
+    note = (
+        f"across: h = {h:.6g} N m s times {options['crossover_hz']:.6g} Hz; direct: inertia times "
+        f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
+    )
+    sources = (crosses[0], rates[0], crosses[1], rates[1])
+    out.append(Stage(f"pair_{pair + 1}", "mix", note, gain(mix), sources, (_set(2 * pair), _set(2 * pair + 1))))
+    return out
 
 
-def _notch_note(options: dict[str, float], name: str) -> str:
-    depth, width = options[f"{name}_depth"], options[f"{name}_width"]
-    return f"notch at {options[f'{name}_hz']:.6g} Hz, depth {depth:.6g}, width {width:.6g}"
+def _inertial(options: dict[str, float], channel: Channels, k: int, source: str, period: float) -> list[Stage]:
+    """Return the blocks of a direction without gyroscopic action: a PID."""
+    number = k + 1 - 2 * len(channel.momenta)
+    name, where = f"_inertial_{number}", f"inertial direction {number}"
+    w0, wz = _rad(options, "inertial_crossover_hz"), _rad(options, "inertial_lead_hz")
+    strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
+    out = _integrated(options, name, where, source, period)
+    lead = first_order(1.0 / wz, 1.0, 1.0 / _rad(options, "inertial_rolloff_hz"), 1.0, period)
+    zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
+    note = f"{where}: (s/wz + 1)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
+    out.append(Stage(f"lead{name}", "lead", note, lead, out[-1].outputs, (f"rate{name}",)))
+    note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
+    out.append(Stage(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (_set(k),)))
+    return out
+
+
+def _integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Stage]:
+    """Return the PI of a direction, and behind it the lag where there is one."""
+    integral = first_order(1.0, _rad(options, "integral_hz"), 1.0, 0.0, period)
+    note = f"{where}: 1 + wi/s, corner at {options['integral_hz']:.6g} Hz, by Tustin's rule"
+    out = [Stage(f"pi{name}", "integral", note, integral, (source,), (f"cross{name}",))]
+    if "lag_hz" in options:
+        corner, ratio = options["lag_hz"], options["lag_ratio"]
+        lag = first_order(1.0, _rad(options, "lag_hz"), 1.0, _rad(options, "lag_hz") / ratio, period)
+        note = f"{where}: (s + wl)/(s + wl/{ratio:.6g}), zero at {corner:.6g} Hz, pole at {corner / ratio:.6g} Hz"
+        out.append(Stage(f"lag{name}", "lag", f"{note}, by Tustin's rule", lag, out[-1].outputs, (f"lagged{name}",)))
+    return out
+
+
+def _notch(
+    options: dict[str, float], option: str, name: str, where: str, source: str, target: str, period: float
+) -> Stage:
+    """Return a notch by the options that begin with `option`."""
+    depth, width = options[f"{option}_depth"], options[f"{option}_width"]
+    block = notch(_rad(options, f"{option}_hz"), depth, width, period)
+    hertz = options[f"{option}_hz"]
+    note = f"{where}: notch at {hertz:.6g} Hz, depth {depth:.6g}, width {width:.6g}, by Tustin's rule prewarped there"
+    return Stage(f"{option}{name}", "notch", note, block, (source,), (target,))
+
+
+def _rad(options: dict[str, float], name: str) -> float:
+    return 2.0 * np.pi * options[name]
 
 
 def _measured(k: int) -> str:

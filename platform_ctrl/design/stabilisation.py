@@ -123,13 +123,16 @@ def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
     low = low_pass(rad["filter_hz"], options["filter_damping"], period)
     integral = first_order(0.0, 1.0, 1.0, 0.0, period)
     mix = gain(np.array([[1.0, rad["position_hz"]]]))
-    filtered = f"low-pass at {options['filter_hz']:.6g} Hz, damping {options['filter_damping']:.6g}"
+    corner, damping = options["filter_hz"], options["filter_damping"]
+    filtered = f"low-pass at {corner:.6g} Hz, damping {damping:.6g}, by Tustin's rule prewarped there"
     summed = f"Omega + wp angle: corner at {options['position_hz']:.6g} Hz"
     out = []
     for k, (turn, speed) in enumerate(zip(_per_axis("turn"), _per_axis("speed"), strict=True), 1):
         rate, angle = f"rate_{k}", f"angle_{k}"
         out.append(Stage(f"low_pass_{k}", "low-pass", filtered, low, (turn,), (rate,)))
-        out.append(Stage(f"integral_{k}", "integral", "1/s: angle from rate", integral, (rate,), (angle,)))
+        out.append(
+            Stage(f"integral_{k}", "integral", "1/s, angle from rate, by Tustin's rule", integral, (rate,), (angle,))
+        )
         out.append(Stage(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
     return out
 

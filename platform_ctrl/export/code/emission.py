@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.export.code.cost import Cost, cost_of
 from platform_ctrl.export.code.identifiers import Names, comment
 from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term
-from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark
+from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
 from platform_ctrl.frozen import value
 
 Number = Literal["double", "float"]
@@ -145,7 +145,7 @@ def header(unit: Unit) -> str:
             f"void {p}_reset({p}_state *state);",
             "",
             "/* One sample: from the inputs of this instant to the outputs; returns the status. */",
-            f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out);",
+            *signature(p, ";"),
             "",
             "#ifdef __cplusplus",
             "}",
@@ -251,7 +251,7 @@ class _Source:
         for row in rows:
             terms = tuple(Term(coefficient=t.coefficient, source=f"excess {t.source}") for t in row.terms)
             back = Row(target=f"{row.target} back", terms=terms)
-            before, after = self._next(row.target), f"next {row.target} without windup"
+            before, after = self._next(row.target), f"unwound {row.target}"
             statements += self._sum(self.locals[after], back, "", constants, f"{before} + ")
             self.locals.rename(f"next {row.target}", after)
         return constants, statements
@@ -340,7 +340,7 @@ class _Source:
         s, p = self.scheme, self.unit.prefix
         results = [self._next(name) for name in s.states] + [self.reads[name] for name in s.outputs]
         lines = [
-            f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)",
+            *signature(p),
             "{",
             f"    unsigned int status = {p.upper()}_HELD;",
             "",

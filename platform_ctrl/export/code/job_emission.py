@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.export.code.cost import cost_of
 from platform_ctrl.export.code.emission import Unit
-from platform_ctrl.export.code.wording import acts, block, field, provenance
+from platform_ctrl.export.code.wording import acts, block, field, provenance, signature
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:
@@ -96,7 +96,7 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
             f"void {p}_reset({p}_state *state);",
             "",
             "/* One sample of all controllers; returns the sum of what applies to any of them (bits as there). */",
-            f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out);",
+            *signature(p, ";"),
             "",
             "#ifdef __cplusplus",
             "}",
@@ -156,7 +156,7 @@ def job_source(prefix: str, units: Sequence[Unit]) -> str:
             *(f"    {unit.prefix}_reset(&state->{unit.prefix});" for unit in units),
             "}",
             "",
-            f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)",
+            *signature(p),
             "{",
             "    unsigned int status = 0U;",
             *(

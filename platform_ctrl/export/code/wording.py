@@ -1,4 +1,4 @@
-"""What stands in the comments of generated code."""
+"""What the comments of generated code say, and lines that all of it has alike."""
 
 from __future__ import annotations
 
@@ -63,3 +63,17 @@ def remark(text: str, indent: str) -> list[str]:
 def field(kind: str, name: str, what: str) -> str:
     """Return a field of a struct with a comment."""
     return f"    {kind} {name}; /* {comment(what)} */"
+
+
+def signature(prefix: str, end: str = "") -> list[str]:
+    """Return the head of a step function, an argument a line where they do not fit on one."""
+    head, *arguments = (
+        f"unsigned int {prefix}_step(",
+        f"{prefix}_state *state",
+        f"const {prefix}_in *in",
+        f"{prefix}_out *out",
+    )
+    line = f"{head}{', '.join(arguments)}){end}"
+    if len(line) <= WIDTH:
+        return [line]
+    return [head, *(f"    {one}," for one in arguments[:-1]), f"    {arguments[-1]}){end}"]
