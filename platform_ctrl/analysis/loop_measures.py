@@ -145,7 +145,9 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
     return _measured(LoopFigures(plants, controller), asked)
 
 
-def exact_measures(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = ()) -> LoopMeasures:
+def exact_measures(
+    plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = (), loops: LoopFigures | None = None
+) -> LoopMeasures:
     """Return the measures with peaks as norms (not on a grid) wherever they decide anything.
 
     Parameters
@@ -156,6 +158,9 @@ def exact_measures(plants: PlantSet, controller: StateArrays, asked: Sequence[As
         u = K y in the set's order of angles and torques, with its sample period (see `PlantSet.joined`).
     asked
         Requirements whose figures are wanted as well.
+    loops
+        The figures of just this controller and these plants, where they are at hand; what they hold is not worked out
+        again.
 
     Returns
     -------
@@ -171,7 +176,7 @@ def exact_measures(plants: PlantSet, controller: StateArrays, asked: Sequence[As
     ----------
     As `measure`.
     """
-    loops = LoopFigures(plants, controller)
+    loops = LoopFigures(plants, controller) if loops is None else loops
     rough = _measured(loops, asked)
     watched = [rough.of(groups) for groups in (("nominal",), *_WATCHED)]
     watched += [rough.of(one.over) for one in asked if one.kind == "disk margin"]

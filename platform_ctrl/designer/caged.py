@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.feedback import sensitivities
 from platform_ctrl.analysis.loop_figures import LoopFigures
-from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response_arrays
@@ -46,6 +46,8 @@ from platform_ctrl.scenario import HalfCosine
 # Groups that a band shows: a part that fails is another story.
 _BAND = ("nominal", "spread", "Omega")
 _POINTS = 240
+# States of a closed loop up to which norms are worked out while a slider moves.
+_QUICK = 32
 # Sensitivities next to this frequency, against Nyquist's, belong to the edge of what is sampled.
 _EDGE = 0.999
 
@@ -97,11 +99,15 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
     spec, plants, K = loop.spec, loop.plants, loop.controller
     channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
     shown = LoopFigures(loop.shown, K)
-    measures = exact_measures(plants, K, asked_of(spec))
+    exact = plants.A.shape[-1] + len(K.A) <= _QUICK
+    whole = LoopFigures(plants, K)
+    asked = asked_of(spec)
+    measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
     requirements, goals = judged(spec, loop.design, plants, measures)
     banded = bool(settings.band and len(plants.labels) > 1)
     kept = np.flatnonzero(plants.of(_BAND)) if banded else np.array([0])
-    every = LoopFigures(plants.only(kept.tolist()) if len(kept) < len(plants.labels) else plants, K) if banded else None
+    same = len(kept) == len(plants.labels)
+    every = (whole if same else LoopFigures(plants.only(kept.tolist()), K)) if banded else None
     s = continuous_poles(shown.poles[0], plants.period)
     grid = _grid(loop.shown, s)
     response = shown_channel(loop.shown, K, grid, channel)
@@ -112,16 +118,16 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
     return CagedParts(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, s, every),
+        locus=_locus(loop, s, every, exact),
         step=_step(loop, shown, every, channel, s, stable),
         Omega_time=_manoeuvre(loop, shown, every, settings.axis),
         Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
-        margins=_margins(loop, measures, shown, grid, response, stable),
+        margins=_margins(loop, measures, shown, grid, response, stable, exact),
         requirements=requirements,
         goals=goals,
         stable=stable,
         all_stable=bool(np.all(measures.decay[inside] > 0.0)),
-        notes=(),
+        notes=() if exact else ("peaks are taken on a grid: the loop is too large for norms while a slider moves",),
     )
 
 
@@ -131,7 +137,8 @@ def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: F
     shown = LoopFigures(loop.shown, loop.controller)
     response = shown_channel(loop.shown, loop.controller, frequency, channel)
     s = continuous_poles(shown.poles[0], loop.shown.period)
-    measures = exact_measures(loop.plants, loop.controller, asked_of(loop.spec))
+    exact = loop.plants.A.shape[-1] + len(loop.controller.A) <= _QUICK
+    measures = (exact_measures if exact else measure)(loop.plants, loop.controller, asked_of(loop.spec))
     return Overlay(
         design=loop.design,
         method=method,
@@ -207,10 +214,10 @@ def _frequency_parts(
     )
 
 
-def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None) -> Locus:
+def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
     plants = loop.shown
     P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    gains, branches = gain_locus(P, loop.controller)
+    gains, branches = gain_locus(P, loop.controller, points=110 if exact else 40)
     nyquist = math.pi / plants.period
     finite = np.isfinite(s)
     size = np.where(finite, np.abs(s), np.inf)
@@ -363,6 +370,7 @@ def _margins(
     grid: FloatArray,
     response: ComplexArray,
     stable: bool,
+    exact: bool,
 ) -> Margins:
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
@@ -375,7 +383,7 @@ def _margins(
     # Phase that may be lost: how far above -180 degrees, taken upwards from there.
     lead = np.radians(above % 360.0)
     return Margins(
-        disk=shown.exact(DISK, 0),
+        disk=shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0]),
         worst_disk=float(measures.disk_margin[worst]),
         worst_plant=plants.labels[worst],
         gain_up=up,

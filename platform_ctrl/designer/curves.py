@@ -10,7 +10,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.report.branches import followed, near_breakaways
+from platform_ctrl.report.branches import followed
 
 # A pole sharper than this is drawn as if it had this damping: no spike of one point.
 _SHARPEST = 2e-3
@@ -144,7 +144,7 @@ def held_responses(
 
 
 def gain_locus(
-    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 80, breakaways: bool = True
+    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 110
 ) -> tuple[FloatArray, ComplexArray]:
     """Return factors on all of a controller from 0 to `highest`, 1 among them, and the closed-loop poles (G, n) in s.
 
@@ -160,8 +160,6 @@ def gain_locus(
     # From 0 on poles move as the root of the factor: closer steps there.
     half = points // 2
     gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, highest, half)[1:]])
-    if breakaways:
-        gains = np.union1d(gains, near_breakaways(gains, poles))
     return gains, continuous_poles(followed(poles(gains)), period)
 
 

@@ -13,8 +13,8 @@ from platform_ctrl.frozen import value
 
 # A slider goes this factor to both sides of where it started.
 _REACH = 20.0
-# Typed numbers may lie beyond the slider, as far as a job file would take them.
-_MOST = 1e50
+# Typed numbers may lie beyond the slider, but not beyond these: options, sample rate, spins and rates in their units.
+_OPTION, _RATE, _SPIN, _OMEGA = (1e-9, 1e7), (1e-2, 1e7), 1e6, 1e4
 _LONGEST_DELAY = 100.0
 
 
@@ -244,8 +244,8 @@ def moved(settings: Settings, knobs: Mapping[str, Knob], name: str, number: floa
     """
     known_name("knob", name, tuple(knobs))
     at = _number(name, number)
-    if name == "rate_hz" and not at > 0.0:
-        raise ArgumentError(f"rate_hz: given {short(number)}; expected a rate > 0, Hz")
+    if name == "rate_hz":
+        _expect(name, at, *_RATE)
     if name in ("rate_hz", "delay"):
         new = settings.but(**{name: at})
         longest = _LONGEST_DELAY / new.rate_hz
@@ -256,13 +256,14 @@ def moved(settings: Settings, knobs: Mapping[str, Knob], name: str, number: floa
             )
         return new
     if name.startswith("spin ") and knobs[name].group == "rotors":
+        _expect(name, at, -_SPIN, _SPIN)
         return dataclasses.replace(settings, spins={**settings.spins, name.removeprefix("spin "): at})
     if knobs[name].group == "Omega":
+        _expect(name, at, -_OMEGA, _OMEGA)
         rates = list(settings.Omega)
         rates[int(name[-1]) - 1] = at
         return settings.but(Omega=tuple(rates))
-    if not at > 0.0:
-        raise ArgumentError(f"{name}: given {short(number)}; expected a number > 0")
+    _expect(name, at, *_OPTION)
     return with_options(settings, {name: float(round(at)) if name in COUNTS else at})
 
 
@@ -278,6 +279,11 @@ def _number(name: str, given: float) -> float:
         out = float(given)
     except (TypeError, ValueError, OverflowError):
         raise ArgumentError(f"{name}: given {short(given)}; expected a number") from None
-    if isinstance(given, bool) or not math.isfinite(out) or abs(out) > _MOST:
-        raise ArgumentError(f"{name}: given {short(given)}; expected a finite number up to {_MOST:g}")
+    if isinstance(given, bool) or not math.isfinite(out):
+        raise ArgumentError(f"{name}: given {short(given)}; expected a finite number")
     return out
+
+
+def _expect(name: str, at: float, low: float, high: float) -> None:
+    if not low <= at <= high:
+        raise ArgumentError(f"{name}: given {at:g}; expected a number from {low:g} to {high:g}")

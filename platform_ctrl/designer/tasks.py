@@ -155,7 +155,10 @@ class ServoTuning:
             stable = results[0]
             if not stable.value > 0.0:
                 return 10.0 + min(-stable.value, 1e6)
-            return min(max(one.ratio for one in results), 10.0)
+            ratios = [one.ratio for one in results]
+            # Where one is infinite the others still say which way is better.
+            worst_finite = max((x for x in ratios if x < float("inf")), default=0.0)
+            return min(max(ratios), 10.0 + min(worst_finite, 1.0))
 
         return worst
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from platform_ctrl.arguments import known_name, short, whole
 from platform_ctrl.designer import background
-from platform_ctrl.designer.caged import caged_overlay, caged_parts
+from platform_ctrl.designer.caged import CagedParts, caged_overlay, caged_parts
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
@@ -358,26 +358,31 @@ class Workbench:
         See docs/designer.md.
         """
         begun = time.perf_counter()
-        spec, _ = self._closing.design(settings)
         whole("axis", settings.axis, 1, 3)
-        with np.errstate(all="ignore"):
-            if spec.kind == "caging":
-                loop, told = self._closing.caged(settings)
-                parts = caged_parts(loop, settings)
-                overlays, more = self._overlays(settings, spec, parts.bode.frequency)
-                parts = dataclasses.replace(
-                    parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more)
-                )
-            else:
-                free, told = self._closing.stabilised(settings)
-                kept = self._closing.kept(settings)
-                parts = dataclasses.replace(stabilised_parts(free, settings, kept), notes=told)
+        try:
+            with np.errstate(all="ignore"):
+                parts = self._parts(settings)
+        except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
+            raise DesignError(
+                f"{settings.loop}, {settings.design}: the loop's numbers leave floating point; expected less extreme "
+                "settings"
+            ) from None
         return Picture(
             settings=settings,
             plants=self.plants(settings),
             elapsed=time.perf_counter() - begun,
             **{one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)},
         )
+
+    def _parts(self, settings: Settings) -> CagedParts:
+        spec, _ = self._closing.design(settings)
+        if spec.kind != "caging":
+            free, told = self._closing.stabilised(settings)
+            return dataclasses.replace(stabilised_parts(free, settings, self._closing.kept(settings)), notes=told)
+        loop, told = self._closing.caged(settings)
+        parts = caged_parts(loop, settings)
+        overlays, more = self._overlays(settings, spec, parts.bode.frequency)
+        return dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more))
 
     def overlay(self, settings: Settings, design: str) -> Overlay:
         """Return another design of the loop, to be drawn over the picture of the settings.
@@ -600,7 +605,8 @@ class Workbench:
                 caging=tuple((o.controller, o.inputs, o.outputs, o.loop) for o in others),
             )
         found: dict[str, float] = background.worked_out(question, progress, cancelled)
-        return with_options(settings, {name: found[name] for name in free})
+        # Six digits: more would not be read, and no requirement hangs on them.
+        return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
     def influence(self, settings: Settings) -> Influence:
         """Return what each knob does to each requirement.
