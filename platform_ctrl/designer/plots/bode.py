@@ -43,7 +43,6 @@ class BodePanel:
         below = self.panel.add(frequency, self._phase, "frequency, Hz", "phase of L, °", log_x=True, share=2)
         self.above, self.below = above, below
         self.panel.label_ticks(above, False)
-        above.min_border_bottom = 2
         above.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 5], desired_num_ticks=5, num_minor_ticks=0)
         below.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=4, num_minor_ticks=0)
         self._loop: ColumnDataSource = sources.new("loop", "frequency", "gain", "phase")
@@ -152,7 +151,8 @@ def _words(margins: Margins) -> str:
     if math.isfinite(margins.phase):
         parts.append(f"phase margin {margins.phase:.0f}°")
     if margins.gain_down > 0.0 or math.isfinite(margins.gain_up):
-        parts.append(f"gain × {factor(margins.gain_down)} to {factor(margins.gain_up)}")
+        least = f"× {factor(margins.gain_down)} to" if margins.gain_down > 0.0 else "up to"
+        parts.append(f"gain {least} × {factor(margins.gain_up)}")
     return "".join(f" · {part}" for part in parts)
 
 

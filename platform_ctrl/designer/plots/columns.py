@@ -14,10 +14,10 @@ Column = NDArray[np.float32]
 _LARGEST = 1e30
 
 
-def column(numbers: Any) -> Column:
-    """Return real numbers as a column: what is not finite, or too large to be drawn, is a gap (NaN)."""
-    out = np.asarray(numbers, dtype=np.float64)
-    with np.errstate(invalid="ignore"):
+def column(numbers: Any, scale: float = 1.0) -> Column:
+    """Return real numbers, times `scale`, as a column: what is not finite, or too large to be drawn, is a gap (NaN)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        out = scale * np.asarray(numbers, dtype=np.float64)
         out = np.where(np.abs(out) <= _LARGEST, out, np.nan)
     return out.astype(np.float32)
 
@@ -49,11 +49,12 @@ def thinned(number: int, most: int) -> NDArray[np.intp]:
 
 
 def extent(columns: Sequence[Any]) -> tuple[float, float] | None:
-    """Return the least and the largest finite number of some arrays; None where there is none."""
+    """Return the least and the largest number of some arrays that can be drawn; None where there is none."""
     low, high = np.inf, -np.inf
     for one in columns:
         numbers = np.asarray(one)
-        numbers = numbers[np.isfinite(numbers)]
+        with np.errstate(invalid="ignore"):
+            numbers = numbers[np.abs(numbers) <= _LARGEST]
         if numbers.size:
             low, high = min(low, float(numbers.min())), max(high, float(numbers.max()))
     return (low, high) if low <= high else None

@@ -6,16 +6,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from bokeh.core.properties import value
 from bokeh.models import Span
 
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, strung, thinned
-from platform_ctrl.designer.plots.palette import series
+from platform_ctrl.designer.plots.palette import FONT, series
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.pole_handles import PoleHandles
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View
 from platform_ctrl.designer.values import Locus, Picture
+from platform_ctrl.frozen import FloatArray
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 # Gains along the branches, and poles of other plants, that are drawn.
@@ -54,6 +56,7 @@ class LocusPanel:
         overlays = sources.new("overlay_poles", "re", "im", lists=("colour", "name"))
         asked = sources.new("asked_damping", "x", "y")
         poles = sources.new("poles", "re", "im", "damping", "hz")
+        marks = sources.new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
         away = sources.new("pulled", "x0", "y0", "x1", "y1")
         paint = theme.paint
         wrong = plot.harea(
@@ -63,7 +66,7 @@ class LocusPanel:
         arc = plot.line("x", "y", source=arcs, line_width=1, line_dash=[2, 3])
         ray = plot.segment("x", "y", "x1", "y1", source=rays, line_width=1)
         paint(arc.glyph, line_color="frame")
-        paint(ray.glyph, line_color="grid")
+        paint(ray.glyph, line_color="frame")
         for dimension in ("width", "height"):
             axis = Span(dimension=dimension, location=0.0, line_width=1)
             paint(axis, line_color="reference")
@@ -90,6 +93,11 @@ class LocusPanel:
         self.panel.hover(
             plot, [branch], [("gain", "× @gain{0.00}"), ("s", "@re{0} ± j @im{0} rad/s")], line_policy="nearest"
         )
+        label = plot.text(
+            "x", "y", text="text", source=marks, text_font=value(FONT), text_font_size=value("10px"), text_align="align",
+            text_baseline="baseline", x_offset="dx", y_offset="dy",
+        )  # fmt: skip
+        paint(label.glyph, text_color="muted")
         self.handles = PoleHandles(plot, theme, sources)
         self._message = self.panel.message(plot)
         slopes = [zeta / math.sqrt(1.0 - zeta**2) for zeta in DAMPINGS]
@@ -147,7 +155,7 @@ class LocusPanel:
                 *[(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)],
             ]
         )
-        if not np.isfinite(locus.present).any():
+        if not np.isfinite(column(size)).any():
             tell(self._message, "no finite pole")
         else:
             right = int((locus.present.real > 0.0).sum())
@@ -172,5 +180,30 @@ class LocusPanel:
         decades = 10.0 ** np.arange(math.floor(math.log10(reach * HZ)) - 1, math.floor(math.log10(reach * HZ)) + 2)
         radii = np.sort(np.outer(decades, _ROUND).ravel()) / HZ
         turn = np.exp(1j * np.linspace(0.5 * np.pi, 1.5 * np.pi, 91))
+        self._label(radii)
         arcs = np.outer(radii[radii < 4.0 * reach], turn)
         self._sources.put("arcs", x=strung(arcs.real), y=strung(arcs.imag))
+
+    def _label(self, radii: FloatArray) -> None:
+        """Write frequencies beside the arcs and damping ratios at the ends of the rays."""
+        reach, left = self._reach, _LEFT * self._reach
+        rows: list[tuple[float, float, float, float, str, str, str]] = []
+        for radius in radii[(radii > 0.12 * reach) & (radii < 0.95 * reach)]:
+            rows.append((0.0, radius, 5.0, 0.0, f"{radius * HZ:.3g} Hz", "left", "middle"))
+        for damping in DAMPINGS:
+            slope = damping / math.sqrt(1.0 - damping**2)
+            if slope * reach < left:
+                rows.append((-slope * reach, reach, -3.0, 3.0, f"{damping:g}", "right", "top"))
+            else:
+                rows.append((-left, left / slope, 3.0, -3.0, f"{damping:g}", "left", "bottom"))
+        x, y, dx, dy, text, align, baseline = (list(one) for one in zip(*rows, strict=True))
+        self._sources.put(
+            "plane_labels",
+            x=column(x),
+            y=column(y),
+            dx=column(dx),
+            dy=column(dy),
+            text=text,
+            align=align,
+            baseline=baseline,
+        )

@@ -19,7 +19,7 @@ from platform_ctrl.frozen import FloatArray
 # Points of a thin line, plants that are drawn, points of a region's rim.
 _POINTS, _PLANTS, _RIM = 110, 64, 121
 # Gains beyond these are not shown at rest, dB.
-_LOWEST, _HIGHEST = -50.0, 50.0
+_LOWEST, _HIGHEST = -30.0, 40.0
 
 
 class NicholsPanel:
@@ -53,7 +53,7 @@ class NicholsPanel:
         zero = Span(dimension="width", location=0.0, line_width=1)
         paint(zero, line_color="reference")
         plot.add_layout(zero)
-        thin = plot.line("phase", "gain", source=plants, line_width=0.7, line_alpha=0.45)
+        thin = plot.line("phase", "gain", source=plants, line_width=0.7, line_alpha=0.35)
         paint(thin.glyph, line_color="series-1")
         overlays.draw(plot, "phases", "gains")
         line = plot.line("phase", "gain", source=sources.by_name["loop"], line_width=2.2)
@@ -82,7 +82,7 @@ class NicholsPanel:
         others = len(nichols.labels) - 1
         overlays = picture.bode.overlays
         asked = nichols.disk_margin
-        self.panel.say("" if asked is None else f"grey: kept free by a disk margin of {asked:g}")
+        self.panel.say("" if asked is None else f"disk margin {asked:g} keeps the grey free")
         set_of_plants = [(f"{others} more plants", "series-1", (), 0.9)] if others else []
         self.panel.keys([("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(overlays)])
         empty = not (np.isfinite(phases[0]).any() and np.isfinite(gains[0]).any())

@@ -37,11 +37,11 @@ from platform_ctrl.designer.plots.views import View
 # Key of a curve: words, name of its colour, dashes, width.
 Key = tuple[str, str, Sequence[int], float]
 
-_LEFT, _RIGHT, _TOP = 54, 12, 6
+_LEFT, _RIGHT, _TOP = 54, 12, 7
 
 _HEADING = f"""
-:host {{ font-family: {FONT}; font-size: {NORMAL}; line-height: 18px; font-variant-numeric: tabular-nums; }}
-.line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; }}
+.line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
+  font-variant-numeric: tabular-nums; }}
 .title {{ font-weight: 650; }}
 .detail {{ overflow: hidden; text-overflow: ellipsis; }}
 .keys {{ font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
@@ -119,12 +119,16 @@ class Panel:
         colour = theme.sheet(
             ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
         )
-        common: dict[str, Any] = {"margin": 0, "stylesheets": [InlineStyleSheet(css=_HEADING), colour]}
-        self._head = Div(sizing_mode="stretch_width", height=18, **common)
-        self._keys = Div(sizing_mode="stretch_width", height=16, **common)
+        common: dict[str, Any] = {
+            "margin": 0,
+            "styles": {"min-width": "0", "overflow": "hidden"},
+            "stylesheets": [InlineStyleSheet(css=_HEADING), colour],
+        }
+        self._head = Div(sizing_mode="stretch_width", height=18, tags=["heading"], **common)
+        self._keys = Div(sizing_mode="stretch_width", height=16, tags=["heading"], **common)
         self._reset = self.button("reset view", f"{name}-reset")
         self._reset.on_click(self.reset)
-        self._row = Row(self._head, self._reset, sizing_mode="stretch_width", margin=0, spacing=4)
+        self._row = Row(self._head, self._reset, sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4)
         self.layout = Column(
             self._row,
             self._keys,
@@ -145,6 +149,7 @@ class Panel:
     def button(self, label: str, name: str) -> Button:
         """Return a small button in the page's style."""
         return Button(
+            label=label, name=name, margin=0, height=18,
             stylesheets=[self.theme.sheet(_BUTTON)],
         )  # fmt: skip
 
@@ -156,6 +161,7 @@ class Panel:
         `share`: of the panel's height, relative to the others.
         """
         out = figure(
+            name=f"{self.name}-figure-{len(self.figures)}",
             x_range=x.range,
             y_range=y.range,
             x_axis_type="log" if log_x else "linear",
@@ -227,6 +233,8 @@ class Panel:
         axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
         axis.axis_label = words if shown else ""
         axis.major_tick_out = 4 if shown else 0
+        # Room for half a number of the vertical axis.
+        plot.min_border_bottom = 0 if shown else 8
 
     def crosshair(self, *plots: Plot) -> None:
         """Let figures have a cross at the mouse; its vertical line goes through all of them."""
@@ -244,7 +252,6 @@ class Panel:
             tooltips=_tip(rows),
             visible=False,
             show_arrow=False,
-           
             **settings,
         )
         plot.add_tools(tool)

@@ -108,14 +108,15 @@ class PoleHandles:
                 return
             if not all(isinstance(edge, int | float) and math.isfinite(edge) for edge in edges):
                 return
+            left, right, bottom, top = map(float, edges)
+            middle = complex(0.5 * (left + right), 0.5 * (bottom + top))
             if self._caught is None or self._caught[0] != k:
-                if k >= len(self._poles):
+                if k >= len(self._poles) or abs(middle - self._poles[k]) < 1e-9 * (right - left):
                     return
                 self._caught = (k, complex(self._poles[k]))
                 self._wanted = self._caught[1]
-            left, right, bottom, top = map(float, edges)
             # The lower half plane is the upper one's mirror: the pole wanted is the upper of the pair.
-            target = complex(0.5 * (left + right), abs(0.5 * (bottom + top)))
+            target = complex(middle.real, abs(middle.imag))
             self._mark(self._caught[1], target)
             self.pulling.move(target)
 

@@ -15,7 +15,7 @@ from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.time_response import TimePanel
 from platform_ctrl.designer.plots.views import View
-from platform_ctrl.designer.plots.words import Unit
+from platform_ctrl.designer.plots.words import Unit, quantity
 from platform_ctrl.designer.values import Picture
 
 # Below this share of the peak nothing is shown at rest.
@@ -93,18 +93,18 @@ class RatePanel:
         self._unit.follow(response.unit, size)
         scale, unit = self._unit.scale, self._unit.name
         put = self._sources.put
-        put("Omega_gain", frequency=column(response.frequency * HZ), gain=column(scale * gain))
+        put("Omega_gain", frequency=column(response.frequency * HZ), gain=column(gain, scale))
         f, low, high = finite(
-            column(response.band_frequency * HZ), column(scale * response.low), column(scale * response.high)
+            column(response.band_frequency * HZ), column(response.low, scale), column(response.high, scale)
         )
         # A logarithmic axis has no zero.
-        floor = np.float32(_LEAST * scale * size if size > 0.0 else 1e-30)
+        floor = column(_LEAST * scale * size if size > 0.0 else 1e-30)
         put("Omega_gain_band", frequency=f, low=np.maximum(low, floor), high=np.maximum(high, floor))
         own = [(k, one) for k, one in enumerate(overlays) if len(one.Omega_gain) == len(response.frequency)]
         put(
             "Omega_gain_overlays",
             xs=[column(response.frequency * HZ)] * len(own),
-            ys=[column(np.where(one.Omega_gain > 0.0, scale * one.Omega_gain, np.nan)) for _, one in own],
+            ys=[column(np.where(one.Omega_gain > 0.0, one.Omega_gain, np.nan), scale) for _, one in own],
             name=[one.design for _, one in own],
             colour=[self._theme.colours[series(1 + k)] for k, _ in own],
             dash=[list(dashes(1 + k)) for k, _ in own],
@@ -120,7 +120,7 @@ class RatePanel:
         tell(self._message, "no finite response" if top is None else "" if picture.stable else "closed loop not stable")
         if self.shows_frequency:
             self.panel.say(response.title)
-            limits = [] if limit is None else [(f"limit {scale * limit:.3g} {unit}", "limit", (), 1.5)]
+            limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", (), 1.5)]
             self.panel.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
         else:
             self.panel.say(picture.Omega_time.title)

@@ -13,13 +13,15 @@ from platform_ctrl.designer.plots.palette import dashes, series
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View
-from platform_ctrl.designer.plots.words import Unit
+from platform_ctrl.designer.plots.words import Unit, quantity
 from platform_ctrl.designer.values import Overlay, Picture, TimeResponse
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.greek import greek
 
 # Points of a curve, signals in a figure; how far the set's band may widen the view beyond the plant shown.
 _POINTS, _SIGNALS, _WIDER = 400, 9, 3.0
+# Share of a limit, and size in the plain unit, below which a signal is nothing.
+_NOTHING, _ROUNDING = 1e-4, 1e-12
 # Figures: the first unit of a response, and the second.
 _FIGURES = 2
 
@@ -135,6 +137,7 @@ class _Trace:
         limit = limit if limit is not None and 0.0 < limit < math.inf else None
         others = [_fitting(one, own, response.values.shape) for one in picture.bode.overlays]
         seen = _seen(values, [low, high, *(one[rows][:, at] for one in others if one is not None)], limit)
+        plain = unit
         self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
         scale, unit = self._unit.scale, self._unit.name
         colours = [self._theme.colours[series(k)] for k in range(len(rows))]
@@ -143,23 +146,24 @@ class _Trace:
         put(
             self._name,
             xs=[t] * len(rows),
-            ys=[column(scale * one) for one in values],
+            ys=[column(one, scale) for one in values],
             name=names,
             unit=[unit] * len(rows),
             colour=colours,
         )
-        areas = [_area(t, column(scale * a), column(scale * b)) for a, b in zip(low, high, strict=True)] if band else []
+        areas = [_area(t, column(a, scale), column(b, scale)) for a, b in zip(low, high, strict=True)] if band else []
         put(f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)])
         drawn = [(j, k, one[i, at]) for j, one in enumerate(others) if one is not None for k, i in enumerate(rows)]
         put(
             f"{self._name}_overlays",
             xs=[t] * len(drawn),
-            ys=[column(scale * y) for _, _, y in drawn],
+            ys=[column(y, scale) for _, _, y in drawn],
             name=[picture.bode.overlays[j].design for j, _, _ in drawn],
             colour=[colours[k] for _, k, _ in drawn],
             dash=[list(dashes(1 + j)) for j, _, _ in drawn],
         )
-        acts = len(response.drive) == len(response.t) and not self._last
+        # What stands all the time needs no curve.
+        acts = len(response.drive) == len(response.t) and not self._last and len(np.unique(response.drive[1:])) > 1
         put(f"{self._name}_drive", t=t if acts else column([]), share=column(response.drive[at] if acts else []))
         if seen is not None:
             self._size.fit((scale * seen[0], scale * seen[1]))
@@ -168,7 +172,7 @@ class _Trace:
         if limit is not None:
             above.bottom, below.top = scale * limit, -scale * limit
         above.visible = below.visible = limit is not None
-        if rows and not np.isfinite(values).any():
+        if rows and not np.isfinite(column(values)).any():
             tell(self._message, "no finite response")
         else:
             troubled = not (picture.stable or self._last)
@@ -176,7 +180,7 @@ class _Trace:
         # Torques have the colours of the angles above them, in the same order.
         self.keys = [] if self._last else [(name, series(k), (), 2.0) for k, name in enumerate(names)]
         if limit is not None:
-            self.keys.append((f"limit {scale * limit:.3g} {unit}", "limit", (), 1.5))
+            self.keys.append((f"limit {quantity(limit, plain)}", "limit", (), 1.5))
 
 
 def _fitting(overlay: Overlay, own: str, shape: tuple[int, ...]) -> FloatArray | None:
@@ -193,7 +197,12 @@ def _seen(values: FloatArray, wider: Sequence[FloatArray], limit: float | None) 
     own = extent([values])
     if own is None:
         return None
-    size = max(abs(own[0]), abs(own[1]), 1e-30)
+    size = max(abs(own[0]), abs(own[1]))
+    if size < _ROUNDING and limit is None:
+        return -1e-6, 1e-6
+    if limit is not None and size < _NOTHING * limit:
+        # Rounding, or as good as nothing: against the limit it is a straight line.
+        return -1.1 * limit, 1.1 * limit
     low, high = extent(wider) or own
     low, high = max(min(own[0], low), -_WIDER * size), min(max(own[1], high), _WIDER * size)
     if limit is not None:

@@ -37,6 +37,12 @@ class Unit:
         self.scale, self.name = _handy(unit, size)
 
 
+def quantity(number: float, unit: str) -> str:
+    """Return a number with its unit, both as they read well: ``3 mrad``."""
+    scale, name = _handy(unit, 1.01 * abs(number))
+    return f"{scale * number:.3g} {name}".rstrip()
+
+
 def _handy(unit: str, size: float) -> tuple[float, str]:
     # The numerator takes the prefix: "mrad per rad/s".
     head, between, rest = unit.partition(" per ")
