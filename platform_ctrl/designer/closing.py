@@ -13,6 +13,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import known_name
 from platform_ctrl.check.coupled import sensed_rates
+from platform_ctrl.description import Platform
 from platform_ctrl.design.classical import starting_values
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.designer.bounded import Bounded
@@ -24,7 +25,7 @@ from platform_ctrl.designer.controllers import (
     full_options,
     parts_given,
 )
-from platform_ctrl.designer.free_plants import FreePlants, corners, free_plants
+from platform_ctrl.designer.free_plants import FreeModels, FreePlants, corners, free_models, free_plants
 from platform_ctrl.designer.pulling import Reins
 from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
 from platform_ctrl.designer.saving import SavedController
@@ -62,6 +63,8 @@ class Closing:
         self._lock = threading.Lock()
         self._models: Bounded[LinearModel] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
+        self._free_models: Bounded[FreeModels] = Bounded(4)
+        self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self.start = self._first()
         for loop, design, method, made in [] if controllers is None else given_designs(controllers, job):
@@ -123,7 +126,7 @@ class Closing:
         spec = self.spec(settings.loop)
         if spec.kind == "caging":
             return self.quick(spec).labels(self._range(settings))
-        return tuple(label for label, _, _ in corners(self.job(settings)))
+        return tuple(label for label, _, _ in self._corners(settings, self.job(settings)))
 
     def quick(self, spec: LoopSpec) -> QuickPlants:
         """Return the plants of a caging loop."""
@@ -222,16 +225,22 @@ class Closing:
         controllers, notes = self.all_controllers(settings)
         rates = tuple(sensed_rates(job, controllers))
         key = (self._plant_key(settings), rates, settings.band)
-        every = corners(job)
+        every = self._corners(settings, job)
+        of_models = (*self._spin_key(settings), rates, settings.band)
 
-        def made() -> FreePlants:
-            return free_plants(job, every if settings.band else every[:1], rates, settings.band)
+        def models() -> FreeModels:
+            return free_models(job, every if settings.band else every[:1], rates)
 
-        plants = self._free.get(key, made)
+        plants = self._free.get(
+            key, lambda: free_plants(self._free_models.get(of_models, models), job.sampling, settings.band)
+        )
         label, at = settings.plant, np.array(settings.Omega)
         case = next((one for one in every if one[0] == label), every[0])
         turned = (case[0], case[1], case[2] + at)
-        shown = self._free.get(("shown", key, label, settings.Omega), lambda: free_plants(job, [turned], rates, False))
+        shown = self._free.get(
+            ("shown", key, label, settings.Omega),
+            lambda: free_plants(free_models(job, [turned], rates), job.sampling, False),
+        )
         loop = StabilisedLoop(
             job=job, model=self._model(settings), spec=spec, controllers=tuple(controllers), plants=plants, shown=shown
         )
@@ -377,6 +386,12 @@ class Closing:
             tuple(sorted(settings.spins.items())),
             tuple(map(float, self._range(settings))),
         )
+
+    def _spin_key(self, settings: Settings) -> tuple[object, ...]:
+        return (tuple(sorted(settings.spins.items())), *map(float, self._range(settings)))
+
+    def _corners(self, settings: Settings, job: Job) -> list[tuple[str, Platform, FloatArray]]:
+        return self._corner.get(self._spin_key(settings), lambda: corners(job))
 
     def _range(self, settings: Settings) -> FloatArray:
         """Return the largest platform rate about each axis: the job's, or what is shown where that is more."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -14,7 +14,7 @@ from platform_ctrl.check.coupled import measuring
 from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
 from platform_ctrl.design.plants import changed
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.job import Job
+from platform_ctrl.job import Job, Sampling
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.state_space import state_space as linear_state_space
 
@@ -42,8 +42,8 @@ class FreePlants:
         s.
     frequency : (F,)
         Of the band, rad/s.
-    response : complex (N, F, sensors, torquers)
-        Of `arrays` there.
+    response : complex (N, F, sensors + 3, torquers + 3)
+        Of `turned` there.
     """
 
     labels: tuple[str, ...]
@@ -81,70 +81,113 @@ def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
     return out
 
 
-def free_plants(
-    job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str], band: bool
-) -> FreePlants:
-    """Sample the free platform with all of its torquers, pick-offs, and the rate sensors named in `rates`.
+@value
+class FreeModels:
+    """The free platform before it is sampled: torquers → sensors, torques on the root, and what Omega is made of.
+
+    Attributes
+    ----------
+    labels
+        Of the N plants.
+    torquers, sensors
+        Names of inputs and outputs.
+    lags : (m,)
+        Of the torquers, s.
+    A, B, C
+        Shapes (N, n, n), (N, n, m), (N, p, n).
+    B_root, C_rate
+        Torques M1 to M3 on the platform, and its rate. Shapes (N, n, 3), (N, 3, n).
+    """
+
+    labels: tuple[str, ...]
+    torquers: tuple[str, ...]
+    sensors: tuple[str, ...]
+    lags: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    B_root: FloatArray
+    C_rate: FloatArray
+
+
+def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> FreeModels:
+    """Linearise the free platform with all of its torquers, pick-offs, and the rate sensors named in `rates`.
 
     Raises
     ------
-    ArgumentError
-        The platform cannot be sampled at this rate.
     MechanicsError
         The mass matrix is singular at rest.
     """
     sensors = [*(s.name for s in job.platform.pickoffs), *rates]
     signals = [t.signal for t in job.platform.torquers]
-    A, B, C, B_M, C_rate = [], [], [], [], []
+    A, B, C, B_root, C_rate = [], [], [], [], []
     for _, platform, Omega in chosen:
         system = linear_state_space(linearise(platform, Omega=Omega), root="free")
-        part = measuring(system, sensors)
-        B.append(system.B[:, [system.input_labels.index(name) for name in signals]])
-        B_M.append(system.B[:, [system.input_labels.index(name) for name in ROOT_TORQUE_NAMES]])
-        C_rate.append(system.C[[system.output_labels.index(name) for name in OMEGA_NAMES]])
+        inputs, outputs = list(system.input_labels), list(system.output_labels)
         A.append(system.A)
-        C.append(part.C)
-    stack = {"A": np.array(A), "B": np.array(B), "C": np.array(C)}
-    N, _, m = stack["B"].shape
-    period, delay, lags = job.sampling.period, job.sampling.delay, [t.lag for t in job.platform.torquers]
-    D = np.zeros((N, len(sensors), m))
-    arrays = StateArrays(*sampled_arrays(stack["A"], stack["B"], stack["C"], D, period, delay, lags), dt=period)
-    turned = _turned(stack, np.array(B_M), np.array(C_rate), len(sensors), period, delay, lags)
-    nyquist = np.pi / period
-    poles = np.linalg.eigvals(stack["A"][0])
-    fastest = float(np.abs(poles).max(initial=0.0)) or 0.1 * nyquist
-    low = min(1e-3 * fastest, 0.01 * nyquist)
-    grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
-    return FreePlants(
+        B.append(system.B[:, [inputs.index(name) for name in signals]])
+        C.append(measuring(system, sensors).C)
+        B_root.append(system.B[:, [inputs.index(name) for name in ROOT_TORQUE_NAMES]])
+        C_rate.append(system.C[[outputs.index(name) for name in OMEGA_NAMES]])
+    return FreeModels(
         labels=tuple(label for label, _, _ in chosen),
         torquers=tuple(t.name for t in job.platform.torquers),
         sensors=tuple(sensors),
+        lags=np.array([t.lag for t in job.platform.torquers]),
+        A=np.array(A),
+        B=np.array(B),
+        C=np.array(C),
+        B_root=np.array(B_root),
+        C_rate=np.array(C_rate),
+    )
+
+
+def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:
+    """Sample the free platform; with `band` its responses are worked out on a grid.
+
+    Raises
+    ------
+    ArgumentError
+        The platform cannot be sampled at this rate.
+    """
+    N, _, m = models.B.shape
+    period, delay, lags = sampling.period, sampling.delay, models.lags
+    D = np.zeros((N, len(models.sensors), m))
+    arrays = StateArrays(*sampled_arrays(models.A, models.B, models.C, D, period, delay, lags), dt=period)
+    turned = _turned(models, period, delay)
+    nyquist = np.pi / period
+    fastest = float(np.abs(np.linalg.eigvals(models.A[0])).max(initial=0.0)) or 0.1 * nyquist
+    low = min(1e-3 * fastest, 0.01 * nyquist)
+    grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
+    return FreePlants(
+        labels=models.labels,
+        torquers=models.torquers,
+        sensors=models.sensors,
         arrays=arrays,
         turned=turned,
         period=period,
         frequency=grid,
-        response=frequency_response_arrays(*arrays, grid) if band else np.zeros((N, 0, len(sensors), m), np.complex128),
+        response=_responses(turned, grid),
     )
 
 
-def _turned(
-    stack: Mapping[str, FloatArray],
-    B_M: FloatArray,
-    C_rate: FloatArray,
-    sensors: int,
-    period: float,
-    delay: float,
-    lags: Sequence[float],
-) -> StateArrays:
-    N, n, m = stack["B"].shape
+def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
+    if not grid.size:
+        return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
+    return frequency_response_arrays(*turned, grid)
+
+
+def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
+    N, n, m = models.B.shape
+    sensors = len(models.sensors)
     A = np.zeros((N, n + 3, n + 3))
-    A[:, :n, :n], A[:, n:, :n] = stack["A"], C_rate
-    B, acting = (np.concatenate([item, np.zeros((N, 3, item.shape[-1]))], axis=1) for item in (stack["B"], B_M))
+    A[:, :n, :n], A[:, n:, :n] = models.A, models.C_rate
+    B, acting = (np.concatenate([item, np.zeros((N, 3, item.shape[-1]))], axis=1) for item in (models.B, models.B_root))
     C = np.zeros((N, sensors + 3, n + 3))
-    C[:, :sensors, :n], C[:, sensors:, n:] = stack["C"], np.eye(3)
+    C[:, :sensors, :n], C[:, sensors:, n:] = models.C, np.eye(3)
     D = np.zeros((N, sensors + 3, m))
     held = held_input(A, acting, period)[1]
-    A, B, C, D = sampled_arrays(A, B, C, D, period, delay, lags)
+    A, B, C, D = sampled_arrays(A, B, C, D, period, delay, models.lags)
     both = np.zeros((N, A.shape[-1], m + 3))
     both[..., :m] = B
     # The sampled states begin with the plant's own, which lags and held torques do not hear of.

@@ -13,7 +13,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
-from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.designer.curves import channel_response
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -75,7 +75,7 @@ def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex
 
     def poles(K: StateArrays) -> ComplexArray:
         A = closed_loop_arrays(*plant[:4], *K[:4])[0]
-        return continuous_poles(np.linalg.eigvals(A), plant.dt)
+        return continuous_poles(pole_arrays(A), plant.dt)
 
     start = poles(reins.controller(np.log(reins.start)))
     here = complex(start[int(np.nanargmin(_distance(start, pole)))])

@@ -161,7 +161,7 @@ def _put(design: Any, numbers: Mapping[str, float]) -> None:
 
 
 def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, start: Settings) -> None:
-    plant = document["plant"]
+    plant: Any = document["plant"]
     moved = {name: spin for name, spin in settings.spins.items() if spin != start.spins[name]}
     if moved:
         whole = dict(plant.unwrap()) if isinstance(plant, dict) else dict(open_plant(str(plant), old).data)

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.diagonal_mu import mu_bounds
 from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.analysis.norms import noise_rms_arrays
-from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, spectral_abscissa
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
 from platform_ctrl.designer.caged import CagedParts, settling, step_size
@@ -98,21 +98,22 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Ca
     channel = torquers.index(name)
     P = _used(loop.shown.arrays, 0, at)
     closed = closed_loop_arrays(*P[:4], *K[:4])
-    z = np.linalg.eigvals(closed[0])
+    z = pole_arrays(closed[0])
     s = continuous_poles(z, P.dt)
     decay = -float(spectral_abscissa(s))
     stable = decay > 0.0
     grid = np.union1d(_grid(P, s), loop.plants.frequency)
-    S = sensitivities(-frequency_response_arrays(*K, grid) @ frequency_response_arrays(*P, grid))[0]
+    S = _sensitivity(P, K, grid)
     response = channel_response(S, channel)
     banded = bool(settings.band and len(loop.plants.labels) > 1)
     bode, nichols, worst = _frequency_parts(loop, settings, K, at, channel, grid, response, name, banded)
     poles = _set_poles(loop, K, at) if banded else s[None]
     step, low_frequency = _turning(loop, settings, K, at, grid, s, stable, banded)
-    results = requirements(loop, kept)
+    at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
+    results = requirements(loop, kept, (s, grid, S) if at_rest else None)
     w, above = gain_crossings(grid, response)
     down, up = gain_range(response) if stable else (math.nan, math.nan)
-    own = _peak_margin(P, K, channel, grid, S) if stable else 0.0
+    own = float(_peak_margins(P, K, [channel], grid, S)[0]) if stable else 0.0
     inside = np.all(spectral_abscissa(poles) < 0.0) if banded else stable
     reference = max(float(w[-1]) if len(w) else 1.0, 1.0)
     return CagedParts(
@@ -142,16 +143,19 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Ca
     )
 
 
-def requirements(loop: StabilisedLoop, kept: Kept) -> tuple[CheckResult, ...]:
+def requirements(
+    loop: StabilisedLoop, kept: Kept, known: tuple[ComplexArray, FloatArray, ComplexArray] | None = None
+) -> tuple[CheckResult, ...]:
     """Return the coupled limits held against the nominal plant, as `coupled_check` does; peaks are climbed on a grid.
 
-    Margins lie within about a thousandth above what `coupled_check` proves.
+    Margins lie within about a thousandth of what `coupled_check` proves. `known` are the nominal closed loop's poles,
+    a grid, and S there, where they are at hand.
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, _, torquers = loop.joined(loop.plants)
     P = _used(loop.plants.arrays, 0, at)
     A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
-    s = continuous_poles(np.linalg.eigvals(A), P.dt)
+    s = continuous_poles(pole_arrays(A), P.dt) if known is None else known[0]
     decay = -float(spectral_abscissa(s))
     m = len(torquers)
     sensors = {one.name: one for one in job.platform.sensors}
@@ -159,9 +163,9 @@ def requirements(loop: StabilisedLoop, kept: Kept) -> tuple[CheckResult, ...]:
     noise = noise_rms_arrays(A, B[:, m:], C[:m], D[:m, m:], rms)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
-        grid = _grid(P, s)
-        S = sensitivities(-frequency_response_arrays(*K, grid) @ frequency_response_arrays(*P, grid))[0]
-        coupled = np.array([_peak_margin(P, K, k, grid, S) for k in range(m)])
+        grid = _grid(P, s) if known is None else known[1]
+        S = _sensitivity(P, K, grid) if known is None else known[2]
+        coupled = _peak_margins(P, K, range(m), grid, S)
         simultaneous = _simultaneous(P, K, grid, S)
     decoupled = _decoupled(job, model, controllers, kept)
     alone = np.array([decoupled[name] for name in torquers])
@@ -174,15 +178,18 @@ def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.State
     caging = [K for K in controllers if set(K.output_labels) <= gimbal]
 
     def of_caging() -> dict[str, float]:
-        return _margins_of(coupled_plant(job, model, caging), caging, job) if caging else {}
+        return _margins_of(coupled_plant(job, model, caging), caging, job, set()) if caging else {}
 
     def of_servo() -> dict[str, float]:
-        return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job)
+        return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job, set(inner))
 
-    return of_servo() | kept("caging", of_caging)
+    inner = kept("caging", of_caging)
+    return of_servo() | inner
 
 
-def _margins_of(plant: control.StateSpace, controllers: Sequence[control.StateSpace], job: Job) -> dict[str, float]:
+def _margins_of(
+    plant: control.StateSpace, controllers: Sequence[control.StateSpace], job: Job, left_out: set[str]
+) -> dict[str, float]:
     """Return the disk margin of every channel broken alone, by torquer; 0 where the loop is not stable."""
     K = one_controller(job, controllers, plant)
     names = list(K.output_labels)
@@ -190,12 +197,13 @@ def _margins_of(plant: control.StateSpace, controllers: Sequence[control.StateSp
     seen = [plant.output_labels.index(name) for name in K.input_labels]
     arrays, k = state_arrays(plant, "plant"), state_arrays(K, "controller")
     P = StateArrays(arrays.A, arrays.B[:, at], arrays.C[seen], arrays.D[np.ix_(seen, at)], arrays.dt)
-    s = continuous_poles(np.linalg.eigvals(closed_loop_arrays(*P[:4], *k[:4])[0]), P.dt)
+    s = continuous_poles(pole_arrays(closed_loop_arrays(*P[:4], *k[:4])[0]), P.dt)
     if not spectral_abscissa(s) < 0.0:
         return dict.fromkeys(names, 0.0)
     grid = _grid(P, s)
-    S = sensitivities(-frequency_response_arrays(*k, grid) @ frequency_response_arrays(*P, grid))[0]
-    return {name: _peak_margin(P, k, j, grid, S) for j, name in enumerate(names)}
+    S = _sensitivity(P, k, grid)
+    chosen = [j for j, name in enumerate(names) if name not in left_out]
+    return {names[j]: float(x) for j, x in zip(chosen, _peak_margins(P, k, chosen, grid, S), strict=True)}
 
 
 def _used(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
@@ -208,27 +216,33 @@ def _grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     finite = s[np.isfinite(s)]
     slowest = float(np.abs(finite).min(initial=nyquist))
     low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
-    own = continuous_poles(np.linalg.eigvals(P.A), P.dt)
+    own = continuous_poles(pole_arrays(P.A), P.dt)
     # Free poles at z = 1 are integrators, no resonances.
     return dense_grid(np.concatenate([s, own]), low, _EDGE * nyquist)
 
 
-def _peak_margin(P: StateArrays, K: StateArrays, channel: int, grid: FloatArray, S: ComplexArray) -> float:
-    """Return 1/max |S_ii - 1/2|: the largest on the grid, climbed between its neighbours."""
-
-    def size(w: FloatArray) -> FloatArray:
-        found = sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0]
-        return np.asarray(np.abs(found[:, channel, channel] - 0.5))
-
-    sizes = np.abs(S[:, channel, channel] - 0.5)
-    k = int(np.argmax(sizes))
-    best, low, high = float(sizes[k]), grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+def _peak_margins(
+    P: StateArrays, K: StateArrays, channels: Sequence[int], grid: FloatArray, S: ComplexArray
+) -> FloatArray:
+    """Return 1/max |S_ii - 1/2| of channels: the largest on the grid, climbed between its neighbours, all at once."""
+    at = np.array(channels)
+    sizes = np.abs(S[:, at, at] - 0.5)
+    k = np.argmax(sizes, axis=0)
+    each = np.arange(len(at))
+    best, low, high = sizes[k, each], grid[np.maximum(k - 1, 0)], grid[np.minimum(k + 1, len(grid) - 1)]
     for _ in range(2):
         w = np.linspace(low, high, 11)
-        found = size(w)
-        j = int(np.argmax(found))
-        best, low, high = max(best, float(found[j])), w[max(j - 1, 0)], w[min(j + 1, 10)]
-    return 1.0 / best
+        found = _sensitivity(P, K, w.ravel()).reshape(*w.shape, *S.shape[1:])
+        sizes = np.abs(found[:, each, at, at] - 0.5)
+        k = np.argmax(sizes, axis=0)
+        best = np.maximum(best, sizes[k, each])
+        low, high = w[np.maximum(k - 1, 0), each], w[np.minimum(k + 1, 10), each]
+    return np.asarray(1.0 / best)
+
+
+def _sensitivity(P: StateArrays, K: StateArrays, w: FloatArray) -> ComplexArray:
+    """Return S at the plant's input, (F, m, m)."""
+    return sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0]
 
 
 def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexArray) -> tuple[float, float]:
@@ -241,7 +255,7 @@ def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexAr
     best = (float(rough.max()), 0.0)
     for _ in range(2):
         w = np.linspace(low, high, 9)
-        M = sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0] - half
+        M = _sensitivity(P, K, w) - half
         found = mu_bounds(M, _MU)
         j = int(np.argmax(found.upper))
         best = (float(found.upper[j]), float(found.lower[j]))
@@ -270,7 +284,9 @@ def _frequency_parts(
     if banded:
         w = loop.plants.frequency
         at_grid = np.searchsorted(grid, w)
-        S = sensitivities(-frequency_response_arrays(*K, w) @ loop.plants.response[..., at])[0]
+        S = sensitivities(
+            -frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at]
+        )[0]
         responses = channel_response(S, channel)
         sizes = np.abs(responses)
         phases = degrees_beside(responses, response[at_grid], phase[at_grid])
@@ -301,7 +317,7 @@ def _frequency_parts(
 
 def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
     A, B, C, D, dt = loop.plants.arrays
-    return continuous_poles(np.linalg.eigvals(closed_loop_arrays(A, B[..., at], C, D[..., at], *K[:4])[0]), dt)
+    return continuous_poles(pole_arrays(closed_loop_arrays(A, B[..., at], C, D[..., at], *K[:4])[0]), dt)
 
 
 def _locus(
@@ -409,7 +425,13 @@ def _turning(
     w_band, low_gain, high_gain = none, none, none
     if banded:
         w_band = loop.plants.frequency
-        gains = np.array([attitude(one, w_band, loop.plants) for one in range(len(loop.plants.labels))])
+        whole = loop.plants.response
+        # What acts moves the sensors, these the torques, and both the attitude.
+        k_at = frequency_response_arrays(*K, w_band)
+        seen, acting = whole[..., :p, at], whole[..., :p, column]
+        torque = np.linalg.solve(np.eye(k) - k_at @ seen, k_at @ acting)
+        moved = whole[..., p:, column] + whole[..., p:, at] @ torque
+        gains = np.linalg.norm(moved[..., 0], axis=-1)
         low_gain, high_gain = gains.min(axis=0), gains.max(axis=0)
     return step, FrequencyGain(
         title=f"torque M{axis} on the platform → attitude",

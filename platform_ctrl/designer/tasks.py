@@ -122,7 +122,7 @@ class ServoTuning:
         from platform_ctrl.analysis.arrays import state_space
         from platform_ctrl.check.coupled import sensed_rates
         from platform_ctrl.design.stabilisation import platform_servo
-        from platform_ctrl.designer.free_plants import corners, free_plants
+        from platform_ctrl.designer.free_plants import corners, free_models, free_plants
         from platform_ctrl.designer.stabilised import StabilisedLoop, requirements
         from platform_ctrl.linearisation import linearise
 
@@ -130,7 +130,8 @@ class ServoTuning:
         design = next(one for one in spec.designs if one.name == self.design)
         model = linearise(self.job.platform)
         others = [state_space(K, inputs, outputs, name=loop) for K, inputs, outputs, loop in self.caging]
-        plants = free_plants(self.job, corners(self.job)[:1], sensed_rates(self.job, others), False)
+        models = free_models(self.job, corners(self.job)[:1], sensed_rates(self.job, others))
+        plants = free_plants(models, self.job.sampling, False)
         known: dict[str, dict[str, float]] = {}
 
         def kept(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
