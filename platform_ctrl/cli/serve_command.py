@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, job_of
-from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
     from platform_ctrl.designer.server import PageServer
@@ -74,17 +73,24 @@ def serve(
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
     from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.designer.hosts import Hosts
 
-    with progress(quiet or as_json, f"reading {job}"):
-        read = job_of(job)
-        if controllers is not None and not controllers.is_file():
-            raise InputError(f"--controllers {controllers}: there is no such file; expected what design writes")
-        from platform_ctrl.designer.server import PORT, PageServer, require_bokeh
-
-        require_bokeh()
+    def workbench() -> object:
         from platform_ctrl.designer.workbench import Workbench
 
-        server = PageServer(Workbench(job, controllers), host=host, port=port, allow=allow or ())
+        return Workbench(job, controllers)
+
+    Hosts.of(host, allow or ())  # before anything else: no work for what would be refused
+    with progress(quiet or as_json, f"reading {job}"):
+        read = job_of(job)
+        if controllers is not None:
+            from platform_ctrl.check.given import read_controllers
+
+            read_controllers(controllers, read)
+        from platform_ctrl.designer.server import PORT, Building, PageServer, require_bokeh
+
+        require_bokeh()
+        server = PageServer(Building(workbench), host=host, allow=allow or (), port=port)
 
     def ready() -> None:
         shown = _wanted(browser, as_json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import gc
 import logging
 import sys
 import threading
@@ -29,13 +30,81 @@ _LIBRARIES = ("asyncio", "bokeh", "tornado")
 Make = Callable[[Any, Any], None]
 
 
+class Building:
+    """A workbench that is being made in a thread of its own: meanwhile the browser opens.
+
+    Parameters
+    ----------
+    make
+        Makes it.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    def __init__(self, make: Callable[[], object]) -> None:
+        self._make = make
+        self._made: object = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def result(self) -> object:
+        """Return the workbench; waits for it.
+
+        Returns
+        -------
+        object
+            What `make` returned.
+
+        Raises
+        ------
+        BaseException
+            What `make` raised.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        self._thread.join()
+        self.heed()
+        return self._made
+
+    def heed(self) -> None:
+        """Raise what `make` raised, if it did.
+
+        Raises
+        ------
+        BaseException
+            The same.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        try:
+            _page()
+            self._made = self._make()
+        except BaseException as error:
+            self._error = error
+            return
+        # What is there now stays: looking through it whenever a page is closed would hold up the others.
+        gc.collect()
+        gc.freeze()
+
+
 class PageServer:
     """A server that is bound to its port; it answers once it runs.
 
     Parameters
     ----------
     workbench
-        `Workbench` that all pages share; handed on to `make`.
+        `Workbench` that all pages share, or a `Building` one; handed on to `make`.
     host
         Address to listen on.
     port
@@ -109,8 +178,8 @@ class PageServer:
 
         Raises
         ------
-        KeyboardInterrupt
-            Ctrl-C.
+        BaseException
+            What `heed` raises, or what the making of the workbench raised.
 
         References
         ----------
@@ -119,7 +188,7 @@ class PageServer:
         # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
         loop = asyncio.new_event_loop()
         asyncio.set_event_loop(loop)
-        with _one_line_each():
+        with _one_line_each(), self._socket:
             try:
                 loop.run_until_complete(self._answer(ready, heed))
             finally:
@@ -156,13 +225,12 @@ class PageServer:
         server = BaseServer(IOLoop.current(), self.application, listening)
         listening.add_socket(self._socket)
         server.start()
-        if self._make is None:
-            # While the browser opens: what the page needs is loaded before it is asked for.
-            threading.Thread(target=_page, daemon=True).start()
         try:
             if ready is not None:
                 ready()
             while not self._ended.is_set():
+                if isinstance(self._workbench, Building):
+                    self._workbench.heed()
                 if heed is not None:
                     heed()
                 await asyncio.sleep(_LOOK)
@@ -177,46 +245,14 @@ class PageServer:
         from bokeh.models.widgets import Div
 
         try:
-            (self._make or _page())(self._workbench, document)
+            shared = self._workbench
+            shared = shared.result() if isinstance(shared, Building) else shared
+            (self._make or _page())(shared, document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
             _say(f"a page could not be made: {words}")
             document.clear()
             document.add_root(Div(text="This page could not be made; the terminal says why.", disable_math=True))
-
-
-def serve(
-    workbench: object,
-    *,
-    host: str = "127.0.0.1",
-    port: int | None = None,
-    allow: Sequence[str] = (),
-    ready: Callable[[PageServer], None] | None = None,
-) -> None:
-    """Serve the pages of a job until Ctrl-C.
-
-    Parameters
-    ----------
-    workbench
-        `Workbench` that all pages share.
-    host, port, allow
-        As `PageServer` takes them.
-    ready
-        Called with the server once it answers.
-
-    Raises
-    ------
-    InputError
-        It cannot listen there, a name is none, or Bokeh is not installed.
-    KeyboardInterrupt
-        Ctrl-C.
-
-    References
-    ----------
-    See docs/designer.md.
-    """
-    server = PageServer(workbench, host=host, port=port, allow=allow)
-    server.run(None if ready is None else lambda: ready(server))
 
 
 def require_bokeh() -> None:
