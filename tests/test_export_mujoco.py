@@ -5,15 +5,19 @@ from __future__ import annotations
 import dataclasses
 import random
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import control
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from fuzz_bytes import mangled
+from oracle_trees import for_all, sprung, unbalanced
+from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
@@ -215,9 +219,9 @@ def test_all_loops_hold_mujocos_free_platform_as_ours(
 
 def test_stops_stop_and_friction_brakes(tmp_path: Path) -> None:
     platform = pc.read_platform("three_gyro_platform")
-    run = Run(platform, tmp_path, root="fixed", step=1e-5)
+    run = Run(platform, tmp_path, root="fixed", step=5e-5)
     run.data.ctrl[run.model.actuator("Q9").id] = 1.0  # its limit is 0.25 N m
-    mujoco.mj_step(run.model, run.data, 20000)
+    mujoco.mj_step(run.model, run.data, 2000)
     assert 0.008 < np.abs(run.data.qpos[run.angles[3:]]).max() < 0.0095
     assert run.data.actuator_force[run.model.actuator("Q9").id] == pytest.approx(0.25)
     table = {"gimbal": [{"name": "g", "parent": "r", "axis": [0, 0, 1], "inertia": [1e-3] * 3}]}
@@ -244,6 +248,38 @@ def test_what_drives_a_gimbal_away_is_a_spring_too(tmp_path: Path) -> None:
     assert run.data.qpos[0] == pytest.approx(0.1 - 0.1 * np.cosh(1.0), rel=1e-6)
     [spring] = read_mjcf(tmp_path / "plant.xml").springs
     assert (spring.stiffness, spring.rest) == pytest.approx((-1e-3, 0.1))
+
+
+def scaled_error(platform: pc.Platform, q: np.ndarray, found: np.ndarray, expected: np.ndarray) -> float:
+    """Difference of accelerations by their energy in A*, over what is expected and the matrix's condition."""
+    A_star = pc.matrices(platform, q).A_star
+    scale = np.sqrt(np.diag(A_star))
+    size = np.linalg.norm(expected * scale) * np.linalg.cond(A_star / np.outer(scale, scale))
+    return float(np.linalg.norm((found - expected) * scale) / max(size, 1e-9))
+
+
+@for_all(st.tuples(motions_drawn(min_size=1e-3), st.booleans()), quick=12, long=500)
+def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
+    """Springs, dampers, unbalance; regulated and free rotors; chains and bushes drawn together or apart."""
+    motion, heavy = drawn
+    platform = sprung(motion).platform
+    q, u = motion.q, motion.velocity
+    if heavy:
+        platform = unbalanced(dataclasses.replace(motion, platform=platform))[0]
+        platform = dataclasses.replace(platform, specific_force=np.array([1.0, 2.0, 9.0]))
+    ours = pc.forward_dynamics(platform, q, u, pc.element_forces(platform, q, u))
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(platform, Path(folder))
+        run.begin(q, u)
+        mujoco.mj_forward(run.model, run.data)
+        back = read_mjcf(Path(folder) / "plant.xml")
+    assert scaled_error(platform, q, run.data.qacc[[0, 1, 2, *run.rates]], ours) < 1e-8
+    order = [back.gimbal_names.index(name) for name in platform.gimbal_names]
+    q_back, places = np.empty_like(q), [0, 1, 2, *(3 + k for k in order)]
+    u_back = np.empty_like(u)
+    q_back[order], u_back[places] = q, u
+    again = pc.forward_dynamics(back, q_back, u_back, pc.element_forces(back, q_back, u_back))[places]
+    assert scaled_error(platform, q, again, ours) < 1e-11
 
 
 @pytest.mark.parametrize("root", ["free", "prescribed", "fixed"])

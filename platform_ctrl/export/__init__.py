@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from platform_ctrl.export.code import Written, write_c
+from platform_ctrl.export.fmu import write_fmu
 from platform_ctrl.export.job_systems import ResponseTable, controller_systems, job_responses, model_systems
 from platform_ctrl.export.json_systems import read_systems, write_controllers, write_systems
 from platform_ctrl.export.linear_system import LinearSystem, linear_system
@@ -12,6 +14,7 @@ from platform_ctrl.export.responses import response_data, write_responses
 __all__ = [
     "LinearSystem",
     "ResponseTable",
+    "Written",
     "controller_systems",
     "job_responses",
     "linear_system",
@@ -20,7 +23,9 @@ __all__ = [
     "read_mjcf",
     "read_systems",
     "response_data",
+    "write_c",
     "write_controllers",
+    "write_fmu",
     "write_mat",
     "write_mjcf",
     "write_responses",

@@ -12,6 +12,7 @@ import numpy as np
 
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import InputError
+from platform_ctrl.export.mujoco.chains import Chains
 from platform_ctrl.export.mujoco.tree import BALL, FREE, NEAR, Body, bodies_of
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.reading import read_platform
@@ -22,6 +23,8 @@ Tables = dict[str, Any]
 
 # Armature over C from which on a rotor's speed counts as held.
 _HELD = 1e3
+# How `write_mjcf` begins the names of rotors: also of those that stand still.
+_ROTOR = "rotor "
 # Rounding of inertias, relative.
 _ROUNDING = 1e-9
 
@@ -31,8 +34,8 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
 
     The root is the one body on top that stands still or hangs in a ball joint, else the world. Every other body hangs
     on one hinge, or is fixed to what carries it. A hinged body is a rotor if it is round about its hinge, carries
-    nothing, and turns: `spins` or the model's first keyframe says so, or its hinge has a speed actuator or an armature
-    of more than 1000 C, which holds its speed. All others are gimbals.
+    nothing, and turns: `spins` or the model's first keyframe says so, or its name, which then begins with "rotor ", or
+    its hinge has a speed actuator or an armature of more than 1000 C, which holds its speed. All others are gimbals.
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ class _Model:
         out: Tables = {
             "schema": 1,
             "name": one_line(self._title()),
-            "root": {"name": root.name, "inertia": inertias[0], "specific_force": _clean(up)},
+            "root": {"name": root.name, "inertia": _matrix(inertias[0]), "specific_force": _clean(up)},
             "gimbal": [self._gimbal(k, inertias[k]) for k in self.gimbals],
             "rotor": rotors,
             "spring": [],
@@ -187,6 +190,7 @@ class _Model:
         if body.joint < 0 or any(other.parent == k for other in self.bodies):
             return False
         turns = bool(self.spins.get(body.joint)) or body.joint in self.servos or self._held(body)
+        turns = turns or body.name.startswith(_ROTOR)
         return turns and self._round(body)
 
     def _held(self, body: Body) -> bool:
@@ -216,7 +220,7 @@ class _Model:
         inertia = body.about(centre)[1]
         C = float(body.axis @ inertia @ body.axis)
         self.bodies[body.parent].take(body.mass, centre)
-        name = body.name.removeprefix("rotor ")
+        name = body.name.removeprefix(_ROTOR)
         out: Tables = {
             "name": name,
             "carrier": self.bodies[body.parent].name,
@@ -231,87 +235,19 @@ class _Model:
             out |= {"control": "servo", "speed_gain": gain, "speed_integral": integral}
         return out
 
-    def _about_centres(self) -> tuple[dict[int, list[Any]], dict[int, FloatArray]]:
-        """Return inertia and first moment of root and gimbals about the point where the axes meet.
-
-        A balanced subtree whose axes meet elsewhere counts as one mass point of its carrier.
-        """
-        bodies, inertias, moments = self.bodies, {}, {}
-        centre = {0: self._root_centre()}
-        apart = []
-        for k in self.gimbals:
-            body, above = bodies[k], centre[bodies[k].parent]
-            mass, moment = self._subtree(k)
-            own = moment / mass
-            meets = np.linalg.norm(np.cross(body.axis, above - body.anchor)) <= NEAR * self.size
-            if meets and (np.linalg.norm(own - above) <= NEAR * self.size or not self._balanced(k)):
-                centre[k] = above
-                continue
-            centre[k] = own
-            apart.append((k, mass))
-            if not self._on_axis(k, own):
-                words = "turns about an axis that meets neither that of its carrier nor its own centre of mass"
-                raise self._wrong(k, f"{words}; expected all axes to meet at one point, or balanced gimbals")
-        for k, mass in reversed(apart):
-            bodies[bodies[k].parent].take(mass, centre[k])
-        for k in [0, *self.gimbals]:
-            moments[k], inertia = bodies[k].about(centre[k])
-            inertias[k] = [_clean(row) for row in _rounded(inertia)]
-            balanced = np.linalg.norm(moments[k]) <= NEAR * self.size * bodies[k].mass
-            if not balanced and any(self._within(k, top) for top, _ in apart):
-                raise self._wrong(k, "is out of balance, and its axis does not meet the others; expected one of both")
-        return inertias, moments
-
-    def _root_centre(self) -> FloatArray:
-        """The ball joint; else the point where all axes meet, or the centre of mass."""
-        if self.root_joint >= 0:
+    def _about_centres(self) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
+        joint, anchor = self.root_joint, None
+        chain = Chains(self.bodies, self.gimbals, self.size, self.label)
+        if joint >= 0 and self.model.jnt_type[joint] == FREE:
+            anchor = chain.whole_centre()
+        elif joint >= 0:
             data = self.mujoco.MjData(self.model)
             self.mujoco.mj_kinematics(self.model, data)
-            number = int(self.model.jnt_bodyid[self.root_joint])
-            turn = data.xmat[number].reshape(3, 3)
-            anchor: FloatArray = turn.T @ (data.xanchor[self.root_joint] - data.xpos[number])
-            if self.model.jnt_type[self.root_joint] == FREE:
-                anchor = self._whole_centre()
-            return anchor
-        hinges = [self.bodies[k] for k in self.gimbals]
-        if not hinges:
-            return np.zeros(3)
-        # The point nearest to all axes; where they are parallel the first hinge's own.
-        across = [np.eye(3) - np.outer(one.axis, one.axis) for one in hinges]
-        normal = np.sum(across, axis=0)
-        if np.linalg.eigvalsh(normal)[0] < 1e-6:
-            return hinges[0].anchor
-        point = np.linalg.solve(normal, np.sum([P @ one.anchor for P, one in zip(across, hinges, strict=True)], axis=0))
-        if all(np.linalg.norm(np.cross(one.axis, point - one.anchor)) <= NEAR * self.size for one in hinges):
-            return np.asarray(point)
-        return self._whole_centre()
+            number = int(self.model.jnt_bodyid[joint])
+            anchor = data.xmat[number].reshape(3, 3).T @ (data.xanchor[joint] - data.xpos[number])
+        return chain.about_centres(chain.root_centre() if anchor is None else anchor)
 
-    def _whole_centre(self) -> FloatArray:
-        # Rotors are with their carriers already.
-        whole = [self.bodies[k] for k in (0, *self.gimbals)]
-        centre: FloatArray = np.sum([one.moment for one in whole], axis=0) / sum(one.mass for one in whole)
-        return centre
-
-    def _balanced(self, k: int) -> bool:
-        """Whether a gimbal, with all that it carries, and whatever it carries itself, rest at any angle."""
-        mass, moment = self._subtree(k)
-        carried = [j for j in self.gimbals if self.bodies[j].parent == k]
-        return self._on_axis(k, moment / mass) and all(self._balanced(j) for j in carried)
-
-    def _on_axis(self, k: int, point: FloatArray) -> bool:
-        body = self.bodies[k]
-        return bool(np.linalg.norm(np.cross(body.axis, point - body.anchor)) <= NEAR * self.size)
-
-    def _subtree(self, k: int) -> tuple[float, FloatArray]:
-        inside = [self.bodies[j] for j in self.gimbals if self._within(j, k)]
-        return sum(body.mass for body in inside), np.sum([body.moment for body in inside], axis=0)
-
-    def _within(self, k: int, top: int) -> bool:
-        while k > top:
-            k = self.bodies[k].parent
-        return k == top
-
-    def _gimbal(self, k: int, inertia: list[Any]) -> Tables:
+    def _gimbal(self, k: int, inertia: FloatArray) -> Tables:
         body, model, joint = self.bodies[k], self.model, self.bodies[k].joint
         if model.dof_armature[model.jnt_dofadr[joint]]:
             raise self._wrong(k, "has an armature on its hinge; expected it as inertia of the body")
@@ -319,7 +255,7 @@ class _Model:
             "name": body.name,
             "parent": self.bodies[body.parent].name,
             "axis": _clean(body.axis),
-            "inertia": inertia,
+            "inertia": _matrix(inertia),
         }
         if model.joint(joint).name:
             out["angle"] = one_line(model.joint(joint).name)
@@ -421,11 +357,11 @@ class _Model:
         out |= found
 
 
-def _rounded(inertia: FloatArray) -> FloatArray:
+def _matrix(inertia: FloatArray) -> list[list[float]]:
     """Take what is rounding of the sum of many bodies for zero, and make it symmetric."""
     out = 0.5 * (inertia + inertia.T)
     out[np.abs(out) < _ROUNDING * np.trace(out)] = 0.0
-    return out
+    return [_clean(row) for row in out]
 
 
 def _clean(vector: FloatArray) -> list[float]:
