@@ -392,6 +392,17 @@ def test_steps_between_samples_are_discarded_and_the_run_goes_on(gyro, folder):
     one.free()
 
 
+def test_a_variable_that_is_not_there_is_an_error_and_no_crash(folder):
+    one = Instance(folder, manoeuvre=3)
+    assert np.isnan(one.fmu.getFloat64([9999])[0])
+    assert "values that cannot be had: KeyError: 9999" in one.messages[-1]
+    one.fmu.setInt64([one.references["angle.alpha4"]], [1])
+    assert "values that cannot be set: TypeError" in one.messages[-1]
+    with pytest.raises(FMICallException, match="status 3"):
+        one.step(0.0, 0.0005)
+    one.free()
+
+
 def test_what_goes_wrong_is_logged_and_an_error_of_the_step(folder):
     def refused(text: str, inputs: dict[str, float], time: float = 0.0, **parameters: float) -> None:
         one = Instance(folder, **parameters)
@@ -417,6 +428,7 @@ def test_what_goes_wrong_is_logged_and_an_error_of_the_step(folder):
     refused("initial.Omega1 to 3 are parameters of stabilised runs", {}, manoeuvre=1, initial__Omega1=1.0)
     refused("expected where the last ended, 0.0005 s", {}, time=0.1, manoeuvre=1)
     refused("spin.'11': is set while the unit runs", {"spin.'11'": 5.0}, manoeuvre=1)
+    refused("values that cannot be set", {"angle.alpha4": 1.0}, manoeuvre=1)
     refused("diverged at t", {"disturbance.alpha9": 1e300}, manoeuvre=1)
 
 
@@ -456,6 +468,12 @@ def test_what_cannot_be_written_is_refused_in_one_line(gyro, tmp_path, monkeypat
     wrong = control.ss([], [], [], [[1.0]], job.sampling.period, inputs=["alpha9"], outputs=["Q99"])
     with pytest.raises(ArgumentError, match="Q99"):
         write_fmu(job, [wrong], tmp_path / "x.fmu")
+    between = control.ss([], [], [], [[1.0]], job.sampling.period, inputs=["alpha9"], outputs=["between"], name="K")
+    then = control.ss([], [], [], [[1.0]], job.sampling.period, inputs=["between"], outputs=["Q9"], name="then")
+    with pytest.raises(InputError, match='"between" is no torquer'):
+        write_fmu(job, [between, then], tmp_path / "x.fmu")
+    with pytest.raises(ArgumentError, match="none given"):
+        write_fmu(job, [], tmp_path / "x.fmu")
     monkeypatch.setitem(sys.modules, "pythonfmu3.builder", None)
     with pytest.raises(InputError, match=r"not installed: pip install 'platform_ctrl\[fmu\]'"):
         write_fmu(job, controllers, tmp_path / "x.fmu")

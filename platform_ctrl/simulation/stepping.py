@@ -274,7 +274,7 @@ class Stepper:
         Returns
         -------
         (size,)
-            Numbers whose meaning is the kernel's; finite for a run that is going.
+            The kernel's memory and what stands beside it, SI units.
 
         References
         ----------
@@ -290,7 +290,7 @@ class Stepper:
         Parameters
         ----------
         snapshot : (size,)
-            From `snapshot` of a stepper of the same scenario, controllers, period and step.
+            From `snapshot` of a stepper of the same scenario, controllers, period and step; SI units.
 
         Raises
         ------

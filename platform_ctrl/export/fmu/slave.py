@@ -30,7 +30,6 @@ from platform_ctrl.check.given import read_controllers
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
 from platform_ctrl.export.fmu.library_exit import let_go_once
 from platform_ctrl.export.fmu.signals import (
-    QUATERNION,
     UNITS,
     Signal,
     inputs_of,
@@ -39,16 +38,18 @@ from platform_ctrl.export.fmu.signals import (
     parameters_of,
     runs_of,
 )
-from platform_ctrl.frozen import replaced
+from platform_ctrl.frozen import FloatArray, replaced
 from platform_ctrl.job import Job, manoeuvre_scenario
 from platform_ctrl.reading import read_job
-from platform_ctrl.scenario import Scenario
+from platform_ctrl.scenario import Mode, Scenario
 from platform_ctrl.simulation import Stepper, acting
 
 JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
 # How far the length of a step may be from whole periods, and where it begins from a sample, in periods: more than what
 # differences and long sums of steps are rounded by.
 _NEAR, _DRIFT = 1e-6, 1e-2
+# Samples that are recorded at a time: a step of hours is flown in pieces.
+_AT_ONCE = 10_000
 # Units that are shown in their place, and how many of them make one.
 _SHOWN = {"rad": ("deg", 180.0 / math.pi), "rad/s": ("deg/s", 180.0 / math.pi)}
 
@@ -63,6 +64,42 @@ class _Choice(Enumeration):  # type: ignore[misc]
 
 
 _KINDS = {"Float64": Float64, "Int64": Int64, "Boolean": Boolean, "Enumeration": _Choice}
+
+
+# What a getter that fails returns in place of each number.
+_NOTHING: dict[str, Any] = {
+    "float64": math.nan,
+    "int32": 0,
+    "int64": 0,
+    "uint64": 0,
+    "boolean": False,
+    "string": "",
+}
+
+
+def _told(error: BaseException) -> str:
+    return str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
+
+
+def _guarded_setter(kind: str) -> Callable[[PlatformSlave, list[int], list[Any]], None]:
+    def put(self: PlatformSlave, references: list[int], numbers: list[Any]) -> None:
+        try:
+            getattr(Fmi3Slave, f"set_{kind}")(self, references, numbers)
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be set: {_told(error)}")
+
+    return put
+
+
+def _guarded_getter(kind: str) -> Callable[[PlatformSlave, list[int]], list[Any]]:
+    def get(self: PlatformSlave, references: list[int]) -> list[Any]:
+        try:
+            return list(getattr(Fmi3Slave, f"get_{kind}")(self, references))
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be had: {_told(error)}")
+            return [_NOTHING[kind]] * len(references)
+
+    return get
 
 
 class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
@@ -109,6 +146,13 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self.log(text, Fmi3Status.warning)
         self._describe()
 
+    set_float64, get_float64 = _guarded_setter("float64"), _guarded_getter("float64")
+    set_int32, get_int32 = _guarded_setter("int32"), _guarded_getter("int32")
+    set_int64, get_int64 = _guarded_setter("int64"), _guarded_getter("int64")
+    set_uint64, get_uint64 = _guarded_setter("uint64"), _guarded_getter("uint64")
+    set_boolean, get_boolean = _guarded_setter("boolean"), _guarded_getter("boolean")
+    set_string, get_string = _guarded_setter("string"), _guarded_getter("string")
+
     def _describe(self) -> None:
         """Register variables, units and all else that modelDescription.xml tells."""
         self.modelName = self._about["identifier"]
@@ -153,7 +197,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     def _setter(self, signal: Signal) -> Callable[[Any], None]:
         def put(number: Any) -> None:
             if signal.causality == "parameter" and self._begun:
-                self._fail(f"{signal.name}: is set while the unit runs; expected before or during initialisation")
+                self.fail(f"{signal.name}: is set while the unit runs; expected before or during initialisation")
                 return
             self._given[signal.name] = number
             self._stale = self._stale or not self._begun
@@ -221,11 +265,8 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         """
         try:
             status = self._step(float(current_time), float(step_size))
-        except PlatformCtrlError as error:
-            self._fail(str(error))
-            status = Fmi3Status.error
-        except Exception as error:  # none may reach the library: see above
-            self._fail(f"{type(error).__name__}: {error}")
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(_told(error))
             status = Fmi3Status.error
         return Fmi3StepResult(status=status)
 
@@ -246,23 +287,36 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             text = f"a step of {length:.9g} s: expected a whole number of sample periods of {period:.9g} s"
             self.log(text, Fmi3Status.discard)
             return Fmi3Status.discard
-        Omega, slope, moment, joints = self._input_values()
-        if stepper.scenario.mode == "caged":
-            if moment.any():
-                raise InputError("M1 to M3 are inputs of stabilised runs; this one is caged: expected zero")
-            stepper.advance(samples, Omega=Omega, Omega_rate=slope, gimbal_torque=joints)
-        else:
-            if Omega.any() or slope.any():
-                raise InputError("Omega1 to Omega3 are inputs of caged runs; this one is stabilised: expected zero")
-            stepper.advance(samples, torque=moment, gimbal_torque=joints)
+        given = self._acting(stepper.scenario.mode)
+        while samples > 0 and stepper.going:
+            flown = stepper.advance(min(samples, _AT_ONCE), **given)
+            given.pop("Omega", None)  # it goes on from where it is
+            samples -= _AT_ONCE
+            if len(flown.t):
+                self._values = output_values(flown)
         self._time = self._start + stepper.sample * period
-        if stepper.sample >= 0 and len(stepper.now.t):
-            self._values = output_values(stepper.now)
         if not stepper.going:
-            raise SimulationError(f"the run has {stepper.now.ended}")
+            raise SimulationError(f"the run has {flown.ended}")
         return Fmi3Status.ok
 
-    def _input_values(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _acting(self, mode: Mode) -> dict[str, FloatArray]:
+        """The inputs that belong to a mode, as `Stepper.advance` takes them.
+
+        Raises
+        ------
+        InputError
+            One is not finite, or one of the other mode is not zero.
+        """
+        Omega, slope, moment, joints = self._input_values()
+        if mode == "caged":
+            if moment.any():
+                raise InputError("M1 to M3 are inputs of stabilised runs; this one is caged: expected zero")
+            return {"Omega": Omega, "Omega_rate": slope, "gimbal_torque": joints}
+        if Omega.any() or slope.any():
+            raise InputError("Omega1 to Omega3 are inputs of caged runs; this one is stabilised: expected zero")
+        return {"torque": moment, "gimbal_torque": joints}
+
+    def _input_values(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         numbers = np.array([self._given[one.name] for one in self._inputs], dtype=np.float64)
         if not np.isfinite(numbers).all():
             wrong = self._inputs[int(np.flatnonzero(~np.isfinite(numbers))[0])].name
@@ -273,8 +327,18 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         """Let go of the run; the outputs stay as they were."""
         self._stepper, self._ended = None, True
 
-    def _fail(self, text: str) -> None:
-        """Log what goes wrong: the next step, if not this one, returns with an error."""
+    def fail(self, text: str) -> None:
+        """Log what goes wrong: the next step, if not this one, returns with an error.
+
+        Parameters
+        ----------
+        text
+            One line.
+
+        References
+        ----------
+        Own definition.
+        """
         self._failure = text
         self.log(text, Fmi3Status.error)
 
@@ -286,10 +350,8 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._stale, self._stepper, self._failure = False, None, ""
             try:
                 self._stepper = self._at_start()
-            except PlatformCtrlError as error:
-                self._fail(str(error))
-            except Exception as error:  # none may reach the library: see above
-                self._fail(f"{type(error).__name__}: {error}")
+            except (Exception, KeyboardInterrupt) as error:
+                self.fail(_told(error))
         return self._stepper
 
     def _output(self, k: int) -> float | int:
@@ -332,14 +394,13 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         initial = [given[one.name] for one in self._parameters if one.name.startswith("initial.")]
         n = len(platform.gimbals)
         q, rate, Omega, attitude = (np.array(part) for part in np.split(initial, np.cumsum([n, n, 3])))
-        mode = "caged" if chosen == 1 else "stabilised"
+        mode: Mode = "caged" if chosen == 1 else "stabilised"
         if chosen > 2:
             own = manoeuvre_scenario(job, job.manoeuvres[chosen - 3])
         else:
-            own = Scenario(platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay)  # type: ignore[arg-type]
+            own = Scenario(platform=job.platform, mode=mode, duration=0.0, delay=job.sampling.delay)
         if own.mode == "caged" and Omega.any():
             raise InputError("initial.Omega1 to 3 are parameters of stabilised runs; this one is caged: expected zero")
-        assert len(attitude) == len(QUATERNION)
         return replaced(
             own,
             {
@@ -377,5 +438,5 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._time, self._start = state["times"]
             self._begun, self._ended, self._stale = state["flags"]
             self._failure = state["failure"]
-        except Exception as error:  # none may reach the library: see above
-            self._fail(f"the state cannot be set: {type(error).__name__}: {error}")
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"the state cannot be set: {_told(error)}")

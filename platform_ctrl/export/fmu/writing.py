@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import tempfile
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl import __version__
 from platform_ctrl.arguments import known_name
+from platform_ctrl.check.given import read_controllers
 from platform_ctrl.check.records import laid_out
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export.fmu.signals import runs_of
@@ -87,7 +89,7 @@ def write_fmu(
     Raises
     ------
     ArgumentError
-        The controllers do not fit the plant, the manoeuvre is none of the job's, or the seed is 2⁶³ or more.
+        There are no controllers, or they do not fit the plant; the manoeuvre is none of the job's, or the seed is 2⁶³ or more.
     InputError
         PythonFMU3 is not installed, `result` cannot be read, or the file cannot be written there.
 
@@ -98,6 +100,8 @@ def write_fmu(
     See docs/fmu.md.
     """
     builder = _builder()
+    if not controllers:
+        raise ArgumentError("controllers: none given; expected one at least")
     if job.seed >= 2**63:
         raise ArgumentError(f"job: seed is {job.seed}; expected one below 2**63, which FMI's whole numbers reach")
     modes: tuple[Mode, ...] = ("caged", "stabilised")
@@ -157,7 +161,8 @@ def _contents(
 
     (folder / JOB).write_text(toml(job_data(job)), encoding="utf-8")
     (folder / PLANT).write_text(toml(plant_data(job.platform)), encoding="utf-8")
-    write_controllers(controllers, folder / CONTROLLERS, delay=job.sampling.delay)
+    written = write_controllers(controllers, folder / CONTROLLERS, delay=job.sampling.delay)
+    read_controllers(json.loads(written.read_bytes()), job)
     (folder / "requirements.txt").write_text(f"platform_ctrl=={__version__}\n", encoding="ascii")
     sums = {name: sha256((folder / name).read_bytes()).hexdigest() for name in (JOB, CONTROLLERS, PLANT)}
     whole = sha256(repr((sums, run, result, __version__)).encode()).hexdigest()
