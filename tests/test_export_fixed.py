@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import random
 import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import control
 import flint
 import numpy as np
 import pytest
@@ -15,16 +17,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import platform_ctrl as pc
-from generated_c import LANGUAGES, WARNINGS, classical_entry, compiler
+from generated_c import LANGUAGES, WARNINGS, classical_entry, compiled, compiler, pid_entry, servo_entry
+from generated_c import Machine as CompiledMachine
+from platform_ctrl import simulation
 from platform_ctrl.certificates.balls import balls
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError
+from platform_ctrl.export.code import write_c
 from platform_ctrl.export.code.entries import entries_of
 from platform_ctrl.export.code.from_design import scheme_of, with_excess
 from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.code.windup import back_calculation
-from platform_ctrl.export.fixed import FixedPoint, Machine, fixed_point, header, input_ranges, source
+from platform_ctrl.export.fixed import FixedPoint, Machine, Unit, fixed_point, header, input_ranges, source
 from platform_ctrl.export.fixed.norms import gains
+from platform_ctrl.job import manoeuvre_scenario
 
 NUMBERS = ("q31", "q15")
 JOB = pc.read_job(
@@ -122,8 +128,8 @@ def runner(programmes: dict[str, FixedPoint], tmp_path_factory: pytest.TempPathF
     main, calls = ["#include <stdio.h>", "#include <string.h>"], []
     for name, fixed in programmes.items():
         signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
-        (folder / f"{name}.h").write_text(header(fixed, name, signals), encoding="ascii")
-        (folder / f"{name}.c").write_text(source(fixed, name, signals), encoding="ascii")
+        (folder / f"{name}.h").write_text(header(Unit(fixed=fixed, prefix=name, signals=signals)), encoding="ascii")
+        (folder / f"{name}.c").write_text(source(Unit(fixed=fixed, prefix=name, signals=signals)), encoding="ascii")
         bits = fixed.formats[fixed.scheme.inputs[0]].bits
         first = fixed.scheme.inputs[0]
         reading = [f'if (scanf("%lld", &x) != 1) return 0; in.{one} = (int{bits}_t)x;' for one in fixed.scheme.inputs]
@@ -335,6 +341,31 @@ def test_the_classical_loop_in_integers_flies_as_in_doubles(
     assert difference < 2.0 * max(fixed.error[name] + fixed.conversion[name] for name in classical.outputs)
 
 
+def test_the_generated_job_commands_what_the_simulated_controllers_do(tmp_path: Path) -> None:
+    """Two caging loops and the servo, which takes in their commands in its own format, from recorded readings."""
+    job = pc.read_job(Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml")
+    entries = [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), servo_entry(job)]
+    controllers = [
+        control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
+        for e in entries
+    ]
+    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.2)
+    flown = simulation.flight(scenario, controllers, period=job.sampling.period)
+    torquers = ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
+    command = flown.command[:, [flown.torquer_names.index(name) for name in torquers]]
+    limits = np.array([0.25] * 5 + [2.0] * 3)
+    for number, kind, allowed in (("q31", ctypes.c_int32, 2e-6), ("q15", ctypes.c_int16, 0.02)):
+        done = write_c(job, entries, tmp_path / number, number=number, accuracy=0.05)  # type: ignore[arg-type]
+        library = compiled(done.files, tmp_path / f"{number}.so")
+        names = [file.stem for file in done.files[:-2:2]]
+        machine = CompiledMachine(library, "three_gyro_platform", flown.pickoff_names, torquers, kind, names)
+        bits = 2.0**-37 if number == "q31" else 2.0**-21
+        out, status = machine.run(np.rint(flown.reading / bits).astype(np.int64))
+        assert set(status) == {0}
+        torque = out * (limits / (2.0**30 if number == "q31" else 2.0**14))
+        assert np.all(np.abs(torque - command).max(axis=0) <= allowed * limits)
+
+
 @st.composite
 def stable_schemes(draw: st.DrawFn) -> tuple[Scheme, float]:
     """Return a cascade of sections with poles inside the circle or at 1, gains over six decades, and a range."""
@@ -482,7 +513,7 @@ def test_an_integral_without_a_torque_limit_asks_for_its_own() -> None:
 def test_the_header_states_every_format_and_the_proof(programmes: dict[str, FixedPoint], classical: Scheme) -> None:
     for name, fixed in programmes.items():
         signals = {signal: signal for signal in (*fixed.scheme.inputs, *fixed.scheme.outputs)}
-        text = header(fixed, name, signals)
+        text = header(Unit(fixed=fixed, prefix=name, signals=signals))
         flat = " ".join(text.replace("*", "").split())
         for form in fixed.formats.values():
             assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in flat
@@ -491,7 +522,7 @@ def test_the_header_states_every_format_and_the_proof(programmes: dict[str, Fixe
             assert f"Error: {output} at most {fixed.error[output]:.3g} N m" in flat
         assert "No overflow:" in flat
         assert max(map(len, text.splitlines())) <= 120
-        assert text == header(fixed, name, signals)
+        assert text == header(Unit(fixed=fixed, prefix=name, signals=signals))
 
 
 def test_sums_fit_and_every_count_fits_its_word(programmes: dict[str, FixedPoint]) -> None:

@@ -67,6 +67,7 @@ def write_c(
     command: str = "",
     ranges: Mapping[str, float] | None = None,
     limits: Mapping[str, float] | None = None,
+    accuracy: float = 0.02,
 ) -> Written:
     """Write the controllers of a job as C99: a header and a source file for each, and one pair that runs all.
 
@@ -93,6 +94,8 @@ def write_c(
         Fixed point alone: largest magnitudes of inputs, in SI units, that the plant does not say or says otherwise.
     limits
         Fixed point alone: where integrals stop, by state, in units of the state; default from the torquers' limits.
+    accuracy
+        Fixed point alone: largest bound of a torque's error as a share of its limit.
 
     Returns
     -------
@@ -127,41 +130,13 @@ def write_c(
     signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
     known_names("ranges", list(ranges or {}), [name for scheme in schemes for name in scheme.inputs])
     known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
-    prefixes = Names(24)
-    texts: dict[str, str] = {}
-    units = []
-    for scheme, remark in zip(schemes, remarks, strict=True):
-        prefix = prefixes[scheme.name].lower()
-        if number == "q31" or number == "q15":
-            # Ball arithmetic is loaded when it is needed.
-            from platform_ctrl.export import fixed
-
-            made = _fixed(job, scheme, number, ranges, limits)
-            texts[f"{prefix}.h"] = fixed.header(made, prefix, signals, (remark,))
-            texts[f"{prefix}.c"] = fixed.source(made, prefix, signals)
-            worst = ", ".join(
-                f"{name} {made.error[name]:.2g} {what}"
-                for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
-            )
-            notes.append(f"{scheme.name}: {number}, no overflow; apart from integrals off by at most {worst}")
-            continue
-        said = [remark]
-        if number == "float":
-            more, doubts = _in_single_precision(job, scheme)
-            said.append(more)
-            notes += doubts
-        unit = Unit(
-            scheme=scheme,
-            number="double" if number == "double" else "float",
-            prefix=prefix,
-            signals=signals,
-            remarks=tuple(said),
-        )
-        units.append(unit)
-        texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
-    if units:
-        whole = prefixes[f"{job.name} "].lower()
-        texts |= {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}
+    if number == "q31" or number == "q15":
+        made = [_fixed(job, scheme, number, ranges, limits, accuracy) for scheme in schemes]
+        texts = _integer_texts(job, made, remarks, signals)
+        notes += [_integer_note(one) for one in made]
+    else:
+        texts, doubts = _floating_texts(job, schemes, remarks, signals, number)
+        notes += doubts
     target = Path(folder)
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -237,11 +212,64 @@ def _fixed(
     number: Literal["q31", "q15"],
     ranges: Mapping[str, float] | None,
     limits: Mapping[str, float] | None,
+    accuracy: float,
 ) -> FixedPoint:
     from platform_ctrl.export.fixed import fixed_point, input_ranges
 
     own = {name: limit for name, limit in (limits or {}).items() if name in scheme.states}
-    return fixed_point(scheme, input_ranges(scheme.inputs, job, ranges), number=number, limits=own)
+    found = input_ranges(scheme.inputs, job, ranges)
+    return fixed_point(scheme, found, number=number, limits=own, accuracy=accuracy)
+
+
+def _floating_texts(
+    job: Job,
+    schemes: Sequence[Scheme],
+    remarks: Sequence[str],
+    signals: dict[str, str],
+    number: Literal["double", "float"],
+) -> tuple[dict[str, str], list[str]]:
+    prefixes = Names(24)
+    texts: dict[str, str] = {}
+    notes: list[str] = []
+    units = []
+    for scheme, remark in zip(schemes, remarks, strict=True):
+        prefix = prefixes[scheme.name].lower()
+        said = [remark]
+        if number == "float":
+            more, doubts = _in_single_precision(job, scheme)
+            said.append(more)
+            notes += doubts
+        unit = Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
+        units.append(unit)
+        texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
+    whole = prefixes[f"{job.name} "].lower()
+    return texts | {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}, notes
+
+
+def _integer_texts(
+    job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]
+) -> dict[str, str]:
+    # Ball arithmetic is loaded when it is needed.
+    from platform_ctrl.export import fixed
+
+    prefixes = Names(24)
+    units = [
+        fixed.Unit(fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark,))
+        for one, remark in zip(made, remarks, strict=True)
+    ]
+    texts: dict[str, str] = {}
+    for unit in units:
+        texts |= {f"{unit.prefix}.h": fixed.header(unit), f"{unit.prefix}.c": fixed.source(unit)}
+    whole = prefixes[f"{job.name} "].lower()
+    return texts | {f"{whole}.h": fixed.job_header(whole, units), f"{whole}.c": fixed.job_source(whole, units)}
+
+
+def _integer_note(made: FixedPoint) -> str:
+    scheme = made.scheme
+    worst = ", ".join(
+        f"{name} {made.error[name]:.2g} {what}" for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
+    )
+    return f"{scheme.name}: {made.number}, no overflow; apart from integrals off by at most {worst}"
 
 
 def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:

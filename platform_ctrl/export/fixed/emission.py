@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from platform_ctrl.export.code.identifiers import Names
-from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark
+from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
 from platform_ctrl.export.fixed.splitting import excess_of
 from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, Format, IntegerRow, Product
 from platform_ctrl.export.fixed.wording import format_lines
+from platform_ctrl.frozen import value
 
 
-def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tuple[str, ...] = ()) -> str:
-    """Return the text of the header file.
+@value
+class Unit:
+    """What the source files of a controller in integers are made from.
 
-    Parameters
+    Attributes
     ----------
     fixed
         The controller in integers.
@@ -21,7 +23,26 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
     signals
         Identifiers of inputs and outputs by their names.
     remarks
-        Paragraphs for its head: anti-windup.
+        Paragraphs for the head of the header: anti-windup.
+
+    References
+    ----------
+    See docs/fixed-point.md.
+    """
+
+    fixed: FixedPoint
+    prefix: str
+    signals: dict[str, str]
+    remarks: tuple[str, ...] = ()
+
+
+def header(unit: Unit) -> str:
+    """Return the text of the header file.
+
+    Parameters
+    ----------
+    unit
+        The controller.
 
     Returns
     -------
@@ -36,12 +57,13 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
     ----------
     See docs/fixed-point.md.
     """
-    p, s, upper = prefix, fixed.scheme, prefix.upper()
+    fixed, signals = unit.fixed, unit.signals
+    p, s, upper = unit.prefix, fixed.scheme, unit.prefix.upper()
     guard = f"{upper}_H"
     states = _state_names(fixed)
     shifts = _shifts(fixed)
     lines = [
-        *_head(fixed, prefix, remarks),
+        *_head(unit),
         f"#ifndef {guard}",
         f"#define {guard}",
         "",
@@ -60,19 +82,19 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
         f"typedef struct {p}_in {{",
     ]
     for name in s.inputs:
-        lines.append(field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+        lines.append(field(integer(fixed.formats[name].bits), signals[name], counted(fixed.formats[name])))
     lines += [f"}} {p}_in;", "", f"typedef struct {p}_out {{"]
     for name in s.outputs:
-        lines.append(field(_integer(fixed.formats[name].bits), signals[name], _counted(fixed.formats[name])))
+        lines.append(field(integer(fixed.formats[name].bits), signals[name], counted(fixed.formats[name])))
     for name in s.outputs:
-        lines.append(field(_wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
+        lines.append(field(wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
     lines += [f"}} {p}_out;", "", f"typedef struct {p}_state {{"]
     for name, identifier in states.items():
         form = fixed.formats[name]
         if name in shifts:
             lines.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
         else:
-            lines.append(field(_integer(form.bits), identifier, form.q))
+            lines.append(field(integer(form.bits), identifier, form.q))
     if not states:
         lines.append("    int32_t none; /* not used */")
     lines += [
@@ -82,7 +104,7 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
         f"void {p}_reset({p}_state *state);",
         "",
         "/* One sample: from the counts of this instant to the counts of the outputs; returns the status. */",
-        f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out);",
+        *signature(p, ";"),
         "",
         "/*",
         " * Between counts and values, for tests and slow paths: the step does not use them.",
@@ -93,19 +115,19 @@ def header(fixed: FixedPoint, prefix: str, signals: dict[str, str], remarks: tup
         lines += [*_to_count(p, signals[name], fixed.formats[name]), ""]
     for name in s.outputs:
         form = fixed.formats[name]
-        lines += [*_to_value(f"{p}_value_{signals[name]}", _integer(form.bits), form), ""]
-        lines += [*_to_value(f"{p}_value_{signals[name]}_commanded", _wide(fixed, name), form), ""]
+        lines += [*_to_value(f"{p}_value_{signals[name]}", integer(form.bits), form), ""]
+        lines += [*_to_value(f"{p}_value_{signals[name]}_commanded", wide(fixed, name), form), ""]
     lines += ["#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
     return "\n".join(lines)
 
 
-def source(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
+def source(unit: Unit) -> str:
     """Return the text of the source file.
 
     Parameters
     ----------
-    fixed, prefix, signals
-        As for `header`.
+    unit
+        The controller.
 
     Returns
     -------
@@ -120,17 +142,19 @@ def source(fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> str:
     ----------
     See docs/fixed-point.md.
     """
-    return _Source(fixed, prefix, signals).text()
+    return _Source(unit).text()
 
 
 class _Source:
     """The source file, put together section by section."""
 
-    def __init__(self, fixed: FixedPoint, prefix: str, signals: dict[str, str]) -> None:
+    def __init__(self, unit: Unit) -> None:
+        fixed, p = unit.fixed, unit.prefix
         self.fixed, self.scheme, self.formats = fixed, fixed.scheme, fixed.formats
-        self.prefix, self.signals = prefix, signals
+        self.prefix, self.signals = p, unit.signals
         self.states, self.shifts = _state_names(fixed), _shifts(fixed)
-        self.locals = Names(56)
+        own = (p, *(f"{p}_{end}" for end in ("step", "reset", "in", "out", "state")))
+        self.locals = Names(56, (*own, "within", "shifted32", "shifted64"))
         self.constants: list[str] = []
         # Which product a name of its own belongs to: another one of that name is named by its ends.
         self.owners: dict[str, str] = {}
@@ -179,13 +203,14 @@ class _Source:
                 f'#include "{p}.h"',
                 "",
                 *told,
-                *self._helpers(),
+                *(line for bits in sorted(self.widths) for line in shifted(bits)),
+                *within(),
                 f"void {p}_reset({p}_state *state)",
                 "{",
                 *([f"    state->{name} = 0;" for name in self.states.values()] or ["    state->none = 0;"]),
                 "}",
                 "",
-                f"unsigned int {p}_step({p}_state *state, const {p}_in *in, {p}_out *out)",
+                *signature(p),
                 "{",
                 f"    unsigned int status = {p.upper()}_OK;",
                 *body,
@@ -195,49 +220,13 @@ class _Source:
             ]
         )
 
-    def _helpers(self) -> list[str]:
-        lines = []
-        for bits in sorted(self.widths):
-            kind = _integer(bits)
-            lines += [
-                "/* The sum over 2^digits, rounded down: defined for negative sums too, unlike a shift of one. */",
-                f"static {kind} shifted{bits}({kind} sum, unsigned int digits)",
-                "{",
-                f"    {kind} result = 0;",
-                "    if (sum >= 0) {",
-                "        result = sum >> digits;",
-                "    } else {",
-                "        result = -((-(sum + 1)) >> digits) - 1;",
-                "    }",
-                "    return result;",
-                "}",
-                "",
-            ]
-        return [
-            *lines,
-            "/* The count within +- the largest. */",
-            "static int64_t within(int64_t count, int64_t largest)",
-            "{",
-            "    int64_t result = count;",
-            "    if (count > largest) {",
-            "        result = largest;",
-            "    } else if (count < -largest) {",
-            "        result = -largest;",
-            "    } else {",
-            "        result = count;",
-            "    }",
-            "    return result;",
-            "}",
-            "",
-        ]
-
     def _inputs(self) -> list[str]:
         lines = ["", "    /* Inputs within the ranges for which the bounds hold */"]
         for name in self.scheme.inputs:
             form, local = self.formats[name], self.locals[name]
-            kind = _integer(form.bits)
+            kind = integer(form.bits)
             given = f"in->{self.signals[name]}"
-            lines.append(f"    const {kind} {local} = ({kind})within({given}, {_literal(form.largest, 64)});")
+            lines.append(f"    const {kind} {local} = ({kind})within({given}, {literal(form.largest, 64)});")
             self.reads[name] = local
         return lines
 
@@ -249,9 +238,9 @@ class _Source:
         lines = ["", "    /* Integrals, as counts */"]
         for name in read:
             local, shift, own = self.locals[name], self.shifts[name], f"state->{self.states[name]}"
-            kind = _integer(self.formats[name].bits)
+            kind = integer(self.formats[name].bits)
             half = (1 << shift) // 2
-            taken = f"shifted64({own} + {_literal(half, 64)}, {shift}U)" if shift else own
+            taken = f"shifted64({own} + {literal(half, 64)}, {shift}U)" if shift else own
             lines.append(f"    const {kind} {local} = ({kind}){taken};")
             self.reads[name] = local
         return lines
@@ -260,7 +249,7 @@ class _Source:
         local = self.locals[row.target]
         self.reads[row.target] = local
         form = self.formats[row.target]
-        kind = _wide(self.fixed, row.target) if row.target in self.limited else _integer(form.bits)
+        kind = wide(self.fixed, row.target) if row.target in self.limited else integer(form.bits)
         return self._statement(kind, local, row, section)
 
     def _limits(self) -> list[str]:
@@ -269,10 +258,8 @@ class _Source:
         lines = ["", "    /* Limits of the torquers */"]
         for name in self.limited:
             local, form = self.locals[f"limited {name}"], self.formats[name]
-            kind = _integer(form.bits)
-            lines.append(
-                f"    const {kind} {local} = ({kind})within({self.reads[name]}, {_literal(form.largest, 64)});"
-            )
+            kind = integer(form.bits)
+            lines.append(f"    const {kind} {local} = ({kind})within({self.reads[name]}, {literal(form.largest, 64)});")
         cut = [name for name in self.limited if excess_of(name) in self.sources]
         if cut:
             lines += ["", *remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
@@ -280,7 +267,7 @@ class _Source:
             local = self.locals[excess_of(name)]
             over = f"(int64_t){self.locals[f'limited {name}']} - {self.reads[name]}"
             if name in self.fixed.excess_limits:
-                over = f"within({over}, {_literal(self.fixed.excess_limits[name], 64)})"
+                over = f"within({over}, {literal(self.fixed.excess_limits[name], 64)})"
             lines.append(f"    const int64_t {local} = {over};")
             self.reads[excess_of(name)] = local
         return lines
@@ -295,9 +282,9 @@ class _Source:
                 largest = self.formats[row.target].largest << row.shift
                 first = f"state->{self.states[row.target]}"
                 total = " + ".join([first, *(self._product(product, row, section) for product in row.products)])
-                lines += _wrapped(f"    const int64_t {local} = within({total}, {_literal(largest, 64)});")
+                lines += _wrapped(f"    const int64_t {local} = within({total}, {literal(largest, 64)});")
             else:
-                lines += self._statement(_integer(self.formats[row.target].bits), local, row, section)
+                lines += self._statement(integer(self.formats[row.target].bits), local, row, section)
         return lines
 
     def _stored(self) -> list[str]:
@@ -312,7 +299,7 @@ class _Source:
         lines += self._flag([f"({a} != {b})" for a, b in clipped], f"{upper}_CLIPPED")
         ends = []
         for name, shift in self.shifts.items():
-            largest = _literal(self.formats[name].largest << shift, 64)
+            largest = literal(self.formats[name].largest << shift, 64)
             local = self.locals[f"next {name}"]
             ends += [f"({local} == {largest})", f"({local} == -{largest})"]
         lines += self._flag(ends, f"{upper}_STOPPED")
@@ -331,9 +318,9 @@ class _Source:
         return [*head, f"        status += {flag};", "    }"]
 
     def _statement(self, kind: str, local: str, row: IntegerRow, section: FixedSection) -> list[str]:
-        parts = [self._product(product, row, section) for product in row.products] or [_literal(0, row.accumulator)]
+        parts = [self._product(product, row, section) for product in row.products] or [literal(0, row.accumulator)]
         if row.shift:
-            total = " + ".join([*parts, _literal((1 << row.shift) // 2, row.accumulator)])
+            total = " + ".join([*parts, literal((1 << row.shift) // 2, row.accumulator)])
             text = f"shifted{row.accumulator}({total}, {row.shift}U)"
         else:
             text = " + ".join(parts)
@@ -344,7 +331,7 @@ class _Source:
         return _wrapped(f"    const {kind} {local} = ({kind}){text};")
 
     def _product(self, product: Product, row: IntegerRow, section: FixedSection) -> str:
-        taken, kind = self.reads[product.source], _integer(row.accumulator)
+        taken, kind = self.reads[product.source], integer(row.accumulator)
         if product.coefficient == 1:
             return f"({kind}){taken}"
         name = self.named.get((row.target, product.source), "")
@@ -352,7 +339,7 @@ class _Source:
         own = f"k {section.name} {name}"
         key = own if name and self.owners.setdefault(own, plain) == plain else plain
         label = self.locals[key]
-        number = _literal(product.coefficient, row.accumulator)
+        number = literal(product.coefficient, row.accumulator)
         meant = product.coefficient * 2.0 ** (self._fraction(product.source) - self._fraction(row.target) - row.shift)
         told = f"{1.0 + meant:.9g} - 1" if row.keeps and product.source == row.target else f"{meant:.9g}"
         self.constants.append(f"static const {kind} {label} = {number}; /* {told} */")
@@ -362,7 +349,47 @@ class _Source:
         return self.formats[name.removeprefix("excess of ")].fraction
 
 
-def _head(fixed: FixedPoint, prefix: str, remarks: tuple[str, ...]) -> list[str]:
+def shifted(bits: int) -> list[str]:
+    """Return a C function that shifts sums of so many bits."""
+    kind = integer(bits)
+    return [
+        "/* The sum over 2^digits, rounded down: defined for negative sums too, unlike a shift of one. */",
+        f"static {kind} shifted{bits}({kind} sum, unsigned int digits)",
+        "{",
+        f"    {kind} result = 0;",
+        "    if (sum >= 0) {",
+        "        result = sum >> digits;",
+        "    } else {",
+        "        result = -((-(sum + 1)) >> digits) - 1;",
+        "    }",
+        "    return result;",
+        "}",
+        "",
+    ]
+
+
+def within() -> list[str]:
+    """Return a C function that cuts off a count."""
+    return [
+        "/* The count within +- the largest. */",
+        "static int64_t within(int64_t count, int64_t largest)",
+        "{",
+        "    int64_t result = count;",
+        "    if (count > largest) {",
+        "        result = largest;",
+        "    } else if (count < -largest) {",
+        "        result = -largest;",
+        "    } else {",
+        "        result = count;",
+        "    }",
+        "    return result;",
+        "}",
+        "",
+    ]
+
+
+def _head(unit: Unit) -> list[str]:
+    fixed, prefix = unit.fixed, unit.prefix
     s = fixed.scheme
     rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
     products = sum(len(row.products) for row in rows)
@@ -379,7 +406,7 @@ def _head(fixed: FixedPoint, prefix: str, remarks: tuple[str, ...]) -> list[str]
             "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
             "the axis in the plant file, as the angles are.",
             "",
-            *(line for paragraph in remarks for line in (paragraph, "")),
+            *(line for paragraph in unit.remarks for line in (paragraph, "")),
             *format_lines(fixed),
             "",
             *fixed.proof,
@@ -391,12 +418,13 @@ def _head(fixed: FixedPoint, prefix: str, remarks: tuple[str, ...]) -> list[str]
     )
 
 
-def _counted(form: Format) -> str:
+def counted(form: Format) -> str:
+    """Return what a count of a format means."""
     return f"{form.q}: 1 is {form.bit:.17g} {form.unit}, within +-{form.largest}".replace("  ", " ")
 
 
 def _to_count(prefix: str, name: str, form: Format) -> list[str]:
-    kind = _integer(form.bits)
+    kind = integer(form.bits)
     largest = f"{form.largest}.0"
     return [
         f"static inline {kind} {prefix}_count_{name}(double value)",
@@ -404,9 +432,9 @@ def _to_count(prefix: str, name: str, form: Format) -> list[str]:
         f"    const double scaled = value * {_power(form.fraction)};",
         f"    {kind} count = 0;",
         f"    if (scaled >= {largest}) {{",
-        f"        count = {_literal(form.largest, form.bits)};",
+        f"        count = {literal(form.largest, form.bits)};",
         f"    }} else if (scaled <= -{largest}) {{",
-        f"        count = -{_literal(form.largest, form.bits)};",
+        f"        count = -{literal(form.largest, form.bits)};",
         "    } else if (scaled >= 0.0) {",
         f"        count = ({kind})(scaled + 0.5);",
         "    } else if (scaled < 0.0) {",
@@ -433,17 +461,19 @@ def _power(exponent: int) -> str:
     return text if "." in text or "e" in text else f"{text}.0"
 
 
-def _integer(bits: int) -> str:
+def integer(bits: int) -> str:
+    """Return the C type of so many bits."""
     return f"int{bits}_t"
 
 
-def _wide(fixed: FixedPoint, output: str) -> str:
-    """Type of an output before its limit."""
+def wide(fixed: FixedPoint, output: str) -> str:
+    """Return the C type of an output before its limit."""
     bits = fixed.formats[output].bits
-    return _integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
+    return integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
 
 
-def _literal(number: int, bits: int) -> str:
+def literal(number: int, bits: int) -> str:
+    """Return an integer constant in C of so many bits."""
     return f"INT{bits}_C({number})" if bits != 16 else str(number)
 
 
