@@ -243,7 +243,7 @@ def test_the_stated_operations_are_those_in_the_code(written: dict[str, list[Pat
         assert body.count(" * ") == stated[0]
         assert body.count(" + ") + body.count(" - ") == stated[1]
         # usable: two comparisons; limited: two more at most.
-        assert body.count("usable(") * 2 + body.count(" limited(") * 2 + len(re.findall(r" [<>] ", body)) == stated[2]
+        assert body.count("_usable(") * 2 + body.count("_limited(") * 2 + len(re.findall(r" [<>] ", body)) == stated[2]
 
 
 def test_the_same_arguments_give_the_same_bytes(

@@ -189,8 +189,9 @@ class _Source:
         self.states = _state_names(unit)
         # Locals and constants: apart from the fields of inputs, outputs and states, which stand behind an arrow.
         p = unit.prefix
-        self.locals = Names(56, (p, f"{p}_step", f"{p}_reset", f"{p}_in", f"{p}_out", f"{p}_state"))
-        self.constants: list[str] = []
+        self.locals = Names(
+            56, (p, f"{p}_step", f"{p}_reset", f"{p}_in", f"{p}_out", f"{p}_state", f"{p}_usable", f"{p}_limited")
+        )
         self.body: list[str] = []
         self.reads = {name: f"in->{unit.signals[name]}" for name in self.scheme.inputs}
         self.reads |= {name: f"state->{self.states[name]}" for name in self.scheme.states}
@@ -208,10 +209,8 @@ class _Source:
         return "\n".join([*self._beginning(), *self._reset(), *self._step()])
 
     def _paragraph(self, title: str, constants: list[str], statements: list[str]) -> None:
-        """Add what belongs together to the constants and to the body, each under the same title."""
-        if constants:
-            self.constants += ["", *remark(title, ""), *constants]
-        self.body += ["", *remark(title, _INNER), *statements]
+        """Add what belongs together to the body: its constants, which nothing else uses, and its statements."""
+        self.body += ["", *remark(title, _INNER), *constants, *statements]
 
     def _section(self, section: Section) -> tuple[list[str], list[str]]:
         constants: list[str] = []
@@ -230,8 +229,8 @@ class _Source:
             if name in self.limits:
                 bound = self.locals[f"limit {name}"]
                 number = literal(self.limits[name], self.kind)
-                constants.append(f"static const {self.kind} {bound} = {number}; /* {comment(what)} */")
-                cut = f"limited({self.reads[name]}, {bound})"
+                constants.append(f"{_INNER}static const {self.kind} {bound} = {number}; /* {comment(what)} */")
+                cut = f"{self.unit.prefix}_limited({self.reads[name]}, {bound})"
                 statements.append(f"{_INNER}const {self.kind} {self.locals[f'limited {name}']} = {cut};")
         return constants, statements
 
@@ -261,7 +260,8 @@ class _Source:
 
     def _sum(self, target: str, row: Row, label: str, constants: list[str], first: str = "") -> list[str]:
         """Return the statement that makes `target` the sum of a row, on one line or a product a line."""
-        parts = [self._product(term, row, label, constants) for term in row.terms]
+        alone = len(row.terms) == 1 and not first
+        parts = [self._product(term, row, label, constants, alone) for term in row.terms]
         parts = parts or [("", literal(0.0, self.kind))]
         sign, text = parts[0]
         lines = [f"{_INNER}const {self.kind} {target} = {first}{sign}{text}"]
@@ -270,15 +270,16 @@ class _Source:
         joined = " ".join(line.strip() if k else line for k, line in enumerate(lines))
         return [joined] if len(joined) <= WIDTH else lines
 
-    def _product(self, term: Term, row: Row, label: str, constants: list[str]) -> tuple[str, str]:
+    def _product(self, term: Term, row: Row, label: str, constants: list[str], alone: bool) -> tuple[str, str]:
         """Return the sign and the text of a product; its coefficient becomes a constant with a name."""
         taken = self.reads[term.source]
         if abs(term.coefficient) == 1.0:
             return "-" if term.coefficient < 0.0 else "", taken
         name = f"{label} {term.name}" if term.name else f"{row.target} from {term.source}"
         constant = self.locals.new(f"k {name}")
-        constants.append(f"static const {self.kind} {constant} = {literal(term.coefficient, self.kind)};")
-        return "", f"{constant} * {taken}"
+        constants.append(f"{_INNER}static const {self.kind} {constant} = {literal(term.coefficient, self.kind)};")
+        product = f"{constant} * {taken}"
+        return "", product if alone else f"({product})"
 
     def _beginning(self) -> list[str]:
         lines = [
@@ -295,10 +296,9 @@ class _Source:
             "#ifdef __FAST_MATH__",
             '#error "numbers that are not finite could not be told from others: compile without -ffast-math"',
             "#endif",
-            *self.constants,
             "",
             "/* Whether a number is finite: no comparison holds for one that is not a number. */",
-            f"static int usable({self.kind} value)",
+            f"static int {self.unit.prefix}_usable({self.kind} value)",
             "{",
             f"    return (value >= -{_LARGEST[self.kind]}) && (value <= {_LARGEST[self.kind]});",
             "}",
@@ -307,7 +307,7 @@ class _Source:
         if self.limits:
             lines += [
                 "/* The value within +- the limit. */",
-                f"static {self.kind} limited({self.kind} value, {self.kind} limit)",
+                f"static {self.kind} {self.unit.prefix}_limited({self.kind} value, {self.kind} limit)",
                 "{",
                 f"    {self.kind} result = value;",
                 "    if (value > limit) {",
@@ -315,7 +315,7 @@ class _Source:
                 "    } else if (value < -limit) {",
                 "        result = -limit;",
                 "    } else {",
-                "        result = value;",
+                "        /* within the limit */",
                 "    }",
                 "    return result;",
                 "}",
@@ -344,12 +344,12 @@ class _Source:
             "{",
             f"    unsigned int status = {p.upper()}_HELD;",
             "",
-            *_condition([f"usable(in->{self.unit.signals[name]})" for name in s.inputs], "    "),
+            *_condition([f"{p}_usable(in->{self.unit.signals[name]})" for name in s.inputs], "    "),
             # No empty line behind the brace.
             *self.body[1:],
             "",
             f"{_INNER}/* Taken over only where every result is finite. */",
-            *_condition([f"usable({name})" for name in results], _INNER),
+            *_condition([f"{p}_usable({name})" for name in results], _INNER),
             f"{_INNER}    status = {p.upper()}_OK;",
         ]
         for name in s.outputs:

@@ -19,7 +19,7 @@ _WORDS = """
     return short signed sizeof static static_assert static_cast struct switch synchronized template this thread_local
     throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual void volatile wchar_t while
     xor xor_eq near far huge interrupt fortran NULL NAN INFINITY I EOF errno main linux unix i386 vax arm assert
-    in out state status last limited usable value limit
+    in out state status last
 """
 _RESERVED = frozenset(_WORDS.split())
 # What generated code appends to a signal's name.

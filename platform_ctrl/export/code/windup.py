@@ -165,6 +165,11 @@ def proved(job: Job, scheme: Scheme) -> Windup:
     K = arrays(scheme)
     if not integrating(K)[0].shape[1]:
         return back_calculation(scheme)
+    sensed = {pickoff.name for pickoff in job.platform.pickoffs}
+    if not set(scheme.inputs) <= sensed:
+        other = back_calculation(scheme)
+        note = f"{scheme.name}: back-calculation: proofs of anti-windup are for loops from pick-offs to torquers alone"
+        return Windup(gain=other.gain, remark=other.remark, notes=(*other.notes, note))
     try:
         loop = caging_loop_limits(job, state_space(K, scheme.inputs, scheme.outputs), 1)
         found = anti_windup(loop)
