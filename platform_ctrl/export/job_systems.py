@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis import gang, joined
+from platform_ctrl.analysis import continuous_poles, gang, joined, poles
 from platform_ctrl.check.coupled import coupled_plant
 from platform_ctrl.check.given import outcomes_from
 from platform_ctrl.design.loop import sampled_plant
@@ -19,13 +19,14 @@ from platform_ctrl.export.responses import response_data
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Faults, Job, Spread
 from platform_ctrl.linearisation import linearise
+from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
     import control
 
 # Frequencies of a table, and its lowest one as a share of the Nyquist frequency.
-_POINTS, _LOWEST = 400, 1e-4
+_POINTS, _LOWEST = 300, 1e-4
 
 
 @value
@@ -146,8 +147,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     See docs/export.md.
     """
     units = signal_units(job.platform)
-    nyquist = np.pi / job.sampling.period
-    frequency = np.geomspace(_LOWEST * nyquist, 0.999 * nyquist, _POINTS)
+    frequency = _frequency(job)
     closed = dict(zip((one.spec.name for one in outcomes_from(job, controllers)), controllers, strict=True))
     out = []
     for name, plant in _loop_plants(job):
@@ -173,6 +173,13 @@ def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
         plants = plants_of(nominal, spec)
         if plants is not None:
             yield spec.name, sampled_plant(plants)
+
+
+def _frequency(job: Job) -> FloatArray:
+    """Return frequencies up to the Nyquist frequency, denser where the gimbals resonate."""
+    nyquist = np.pi / job.sampling.period
+    found = [continuous_poles(poles(plant), job.sampling.period) for _, plant in _loop_plants(job)]
+    return following_grid(np.concatenate([[], *found]), _LOWEST * nyquist, 0.999 * nyquist, _POINTS)
 
 
 def _all_closed(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[control.StateSpace, control.StateSpace]:
