@@ -97,10 +97,12 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         lines.append(f"Poles: {name}  at most {size:.9g} in z as rounded, inside the unit circle (exact arithmetic).")
     for name in leaks:
         form = fixed.formats[name]
+        # Bounds of what is zero are no smaller than the smallest numbers.
+        drift = max(fixed.drift[name], 1e-30)
         lines.append(
             f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that nothing it gains is lost, and ends "
             f"at +-{form.range:.6g}; while no limit acts it parts from that of the controller in real arithmetic by at "
-            f"most {fixed.drift[name]:.2g} in a second, {fixed.drift[name] / form.range:.1g} of its end."
+            f"most {drift:.2g} in a second, {drift / form.range:.1g} of its end."
             + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
         )
     for name, unit in zip(fixed.scheme.outputs, fixed.scheme.output_units, strict=True):
