@@ -148,7 +148,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     """
     units = signal_units(job.platform)
     frequency = _frequency(job)
-    closed = dict(zip((one.spec.name for one in outcomes_from(job, controllers)), controllers, strict=True))
+    closed = dict(zip((one.spec.name for one in outcomes_from(_nominal(job), controllers)), controllers, strict=True))
     out = []
     for name, plant in _loop_plants(job):
         notes = (f"{job.name}: sampled plant of {name}, hold, dead time and torquer lag in it", _units(plant, units))
@@ -166,11 +166,15 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     return tuple(out)
 
 
+def _nominal(job: Job) -> Job:
+    """Return the job with the plant as it stands alone."""
+    return dataclasses.replace(job, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
+
+
 def _loop_plants(job: Job) -> Iterator[tuple[str, control.StateSpace]]:
     """Go through the caging loops with their nominal sampled plants."""
-    nominal = dataclasses.replace(job, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
     for spec in job.loops:
-        plants = plants_of(nominal, spec)
+        plants = plants_of(_nominal(job), spec)
         if plants is not None:
             yield spec.name, sampled_plant(plants)
 
