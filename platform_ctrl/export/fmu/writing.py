@@ -89,7 +89,8 @@ def write_fmu(
     Raises
     ------
     ArgumentError
-        There are no controllers, or they do not fit the plant; the manoeuvre is none of the job's, or the seed is 2⁶³ or more.
+        There are no controllers, or they do not fit the plant; the manoeuvre is none of the job's; the seed is 2⁶³ or
+        more.
     InputError
         PythonFMU3 is not installed, `result` cannot be read, or the file cannot be written there.
 
