@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
@@ -37,15 +38,13 @@ def job() -> Job:
 
 
 @pytest.fixture(scope="module")
-def entries(job: Job) -> list[dict[str, object]]:
+def entries(job: Job) -> list[dict[str, Any]]:
     """A classical loop, a matrix PID and the platform servo, which takes in what they give out."""
     return [classical_entry(job, ("4", "5", "7")), pid_entry(job, ("9", "10")), servo_entry(job)]
 
 
 @pytest.fixture(scope="module")
-def written(
-    job: Job, entries: list[dict[str, object]], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, list[Path]]:
+def written(job: Job, entries: list[dict[str, Any]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Path]]:
     folder = tmp_path_factory.mktemp("c")
     out = {}
     for number in TYPES:
@@ -68,7 +67,7 @@ def machine(library: Path, scheme: Scheme, prefix: str, number: str) -> Machine:
     return Machine(library, prefix, scheme.inputs, outputs, TYPES[number])
 
 
-def schemes(job: Job, entries: list[dict[str, object]]) -> list[Scheme]:
+def schemes(job: Job, entries: list[dict[str, Any]]) -> list[Scheme]:
     out = [scheme_of(job, one) for one in entries_of(job, entries)]
     return [with_excess(scheme, back_calculation(scheme).gain) for scheme in out]
 
@@ -102,7 +101,7 @@ def test_other_compilers_and_cpp_have_no_warning_either(
 
 
 def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
-    job: Job, entries: list[dict[str, object]], libraries: dict[str, Path]
+    job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
     scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.3)
     controllers = [
@@ -139,7 +138,7 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_at_its_limits_it_is_the_model_with_anti_windup(
-    which: int, job: Job, entries: list[dict[str, object]], libraries: dict[str, Path]
+    which: int, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
     scheme = schemes(job, entries)[which]
     prefix = PREFIXES[which]
@@ -158,7 +157,7 @@ def test_at_its_limits_it_is_the_model_with_anti_windup(
     assert np.allclose(single[:, :m], given, rtol=0.0, atol=1e-4 * limits.min())
 
 
-def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entries: list[dict[str, object]]) -> None:
+def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entries: list[dict[str, Any]]) -> None:
     scheme = schemes(job, entries)[0]
     none = with_excess(scheme, np.zeros_like(excess_gain(scheme)))
     held = np.full((8000, 3), 2e-3)
@@ -174,7 +173,7 @@ def test_integrals_follow_what_acts_with_the_stated_time_constant(job: Job, entr
 
 
 def test_without_limits_it_is_what_python_control_computes(
-    job: Job, entries: list[dict[str, object]], libraries: dict[str, Path]
+    job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
     scheme = schemes(job, entries)[1]
     readings = noise(scheme, 1e-6)
@@ -189,7 +188,7 @@ def test_without_limits_it_is_what_python_control_computes(
 @pytest.mark.parametrize("number", ["double", "float"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308])
 def test_an_input_that_is_not_finite_holds_everything(
-    bad: float, number: str, job: Job, entries: list[dict[str, object]], libraries: dict[str, Path]
+    bad: float, number: str, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]
 ) -> None:
     scheme = schemes(job, entries)[0]
     controller = machine(libraries[number], scheme, "caging_4_5_7", number)
@@ -247,10 +246,56 @@ def test_the_stated_operations_are_those_in_the_code(written: dict[str, list[Pat
 
 
 def test_the_same_arguments_give_the_same_bytes(
-    job: Job, entries: list[dict[str, object]], written: dict[str, list[Path]], tmp_path: Path
+    job: Job, entries: list[dict[str, Any]], written: dict[str, list[Path]], tmp_path: Path
 ) -> None:
     again = write_c(job, entries, tmp_path, sha256=SHA, command="platform-ctrl export JOB --c DIR").files
     assert [f.read_bytes() for f in again] == [f.read_bytes() for f in written["double"]]
+
+
+def test_the_page_shows_what_is_written_and_code_that_compiles(job: Job, tmp_path: Path) -> None:
+    page = (EXAMPLE.parent.parent / "docs" / "generated-code.md").read_text()
+    shown, calls = re.findall(r"^```c\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    files = write_c(job, [classical_entry(job, ("9", "10"))], tmp_path).files
+    assert shown in (tmp_path / "caging_9_10.c").read_text()
+    counts = re.search(r"(\d+) multiplications, (\d+) additions and at most (\d+) comparisons for a classical", page)
+    stated = " ".join((tmp_path / "caging_9_10.h").read_text().replace("*", "").split())
+    assert (
+        "takes {} multiplications, {} additions and subtractions, and at most {} comp".format(*counts.groups())
+        in stated
+    )
+    caller = tmp_path / "caller.c"
+    caller.write_text(calls)
+    compiled([*files, caller], tmp_path / "page.so")
+
+
+def test_where_anti_windup_cannot_be_proved_it_is_back_calculation_and_said(
+    job: Job, entries: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    gains = [one | {"A": [], "B": [], "C": [[] for _ in one["outputs"]]} for one in entries[:2]]
+    done = write_c(job, [*gains, entries[2]], tmp_path, anti_windup="proved")
+    assert len(done.notes) == 1
+    assert "stabilisation: back-calculation: proofs" in done.notes[0]
+    assert "no state integrates" in " ".join((tmp_path / "caging_4_5_7.h").read_text().replace("*", "").split())
+    assert "back-calculation" in (tmp_path / "stabilisation.h").read_text()
+    write_c(job, [entries[0]], tmp_path, anti_windup="none")
+    assert "none, as asked for" in (tmp_path / "caging_4_5_7.h").read_text()
+    assert "excess" not in (tmp_path / "caging_4_5_7.c").read_text()
+
+
+@pytest.mark.slow
+def test_proved_anti_windup_is_the_gain_of_the_design_with_its_region(job: Job, tmp_path: Path) -> None:
+    from platform_ctrl.design.antiwindup import anti_windup
+    from platform_ctrl.design.antiwindup_job import caging_loop_limits
+
+    e = classical_entry(job, ("9", "10"))
+    K = control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
+    found = anti_windup(caging_loop_limits(job, K, 1))
+    assert write_c(job, [e], tmp_path, anti_windup="proved").notes == ()
+    text = " ".join((tmp_path / "caging_9_10.h").read_text().replace("*", "").split())
+    assert f"up to {found.reach:.4g} N m s" in text
+    code = (tmp_path / "caging_9_10.c").read_text()
+    numbers = [float(x) for x in re.findall(r"_from_excess_\w+ = (\S+);", code)]
+    assert np.allclose(sorted(numbers), sorted(found.gain[found.gain != 0.0]), rtol=1e-6)
 
 
 DRIVER = """
@@ -353,7 +398,7 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny], tmp_path / "file" / "x")
 
 
-def test_float_coefficients_are_the_nearest(job: Job, entries: list[dict[str, object]]) -> None:
+def test_float_coefficients_are_the_nearest(job: Job, entries: list[dict[str, Any]]) -> None:
     K = arrays(float_scheme(schemes(job, entries)[0]))
     exact = StateArrays(*(np.array(entries[0][k]) for k in "ABCD"), dt=job.sampling.period)
     # A sum of a few products of numbers that are off by 2^-24 each.

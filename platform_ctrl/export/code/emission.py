@@ -249,9 +249,9 @@ class _Source:
             statements.append(f"{_INNER}const {self.kind} {over} = {cut} - {self.reads[name]};")
         for row in rows:
             terms = tuple(Term(coefficient=t.coefficient, source=f"excess {t.source}") for t in row.terms)
-            back = Row(target=f"{row.target} back", terms=terms)
+            back = Row(target=row.target, terms=terms)
             before, after = self._next(row.target), f"unwound {row.target}"
-            statements += self._sum(self.locals[after], back, "", constants, f"{before} + ")
+            statements += self._sum(self.locals[after], back, "", constants, before)
             self.locals.rename(f"next {row.target}", after)
         return constants, statements
 
@@ -260,11 +260,12 @@ class _Source:
 
     def _sum(self, target: str, row: Row, label: str, constants: list[str], first: str = "") -> list[str]:
         """Return the statement that makes `target` the sum of a row, on one line or a product a line."""
+        parts = [("", first)] if first else []
         alone = len(row.terms) == 1 and not first
-        parts = [self._product(term, row, label, constants, alone) for term in row.terms]
+        parts += [self._product(term, row, label, constants, alone) for term in row.terms]
         parts = parts or [("", literal(0.0, self.kind))]
         sign, text = parts[0]
-        lines = [f"{_INNER}const {self.kind} {target} = {first}{sign}{text}"]
+        lines = [f"{_INNER}const {self.kind} {target} = {sign}{text}"]
         lines += [f"{_INNER}    {sign or '+'} {text}" for sign, text in parts[1:]]
         lines[-1] += ";"
         joined = " ".join(line.strip() if k else line for k, line in enumerate(lines))
