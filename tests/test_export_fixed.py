@@ -467,10 +467,18 @@ def test_an_integral_ends_at_its_limit_and_anti_windup_brings_it_back() -> None:
 
 
 def test_few_digits_that_move_a_pole_out_of_the_circle_are_refused_by_section() -> None:
-    # Sampled thousands of times in a period: at z = 1 the polynomial is (1 − r)² + φ², less than a digit.
-    fast = resonance(0.999, 0.001)
+    # Ringing at the Nyquist frequency: at z = −1 the polynomial is (1 − r)² + φ², less than a digit.
+    ringing = resonance(0.999, np.pi - 0.001)
     with pytest.raises(InfeasibleError, match=r"section 'resonance': rounded coefficients move a pole of a, b .*q31"):
-        fixed_point(fast, {"y": 1e-6}, number="q15", accuracy=1e9)
+        fixed_point(ringing, {"y": 1e-6}, number="q15", accuracy=1e9)
+    assert fixed_point(ringing, {"y": 1e-6}, number="q31", accuracy=1e9).poles["resonance"] < 1.0
+
+
+def test_slow_poles_in_direct_form_keep_their_place_as_differences() -> None:
+    # The polynomial at 1 is 2e-6; stored as they are, 15 bits of a1 and a2 would lose it.
+    slow = fixed_point(resonance(0.999, 0.001), {"y": 1e-3}, number="q15", accuracy=1e9)
+    assert slow.poles["resonance"] == pytest.approx(0.999, abs=1e-7)
+    assert set(slow.formats) == {"y", "Q", "a_less_b", "b"}
 
 
 def test_a_slow_pole_keeps_its_place_in_16_bits() -> None:

@@ -488,7 +488,7 @@ def _wrapped(statement: str, between: str = " + ") -> list[str]:
 
 def _state_names(fixed: FixedPoint) -> dict[str, str]:
     names = Names(40)
-    return {name: names[name] for name in fixed.scheme.states}
+    return {row.target: names[row.target] for section in fixed.sections for row in section.states}
 
 
 def _shifts(fixed: FixedPoint) -> dict[str, int]:

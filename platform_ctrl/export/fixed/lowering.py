@@ -241,7 +241,7 @@ def _proved(
                 kind=one.kind,
                 note=one.note,
                 signals=tuple(integer_rows[row.target] for row in one.signals),
-                states=tuple(integer_rows[row.target] for row in one.states),
+                states=tuple(integer_rows[parts.differences.get(row.target, row.target)] for row in one.states),
             )
             for one in scheme.sections
         ),
@@ -307,10 +307,11 @@ def _formats(task: _Task, bounds: Mapping[str, float], given: Mapping[str, int])
             else:
                 place(name, "output", signal_bits, limit, limit)
         for row in section.states:
-            if row.target in task.limits:
-                place(row.target, "integral", state_bits, task.limits[row.target], task.limits[row.target])
+            name = task.parts.differences.get(row.target, row.target)
+            if name in task.limits:
+                place(name, "integral", state_bits, task.limits[name], task.limits[name])
             else:
-                place(row.target, "state", state_bits, bounds[row.target])
+                place(name, "state", state_bits, bounds[name])
     return out
 
 

@@ -26,6 +26,8 @@ from platform_ctrl.frozen import value
 
 # A pole as close to 1 as this is an integral: in a day at 100 Hz it loses less than a percent.
 _INTEGRAL = 1e-9
+# Pairs of poles in direct form are slow if a1 is as close to 2 as this.
+_SLOW = flint.fmpq(1, 2)
 # What integrals can hold, over what they need for all torques within the limits.
 HEADROOM = 2.0
 
@@ -50,6 +52,8 @@ class Parts:
         Outputs that other rows take in.
     section
         Name of every row's section.
+    differences
+        States that are replaced by their difference to the next one, see `_as_differences`: their new names.
     """
 
     rows: Rows
@@ -59,6 +63,7 @@ class Parts:
     excesses: tuple[str, ...]
     outputs_read: frozenset[str]
     section: dict[str, str]
+    differences: dict[str, str]
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -104,6 +109,7 @@ def taken_apart(scheme: Scheme) -> Parts:
         row.target: {name: coefficient for name, coefficient in _sum(row).items() if name in bounded}
         for row in scheme.excess
     }
+    differences = _as_differences(signals, following, excess, section)
     integrals = {name: _increment(name, following[name], signals, whole.shown) for name in leaks}
     stable = {name: row for name, row in following.items() if name not in leaks}
     for rows in (stable, integrals):
@@ -122,7 +128,51 @@ def taken_apart(scheme: Scheme) -> Parts:
         excesses=entering([*stable.values(), *integrals.values()]),
         outputs_read=frozenset(name for name in scheme.outputs if any(name in row for row in every)),
         section=section,
+        differences=differences,
     )
+
+
+def _as_differences(
+    signals: dict[str, Sum], following: dict[str, Sum], excess: dict[str, Sum], section: dict[str, str]
+) -> dict[str, str]:
+    """Replace x1 of pairs x1⁺ = a1 x1 + a2 x2 + ..., x2⁺ = x1 with slow poles by d = x1 − x2, in place.
+
+    Then d⁺ = (a1 − 1) d + (a1 + a2 − 1) x2 + ... and x2⁺ = x2 + d. Of poles near 1 the place lies in the last digits of
+    a1 and a2, but in the first ones of a1 + a2 − 1, which is their polynomial at 1; and d is small, so that its counts
+    are fine.
+    """
+    one = flint.fmpq(1)
+    out: dict[str, str] = {}
+    for second, row in list(following.items()):
+        if len(row) != 1 or next(iter(row)) not in following or next(iter(row.values())) != one:
+            continue
+        first = next(iter(row))
+        if first == second or first in out or second in out or set(following[first]) & {second} != {second}:
+            continue
+        if not abs(following[first].get(first, flint.fmpq(0)) - 2) < _SLOW:
+            continue
+        name = f"{first}_less_{second}"
+        while name in section:
+            name += "_"
+        out[first] = name
+        section[name] = section[first]
+
+        def replaced(row: Sum, old: str = first, new: str = name, rest: str = second) -> Sum:
+            return added(
+                (coefficient, {new: one, rest: one} if source == old else {source: one})
+                for source, coefficient in row.items()
+            )
+
+        step = added([(one, following[first]), (-one, {first: one})])
+        following.pop(first)
+        following[name] = step
+        for rows in (signals, following):
+            for target in rows:
+                rows[target] = replaced(rows[target])
+        pushed = {target: excess.pop(target, {}) for target in (first, second)}
+        excess[name] = added([(one, pushed[first]), (-one, pushed[second])])
+        excess[second] = pushed[second]
+    return out
 
 
 def _sum(row: Row) -> Sum:
