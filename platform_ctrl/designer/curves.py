@@ -27,10 +27,12 @@ def dense_grid(poles: ComplexArray, low: float, high: float, points: int = 160) 
     centre = np.abs(s.imag)
     sharp = (centre > low) & (centre < high) & (np.abs(s.real) < 0.5 * centre)
     width = np.maximum(np.abs(s.real[sharp]), _SHARPEST * centre[sharp])
-    # Not on the pole itself: where it is marginal the response is infinite there.
-    near = centre[sharp][:, None] + width[:, None] * np.concatenate([-_OFFSETS, _OFFSETS[1:]]) * (1.0 + 1e-6)
+    near = centre[sharp][:, None] + width[:, None] * np.concatenate([-_OFFSETS, _OFFSETS[1:]])
     grid = np.unique(np.concatenate([np.geomspace(low, high, points), near.ravel()]))
     grid = grid[(grid >= low) & (grid <= high)]
+    # Next to an undamped pole the response is infinite, and sensitivities have no digits left.
+    for at in centre[sharp][np.abs(s.real[sharp]) < _SHARPEST * centre[sharp]]:
+        grid = grid[np.abs(grid - at) > 0.3 * _SHARPEST * at]
     kept = np.concatenate([[True], np.diff(np.log(grid)) > 2e-4])
     return np.asarray(grid[kept])
 

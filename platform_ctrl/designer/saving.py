@@ -164,7 +164,8 @@ def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, sta
     plant: Any = document["plant"]
     moved = {name: spin for name, spin in settings.spins.items() if spin != start.spins[name]}
     if moved:
-        whole = dict(plant.unwrap()) if isinstance(plant, dict) else dict(open_plant(str(plant), old).data)
+        given: Any = plant.unwrap() if hasattr(plant, "unwrap") and not isinstance(plant, str) else None
+        whole = dict(open_plant(str(plant), old).data if given is None else given)
         for rotor in whole["rotor"]:
             if rotor["name"] in moved:
                 rotor.pop("angular_momentum", None)
