@@ -92,6 +92,43 @@ def test_every_shipped_plant_moves_as_in_the_simulation(name: str, tmp_path: Pat
         assert np.allclose(theirs, ours, rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.parametrize("name", ["momentum_wheel_satellite", "quanser_3dof_gyroscope", "suspended_platform"])
+def test_a_prescribed_root_turns_as_told_whatever_reacts(name: str, tmp_path: Path) -> None:
+    """Its angular acceleration is given at every stage of MuJoCo's integrator; gimbals begin anywhere."""
+    platform = smooth(pc.read_platform(name))
+    n = len(platform.gimbals)
+    q, rate = 0.1 * np.cos(np.arange(n)), 0.2 * np.sin(1.0 + np.arange(n))
+    profile = simulation.HalfCosine(axis=2, rate=1.5, rise=0.02, hold=0.01)
+    ours = simulation.simulate(
+        platform,
+        [],
+        period=1e-4,
+        delay=0.0,
+        duration=0.0201,
+        mode="caged",
+        Omega_profile=profile,
+        q=q,
+        rate=rate,
+        step=1e-5,
+    )
+    run = Run(platform, tmp_path, root="prescribed", step=2e-5)
+    run.data.qpos[run.angles], run.data.qvel[run.rates] = q, rate
+    control_ = run.model.actuator("Omega2_dot").id
+
+    def accelerate(model: Any, data: Any) -> None:
+        data.ctrl[control_] = 1.5 * 0.5 * np.pi / 0.02 * np.sin(np.pi * data.time / 0.02)
+
+    mujoco.set_mjcb_control(accelerate)
+    try:
+        mujoco.mj_step(run.model, run.data, 1000)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert np.allclose(run.data.qvel[:3], ours.Omega[200], rtol=0.0, atol=1e-8)
+    assert np.allclose(run.data.qpos[run.angles], ours.q[200], rtol=0.0, atol=1e-8)
+    assert np.allclose(run.data.qvel[run.rates], ours.rate[200], rtol=0.0, atol=1e-6)
+    assert np.allclose(run.state[-4:], ours.attitude[200], rtol=0.0, atol=1e-8)
+
+
 def test_the_difference_shrinks_by_sixteen_with_half_the_step(tmp_path: Path) -> None:
     platform = smooth(pc.read_platform("three_gyro_platform"))
     coarse, fine = (np.subtract(*motions(platform, tmp_path, step)) for step in (4e-4, 2e-4))
@@ -327,6 +364,27 @@ def test_the_file_says_what_it_leaves_out(tmp_path: Path) -> None:
     assert all(f"<!-- {note} -->" in text for note in notes)
     write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "q.xml", root="fixed")
     assert (tmp_path / "q.xml").read_text() == text
+
+
+BARE = {"schema": 1, "root": {"name": '<r&d> --- "x"', "inertia": [1, 1, 1]}, "source": "a---b, <c> & d-"}
+WHEELED = {"rotor": [{"name": "ω", "carrier": BARE["root"]["name"], "axis": [0, 0, -1], "spin": -3.0}]}  # type: ignore[index]
+WHEELED["rotor"][0] |= {"axial_inertia": 1e-3, "transverse_inertia": 1e-3}
+
+
+@pytest.mark.parametrize("root", ["free", "prescribed", "fixed"])
+@pytest.mark.parametrize("more", [{}, WHEELED], ids=["bare", "wheel"])
+def test_a_platform_without_gimbals_and_names_with_marks_are_models_too(more: Any, root: Any, tmp_path: Path) -> None:
+    platform = pc.read_platform(BARE | {"name": 'one "& only" <plant>'} | more)
+    run = Run(platform, tmp_path, root=root)
+    mujoco.mj_step(run.model, run.data, 10)
+    assert (tmp_path / "plant.xml").read_text().count("a- - -b, <c> & d-") == 1
+    if more:
+        assert run.data.joint("spin ω").qpos[0] == pytest.approx(-3.0 * 1e-3)
+        [rotor] = read_mjcf(tmp_path / "plant.xml").rotors
+        assert (rotor.carrier, rotor.spin) == (platform.root_name, pytest.approx(-3.0))
+    else:
+        with pytest.raises(InputError, match="no body"):
+            read_mjcf(tmp_path / "plant.xml")
 
 
 def test_arguments_that_make_no_sense_are_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Literal
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
@@ -74,7 +75,7 @@ def write_mjcf(
     top = Element("mujoco", model=_line(platform.name))
     for line in (platform.source, *notes):
         if line:
-            top.append(Comment(f" {_line(line).replace('--', '- -')} "))
+            top.append(Comment(f" {re.sub('-(?=-)', '- ', _line(line))} "))
     SubElement(top, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     option = SubElement(
         top, "option", timestep=repr(step), integrator="RK4", gravity=text(0.0 - platform.specific_force)
@@ -303,6 +304,9 @@ def _notes(platform: Platform, root: Root) -> tuple[str, ...]:
             t.name for t in platform.torquers if t.rate_limit is not None and t.name not in held
         ],
         "quantisation of {}: left out": [one.name for one in platform.sensors if one.quantisation],
+        f"rate sensor {{}}: {'left out' if root == 'fixed' else 'an element of the sensor Omega'}": [
+            sensor.name for sensor in platform.rate_sensors if sensor.root_axis is not None
+        ],
         "torque limit of the speed loop of {}: left out": [
             rotor.name for rotor in platform.rotors if rotor.control == "servo" and rotor.torque_limit is not None
         ],
