@@ -80,10 +80,10 @@ def unit(gyro, tmp_path_factory) -> Path:
 
 @pytest.fixture(autouse=True)
 def same_path() -> Iterator[None]:
-    """The library puts the unit's resources before everything else on Python's path, and leaves them there."""
+    """A unit leaves Python's path as it was, though the library puts its resources before everything else there."""
     before = list(sys.path)
     yield
-    sys.path[:] = before
+    assert sys.path == before
 
 
 class Instance:
@@ -274,6 +274,9 @@ def test_the_file_holds_what_it_is_made_of_and_is_the_same_every_time(gyro, unit
         assert sha256(result.read_bytes()).hexdigest() in about
         assert read_job(tomllib.loads(packed.read("resources/job.toml").decode())).name == job.name
         assert b"three-gyro platform" in packed.read("resources/plant.toml")
+        shown = packed.read("documentation/index.html").decode()
+        assert "<code>spin.&#x27;11&#x27;</code>" in shown
+        assert "<li>it&#x27;s a step</li>" in shown
         assert {entry.date_time for entry in packed.infolist()} == {(1980, 1, 1, 0, 0, 0)}
     assert fmpy.read_model_description(with_result).modelVariables[1].start == "4"
 
@@ -288,6 +291,7 @@ def test_a_manoeuvre_of_the_unit_is_that_of_the_simulation_to_the_last_bit(gyro,
         output_interval=every * job.sampling.period,
         start_values={"manoeuvre": number},
     )
+    write_fmu(job, controllers, unit)  # in a process where it has run
     assert differing(found, expected, every) == []
     assert found["saturated.Q9"][-1] == expected.saturated[expected.torquer_names.index("Q9")]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable
 from functools import partial
 from hashlib import sha256
@@ -107,8 +108,9 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
 
     Parameters
     ----------
-    instance_name, resources
-        What PythonFMU3 passes: the instance's name and the folder of the unit's resources.
+    instance_name, resources, logger
+        What PythonFMU3 passes: the instance's name and the folder of the unit's resources; when the unit runs, where the
+        log goes.
 
     Raises
     ------
@@ -124,10 +126,14 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         super().__init__(**kwargs)
         folder = Path(str(kwargs["resources"]))
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        # The library, which has a logger, not the builder: it has put the folder there, for each instance anew, and
+        # leaves it. What is in it is loaded now.
+        if "logger" in kwargs and kwargs["resources"] in sys.path:
+            sys.path.remove(kwargs["resources"])
+        let_go_once(folder, about["identifier"])
         for name in (JOB, CONTROLLERS):
             if sha256((folder / name).read_bytes()).hexdigest() != about["sha256"][name]:
                 raise InputError(f"resources/{name}: is not the file that the FMU was written with")
-        let_go_once(folder, about["identifier"])
         self._about = about
         self._job: Job = read_job(folder / JOB)
         self._controllers = read_controllers(folder / CONTROLLERS, self._job)

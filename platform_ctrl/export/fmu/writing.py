@@ -19,6 +19,7 @@ from platform_ctrl.arguments import known_name
 from platform_ctrl.check.given import read_controllers
 from platform_ctrl.check.records import laid_out
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.fmu.documentation import page
 from platform_ctrl.export.fmu.signals import runs_of
 from platform_ctrl.export.json_systems import write_controllers
 from platform_ctrl.job import Job
@@ -117,8 +118,11 @@ def write_fmu(
         title = job.name.encode("ascii", "replace").decode().replace("\\", "/").replace('"', "'")
         script.write_text(_SCRIPT.format(title=title, version=__version__), encoding="ascii")
         resources = sorted(file for file in folder.iterdir() if file != script)
-        built = folder / "built"
-        builder.build_FMU(script, dest=built, project_files=resources)
+        built, documentation = folder / "built", folder / "documentation"
+        documentation.mkdir()
+        told = page(job, contents["manoeuvre"], __version__, contents["sha256"])
+        (documentation / "index.html").write_text(told, encoding="utf-8")
+        builder.build_FMU(script, dest=built, project_files=resources, documentation_folder=documentation)
         return write_whole(path, _packed(next(built.glob("*.fmu"))))
 
 
