@@ -109,8 +109,8 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     Parameters
     ----------
     instance_name, resources, logger
-        What PythonFMU3 passes: the instance's name and the folder of the unit's resources; when the unit runs, where the
-        log goes.
+        What PythonFMU3 passes: the instance's name and the folder of the unit's resources; where the unit runs, its
+        logger.
 
     Raises
     ------
