@@ -136,6 +136,31 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
         assert np.all(error > 0.0)
 
 
+def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
+    job: Job, entries: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    # The simulation cuts torques off and tells the controllers nothing of it.
+    files = write_c(job, entries[:2], tmp_path, anti_windup="none").files
+    scenario = manoeuvre_scenario(job, job.manoeuvres[0])
+    scenario = dataclasses.replace(
+        scenario, duration=0.25, profile=dataclasses.replace(scenario.profile, rate=4.0, rise=0.2)
+    )
+    controllers = [
+        control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
+        for e in entries[:2]
+    ]
+    flown = simulation.flight(scenario, controllers, period=job.sampling.period)
+    torquers = ["Q4", "Q5", "Q7", "Q9", "Q10"]
+    columns = [flown.torquer_names.index(name) for name in torquers]
+    assert flown.saturated[columns].max() > 100
+    made = Machine(
+        compiled(files, tmp_path / "none.so"), "three_gyro_platform", flown.pickoff_names,
+        torquers, ctypes.c_double, PREFIXES[:2],
+    ).run(flown.reading)[0]  # fmt: skip
+    limited = np.clip(flown.command[:, columns], -0.25, 0.25)
+    assert np.abs(made - limited).max() <= 1e-12 * np.abs(flown.command[:, columns]).max()
+
+
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_at_its_limits_it_is_the_model_with_anti_windup(
     which: int, job: Job, entries: list[dict[str, Any]], libraries: dict[str, Path]

@@ -15,6 +15,7 @@ from generated_c import Machine, classical_entry, compiled, entry
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.code import write_c
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
 from platform_ctrl.export.code.from_design import same_response, scheme_of, with_excess
@@ -138,6 +139,24 @@ def test_options_that_do_not_give_the_matrices_are_not_believed(job: Job) -> Non
     kinds = [section.kind for section in scheme_of(job, entries_of(job, [right])[0]).sections]
     assert kinds.count("notch") == 4
     assert "states" not in kinds
+
+
+@pytest.mark.parametrize("lead", [0.0, -7.0, 1e308, 1e-308, float("nan")])
+def test_options_that_are_nonsense_are_not_believed_either(job: Job, lead: float) -> None:
+    e = classical_entry(job, ("9", "10"))
+    e["options"] = e["options"] | {"lead_hz": lead, "rolloff_hz": lead}
+    made = entries_of(job, [e])[0]
+    scheme = scheme_of(job, made)
+    assert scheme.sections[0].name == "mode_1"
+    assert same_response(arrays(scheme), made.arrays)
+
+
+def test_controllers_of_one_name_do_not_overwrite_each_other(job: Job, tmp_path: Path) -> None:
+    gains = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2)
+    one, other = entry(job, "Gyro 9.", gains, ("9", "10")), entry(job, "gyro 9", gains, ("5", "7"))
+    files = write_c(job, [one, other, other | {"outputs": ["Q4", "M1"]}], tmp_path).files
+    assert [f.stem for f in files[::2]] == ["gyro_9", "gyro_9_2", "gyro_9_3", "three_gyro_platform"]
+    compiled(files, tmp_path / "lib.so")
 
 
 def test_random_controllers_compiled_are_what_their_matrices_say(job: Job, tmp_path: Path) -> None:

@@ -27,6 +27,8 @@ from platform_ctrl.linearisation import LinearModel, linearise
 _SAME_MATRICES = 1e-11
 _SAME_RESPONSE = 1e-8
 _FREQUENCIES = 240
+# States of a controller that is taken apart into modes: the time grows with the fourth power.
+_MOST = 400
 
 
 def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> Scheme:
@@ -78,10 +80,12 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
 
     for build in (_classical, _servo, pid_of):
         sections = _tried(build, job, entry)
-        made = None if sections is None else scheme(sections)
-        if made is not None and same_matrices(arrays(made), entry.arrays):
-            return scheme(made.sections, _excess_rows(made, entry.excess))
-    for form in (modal_sections, plain_sections):
+        if sections is None:
+            continue
+        made = scheme(sections)
+        if _believed(made, entry):
+            return scheme(sections, _excess_rows(made, entry.excess))
+    for form in (modal_sections, plain_sections) if len(entry.arrays.A) <= _MOST else (plain_sections,):
         written, T = form(entry)
         made = scheme(written)
         if same_response(arrays(made), entry.arrays):
@@ -144,7 +148,8 @@ def same_matrices(one: StateArrays, other: StateArrays) -> bool:
     See docs/generated-code.md.
     """
     for a, b in zip(one[:4], other[:4], strict=True):
-        if a.shape != b.shape or np.abs(a - b).max(initial=0.0) > _SAME_MATRICES * np.abs(b).max(initial=0.0):
+        # What is not a number is not the same.
+        if a.shape != b.shape or not np.all(np.abs(a - b) <= _SAME_MATRICES * np.abs(b).max(initial=0.0)):
             return False
     return True
 
@@ -187,10 +192,21 @@ def _tried(
     build: Callable[[Job, Entry, LinearModel], tuple[Section, ...] | None], job: Job, entry: Entry
 ) -> tuple[Section, ...] | None:
     try:
-        return build(job, entry, linearise(job.platform))
-    except (PlatformCtrlError, KeyError):
-        # Options of another plant or another version: its modes say it as well.
+        with np.errstate(all="ignore"):
+            return build(job, entry, linearise(job.platform))
+    except (PlatformCtrlError, KeyError, ArithmeticError, ValueError):
+        # Options of another plant, of another version, or nonsense: its modes say it as well.
         return None
+
+
+def _believed(made: Scheme, entry: Entry) -> bool:
+    """Return whether what options say is the controller: same matrices, and so the same response."""
+    try:
+        with np.errstate(all="ignore"):
+            K = arrays(made)
+            return same_matrices(K, entry.arrays) and same_response(K, entry.arrays)
+    except PlatformCtrlError:
+        return False
 
 
 def _classical(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:

@@ -12,6 +12,7 @@ can be held against what was designed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import field
 from typing import Literal
 
@@ -193,7 +194,8 @@ def arrays(scheme: Scheme) -> StateArrays:
     Raises
     ------
     ArgumentError
-        A row names a source that is not known there, or a target twice; an output is missing.
+        A row names a source that is not known there, or a target twice; a coefficient is not finite; an output is
+        missing.
 
     References
     ----------
@@ -207,6 +209,11 @@ def arrays(scheme: Scheme) -> StateArrays:
     def total(row: Row) -> FloatArray:
         out = np.zeros(len(states) + len(inputs))
         for term in row.terms:
+            if not math.isfinite(term.coefficient):
+                raise ArgumentError(
+                    f"scheme {scheme.name!r}: {row.target!r} has the coefficient {term.coefficient}; expected "
+                    "a finite number"
+                )
             if term.source not in known:
                 raise ArgumentError(
                     f"scheme {scheme.name!r}: {row.target!r} takes in {term.source!r}; expected an input, a state or a "

@@ -233,7 +233,7 @@ def _floating_texts(
     notes: list[str] = []
     units = []
     for scheme, remark in zip(schemes, remarks, strict=True):
-        prefix = prefixes[scheme.name].lower()
+        prefix = prefixes.new(scheme.name).lower()
         said = [remark]
         if number == "float":
             more, doubts = _in_single_precision(job, scheme)
@@ -242,7 +242,7 @@ def _floating_texts(
         unit = Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
         units.append(unit)
         texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
-    whole = prefixes[f"{job.name} "].lower()
+    whole = prefixes.new(job.name).lower()
     return texts | {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}, notes
 
 
@@ -260,7 +260,7 @@ def _integer_texts(
     texts: dict[str, str] = {}
     for unit in units:
         texts |= {f"{unit.prefix}.h": fixed.header(unit), f"{unit.prefix}.c": fixed.source(unit)}
-    whole = prefixes[f"{job.name} "].lower()
+    whole = prefixes.new(job.name).lower()
     return texts | {f"{whole}.h": fixed.job_header(whole, units), f"{whole}.c": fixed.job_source(whole, units)}
 
 
