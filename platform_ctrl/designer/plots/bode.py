@@ -14,8 +14,7 @@ from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View, stepped
-from platform_ctrl.designer.plots.words import factor
-from platform_ctrl.designer.values import Bode, Margins, Picture
+from platform_ctrl.designer.values import Bode, Picture
 from platform_ctrl.frozen import FloatArray
 
 HZ = 1.0 / (2.0 * math.pi)
@@ -39,11 +38,11 @@ class BodePanel:
         self._sources, self._frequency = sources, frequency
         self._gain = View(-40.0, 40.0, stepped(20.0, -80.0, 80.0))
         self._phase = View(-360.0, 0.0, stepped(90.0, -720.0, 360.0))
-        above = self.panel.add(frequency, self._gain, "", "gain of L, dB", log_x=True, share=3)
-        below = self.panel.add(frequency, self._phase, "frequency, Hz", "phase of L, °", log_x=True, share=2)
+        above = self.panel.add(frequency, self._gain, "", "gain, dB", log_x=True)
+        below = self.panel.add(frequency, self._phase, "frequency, Hz", "phase, °", log_x=True)
         self.above, self.below = above, below
         self.panel.label_ticks(above, False)
-        above.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 5], desired_num_ticks=5, num_minor_ticks=0)
+        above.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 4], desired_num_ticks=5, num_minor_ticks=0)
         below.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=4, num_minor_ticks=0)
         self._loop: ColumnDataSource = sources.new("loop", "frequency", "gain", "phase")
         self._band = sources.new("band", "frequency", "gain_low", "gain_high", "phase_low", "phase_high")
@@ -120,7 +119,7 @@ class BodePanel:
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
         self.handle.show(None if margins.crossover is None else margins.crossover * HZ)
-        self.panel.say(f"{bode.channel}, others closed" + (_words(margins) if picture.stable else ""))
+        self.panel.say(f"L at {bode.channel}, others closed")
         keys: list[Key] = [(picture.settings.design or "L", "series-1", (), 2.2)]
         self.panel.keys(
             [
@@ -140,20 +139,10 @@ def _is_bandwidth(name: str, unit: str) -> bool:
 
 def _trouble(picture: Picture) -> str:
     if not picture.stable:
-        return "closed loop not stable: these are no margins"
+        return "closed loop not stable"
     if not picture.all_stable:
-        return "not stable with every plant of the set"
+        return "not stable with all plants"
     return "" if picture.margins.crossover is not None else "the gain never passes 1: no crossover"
-
-
-def _words(margins: Margins) -> str:
-    parts = []
-    if math.isfinite(margins.phase):
-        parts.append(f"phase margin {margins.phase:.0f}°")
-    if margins.gain_down > 0.0 or math.isfinite(margins.gain_up):
-        least = f"× {factor(margins.gain_down)} to" if margins.gain_down > 0.0 else "up to"
-        parts.append(f"gain {least} × {factor(margins.gain_up)}")
-    return "".join(f" · {part}" for part in parts)
 
 
 def _marks(bode: Bode) -> FloatArray:

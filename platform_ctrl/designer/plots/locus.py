@@ -26,6 +26,8 @@ _GAINS, _OTHERS = 161, 900
 _LEFT, _RIGHT, _BELOW, _END = 1.12, 0.30, 0.06, 1e7
 # A reach may leave the one shown by this factor before the view follows.
 _PLAY = 1.35
+# Words at the rays are this share of the view apart at least.
+_APART = 0.17
 _ROUND = np.array([1.0, 2.0, 5.0])
 
 
@@ -159,7 +161,10 @@ class LocusPanel:
             tell(self._message, "no finite pole")
         else:
             right = int((locus.present.real > 0.0).sum())
-            tell(self._message, "" if picture.stable else f"not stable: {right} poles to the right")
+            tell(
+                self._message,
+                "" if picture.stable else f"not stable: {right} {'pole' if right == 1 else 'poles'} to the right",
+            )
 
     def _asked(self, damping: float | None) -> None:
         if damping is None or not 0.0 < damping < 1.0:
@@ -190,9 +195,13 @@ class LocusPanel:
         rows: list[tuple[float, float, float, float, str, str, str]] = []
         for radius in radii[(radii > 0.12 * reach) & (radii < 0.95 * reach)]:
             rows.append((0.0, radius, 5.0, 0.0, f"{radius * HZ:.3g} Hz", "left", "middle"))
-        for damping in DAMPINGS:
+        last = math.inf
+        for damping in reversed(DAMPINGS):
             slope = damping / math.sqrt(1.0 - damping**2)
             if slope * reach < left:
+                if last - slope * reach < _APART * left:
+                    continue
+                last = slope * reach
                 rows.append((-slope * reach, reach, -3.0, 3.0, f"{damping:g}", "right", "top"))
             else:
                 rows.append((-left, left / slope, 3.0, -3.0, f"{damping:g}", "left", "bottom"))

@@ -40,10 +40,10 @@ class NicholsPanel:
         self._sources = sources
         self._phase = View(-360.0, 0.0, stepped(45.0, -720.0, 180.0))
         self._gain = View(-40.0, 40.0, stepped(10.0, _LOWEST, _HIGHEST))
-        plot = self.panel.add(self._phase, self._gain, "phase of L, °", "gain of L, dB")
+        plot = self.panel.add(self._phase, self._gain, "phase, °", "gain, dB")
         self.plot = plot
         plot.xaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=5, num_minor_ticks=0)
-        plot.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 5], desired_num_ticks=6, num_minor_ticks=0)
+        plot.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 4], desired_num_ticks=6, num_minor_ticks=0)
         regions = sources.new("regions", lists=("xs", "ys"))
         critical = sources.new("critical", "phase", "gain")
         plants = sources.new("plants", "phase", "gain")
@@ -82,7 +82,7 @@ class NicholsPanel:
         others = len(nichols.labels) - 1
         overlays = picture.bode.overlays
         asked = nichols.disk_margin
-        self.panel.say("" if asked is None else f"disk margin {asked:g} keeps the grey free")
+        self.panel.say("" if asked is None else f"grey: disk margin {asked:g}")
         set_of_plants = [(f"{others} more plants", "series-1", (), 0.9)] if others else []
         self.panel.keys([("L", "series-1", (), 2.2), *set_of_plants, *overlay_keys(overlays)])
         empty = not (np.isfinite(phases[0]).any() and np.isfinite(gains[0]).any())

@@ -33,6 +33,7 @@ from bokeh.plotting import figure
 
 from platform_ctrl.designer.plots.palette import FONT, NORMAL, SMALL, colours
 from platform_ctrl.designer.plots.views import View
+from platform_ctrl.designer.plots.widths import inner_height, inner_width
 
 # Key of a curve: words, name of its colour, dashes, width.
 Key = tuple[str, str, Sequence[int], float]
@@ -126,7 +127,7 @@ class Panel:
         }
         self._head = Div(sizing_mode="stretch_width", height=18, tags=["heading"], **common)
         self._keys = Div(sizing_mode="stretch_width", height=16, tags=["heading"], **common)
-        self._reset = self.button("reset view", f"{name}-reset")
+        self._reset = self.button("reset", f"{name}-reset")
         self._reset.on_click(self.reset)
         self._row = Row(self._head, self._reset, sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4)
         self.layout = Column(
@@ -153,13 +154,8 @@ class Panel:
             stylesheets=[self.theme.sheet(_BUTTON)],
         )  # fmt: skip
 
-    def add(
-        self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False, share: int = 1
-    ) -> Plot:
-        """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar.
-
-        `share`: of the panel's height, relative to the others.
-        """
+    def add(self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False) -> Plot:
+        """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
         out = figure(
             name=f"{self.name}-figure-{len(self.figures)}",
             x_range=x.range,
@@ -171,7 +167,7 @@ class Panel:
             toolbar_location=None,
             tools=[],
             sizing_mode="stretch_both",
-            min_height=90,
+            min_height=50,
             min_width=200,
             min_border_left=_LEFT,
             min_border_right=_RIGHT,
@@ -179,7 +175,7 @@ class Panel:
             min_border_bottom=0,
             output_backend="canvas",
             margin=0,
-            styles={"flex-grow": f"{share}", "flex-basis": "0"},
+            styles={"flex-grow": "1", "flex-basis": "0"},
         )
         pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
         out.add_tools(pan, wheel, ResetTool())
@@ -190,6 +186,8 @@ class Panel:
         # Two clicks show everything again, as the button does.
         out.on_event(DoubleTap, lambda event: self.reset())
         self._style(out)
+        for name in ("inner_width", "inner_height"):
+            out.on_change(name, lambda attr, old, new: self._ticks(out))
         self.figures.append(out)
         self.layout.children = [*self.layout.children, out]
         return out
@@ -203,6 +201,13 @@ class Panel:
         for grid in (*plot.xgrid, *plot.ygrid):
             paint(grid, grid_line_color="grid")
             grid.grid_line_width = 1
+
+    def _ticks(self, plot: Plot) -> None:
+        """Let a figure have as many ticks as its size on the screen has room for."""
+        for axes, pixels, each in ((plot.xaxis, inner_width(plot), 58.0), (plot.yaxis, inner_height(plot), 24.0)):
+            for axis in axes:
+                if isinstance(axis, LinearAxis):
+                    axis.ticker.desired_num_ticks = max(2, min(9, round(pixels / each)))
 
     def style_axis(self, axis: Any) -> None:
         """Give an axis the page's type, ticks and colours."""
@@ -260,7 +265,7 @@ class Panel:
         """Return a line of text at the top left of a figure, empty at first, that says what is the matter."""
         corner = Node(target="frame", symbol="top_left")
         out = Label(
-            x=corner, y=corner, x_offset=8, y_offset=8, text="", text_baseline="top", text_font=FONT,
+            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT,
             text_font_size=NORMAL, padding=3, level="annotation", visible=False,
         )  # fmt: skip
         self.theme.paint(out, text_color="limit", background_fill_color="page")

@@ -61,7 +61,7 @@ class RatePanel:
         self._message = self.panel.message(plot)
         self._unit = Unit()
         self.shows_frequency = False
-        self.toggle = self.panel.button("over frequency", "Omega-toggle")
+        self.toggle = self.panel.button("frequency", "Omega-toggle")
         self.toggle.on_click(self._toggled)
         row = self.panel.layout.children[0]
         row.children = [row.children[0], self.toggle, *row.children[1:]]
@@ -74,7 +74,7 @@ class RatePanel:
     def choose(self, frequency: bool) -> None:
         """Show the response over frequency, or over time."""
         self.shows_frequency = frequency
-        self.toggle.label = "over time" if frequency else "over frequency"
+        self.toggle.label = "time" if frequency else "frequency"
         self.plot.visible = frequency
         self.over_time.visible(not frequency)
         if self._picture is not None:

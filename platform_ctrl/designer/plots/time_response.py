@@ -22,6 +22,10 @@ from platform_ctrl.greek import greek
 _POINTS, _SIGNALS, _WIDER = 400, 9, 3.0
 # Share of a limit, and size in the plain unit, below which a signal is nothing.
 _NOTHING, _ROUNDING = 1e-4, 1e-12
+# Share of the others below which a signal is as good as nothing: then they are looked at.
+_DWARFED = 0.03
+# What grows without bound is shown to this many times its size in the first eighth.
+_BEGUN = 2.0
 # Figures: the first unit of a response, and the second.
 _FIGURES = 2
 
@@ -101,7 +105,7 @@ class _Trace:
     def __init__(self, panel: Panel, name: str, time: View, sources: Sources, theme: Theme, *, last: bool) -> None:
         self._name, self._sources, self._theme, self._last = name, sources, theme, last
         self._size = View(-1.0, 1.0)
-        self.plot = plot = panel.add(time, self._size, "time, s" if last else "", "", share=2 if last else 3)
+        self.plot = plot = panel.add(time, self._size, "time, s" if last else "", "")
         lines: ColumnDataSource = sources.new(name, lists=("xs", "ys", "name", "unit", "colour"))
         bands = sources.new(f"{name}_bands", lists=("xs", "ys", "colour"))
         others = sources.new(f"{name}_overlays", lists=("xs", "ys", "name", "colour", "dash"))
@@ -122,6 +126,7 @@ class _Trace:
         panel.hover(plot, [curves], rows, line_policy="interp")
         self._message = panel.message(plot)
         self._unit = Unit()
+        self._begun = False
         self.used = True
         self.keys: list[Key] = []
 
@@ -136,7 +141,14 @@ class _Trace:
         low, high = (response.low[rows][:, at], response.high[rows][:, at]) if band else (values, values)
         limit = limit if limit is not None and 0.0 < limit < math.inf else None
         others = [_fitting(one, own, response.values.shape) for one in picture.bode.overlays]
-        seen = _seen(values, [low, high, *(one[rows][:, at] for one in others if one is not None)], limit)
+        wider = [low, high, *(one[rows][:, at] for one in others if one is not None)]
+        if not picture.stable:
+            # What grows without bound is looked at where it begins; the set's band says nothing any more.
+            band, wider = False, []
+        seen = _seen(values if picture.stable else _BEGUN * values[:, : 1 + len(at) // 8], wider, limit)
+        if self._begun and not picture.stable:
+            seen = None
+        self._begun = self._begun or seen is not None
         plain = unit
         self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
         scale, unit = self._unit.scale, self._unit.name
@@ -167,7 +179,7 @@ class _Trace:
         put(f"{self._name}_drive", t=t if acts else column([]), share=column(response.drive[at] if acts else []))
         if seen is not None:
             self._size.fit((scale * seen[0], scale * seen[1]))
-        self.plot.yaxis[0].axis_label = ("torque, " if unit.endswith("N m") else "") + unit
+        self.plot.yaxis[0].axis_label = unit
         above, below = self._limits
         if limit is not None:
             above.bottom, below.top = scale * limit, -scale * limit
@@ -176,7 +188,7 @@ class _Trace:
             tell(self._message, "no finite response")
         else:
             troubled = not (picture.stable or self._last)
-            tell(self._message, "closed loop not stable: this grows without bound" if troubled else "")
+            tell(self._message, "closed loop not stable" if troubled else "")
         # Torques have the colours of the angles above them, in the same order.
         self.keys = [] if self._last else [(name, series(k), (), 2.0) for k, name in enumerate(names)]
         if limit is not None:
@@ -204,7 +216,9 @@ def _seen(values: FloatArray, wider: Sequence[FloatArray], limit: float | None) 
         # Rounding, or as good as nothing: against the limit it is a straight line.
         return -1.1 * limit, 1.1 * limit
     low, high = extent(wider) or own
-    low, high = max(min(own[0], low), -_WIDER * size), min(max(own[1], high), _WIDER * size)
+    low, high = min(own[0], low), max(own[1], high)
+    if size > _DWARFED * max(-low, high):
+        low, high = max(low, -_WIDER * size), min(high, _WIDER * size)
     if limit is not None:
         # An unstable loop leaves its limit far behind: what happens near the limit is of interest.
         low, high = max(low, -4.0 * limit), min(high, 4.0 * limit)

@@ -8,13 +8,6 @@ _PREFIXES = ((1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _PREFIXED = frozenset({"rad", "rad/s", "N m", "s", "rad s/rad"})
 
 
-def factor(number: float) -> str:
-    """Return a gain factor: ``0.42``, ``2.3``, ``∞``."""
-    if not math.isfinite(number):
-        return "∞"
-    return f"{number:.2g}" if number < 100.0 else f"{number:.0f}"
-
-
 class Unit:
     """The unit that a size reads well in: it changes only when the numbers have become awkward, not at every move.
 

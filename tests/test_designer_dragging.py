@@ -1,0 +1,168 @@
+"""In a real browser: a pole of the root locus and the crossover of the Bode diagram are dragged with the mouse."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bokeh", reason="Bokeh is not installed")
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.models import Column, Row
+from bokeh.server.server import Server
+from browser import Screen, chromium, screen
+from designer_pictures import picture
+from tornado.ioloop import IOLoop
+
+from platform_ctrl.designer.plots import Plots
+
+HZ = 1.0 / (2.0 * np.pi)
+browser = pytest.fixture(scope="module")(chromium)
+
+# Where a point of a figure lies on the screen.
+PLACE = """([name, x, y]) => {
+  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
+  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
+  const box = view.canvas_view.el.getBoundingClientRect();
+  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
+}"""
+
+
+class Page:
+    """A page of two plots, and what was dragged on it."""
+
+    def __init__(self) -> None:
+        self.poles: list[tuple[complex, complex]] = []
+        self.crossovers: list[float] = []
+        self.gain = 4000.0
+        self.plots: Plots | None = None
+        self.document: Document | None = None
+
+    def fill(self, document: Document) -> None:
+        self.gain, self.poles, self.crossovers = 4000.0, [], []
+        self.plots, self.document = Plots(), document
+        roots = self.plots.layout
+        document.add_root(
+            Column(
+                Row(roots["bode"], roots["locus"], width=1000, height=420), Row(roots["nichols"], width=400, height=300)
+            )
+        )
+        self.plots.show(picture(self.gain))
+        self.plots.on_pole_pulled(self._pole)
+        self.plots.on_crossover_pulled(self._crossover)
+
+    def _pole(self, pole: complex, target: complex) -> None:
+        self.poles.append((pole, target))
+        # The loop's poles are -10 +- j sqrt(gain - 100): the gain takes one as high as it is wanted.
+        self._answer(target.imag**2 + 100.0)
+
+    def _crossover(self, frequency: float) -> None:
+        self.crossovers.append(frequency)
+        self._answer(frequency * float(np.hypot(frequency, 20.0)))
+
+    def _answer(self, gain: float) -> None:
+        self.gain = gain
+        assert self.plots is not None
+        self.plots.show(picture(gain))
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[tuple[Page, str]]:
+    page, ready = Page(), threading.Event()
+    found: dict[str, Any] = {}
+
+    def run() -> None:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        server = Server({"/": Application(FunctionHandler(page.fill))}, port=0, address="127.0.0.1", num_procs=1)
+        server.start()
+        found.update(port=server.port, loop=IOLoop.current(), server=server)
+        ready.set()
+        IOLoop.current().start()
+        server.stop()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    assert ready.wait(20.0)
+    yield page, f"http://127.0.0.1:{found['port']}/"
+    found["loop"].add_callback(found["loop"].stop)
+    thread.join(10.0)
+
+
+@pytest.fixture
+def shown(browser: Any, served: tuple[Page, str]) -> Iterator[tuple[Page, Screen]]:
+    page, address = served
+    with screen(browser, address, width=1060, height=800) as seen:
+        seen.page.wait_for_function("window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle")
+        yield page, seen
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def drag(seen: Screen, figure: str, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
+    mouse = seen.page.mouse
+    first, last = (seen.page.evaluate(PLACE, [figure, *place]) for place in (start, end))
+    mouse.move(*first)
+    mouse.down()
+    mouse.move(*last, steps=steps)
+    mouse.up()
+
+
+def test_a_pole_is_dragged_and_the_last_place_wins(shown: tuple[Page, Screen]) -> None:
+    page, seen = shown
+    high = float(np.sqrt(3900.0))
+    drag(seen, "locus-figure-0", (-10.0, high), (-10.0, 90.0))
+    until(lambda: bool(page.poles) and abs(page.poles[-1][1] - complex(-10.0, 90.0)) < 1.0)
+    assert page.poles[0][0] == pytest.approx(complex(-10.0, high))
+    assert page.gain == pytest.approx(90.0**2 + 100.0, rel=0.03)
+    # The plots have followed: the cross is where the ring was let go, and its conjugate opposite.
+    assert page.plots is not None
+    until(lambda: len(page.plots.sources["pulled"].data["x0"]) == 0)  # type: ignore[union-attr]
+    assert sorted(page.plots.sources["poles"].data["im"]) == pytest.approx([-90.0, 90.0], rel=0.02)
+    assert seen.complaints == []
+
+
+def test_the_crossover_is_dragged_along_the_frequencies(shown: tuple[Page, Screen]) -> None:
+    page, seen = shown
+    first = float(picture().margins.crossover or 0.0) * HZ
+    drag(seen, "bode-figure-0", (first, 10.0), (2.0 * first, 10.0))
+    until(lambda: bool(page.crossovers) and abs(page.crossovers[-1] * HZ / (2.0 * first) - 1.0) < 0.03)
+    # Not every move of the mouse is handed on.
+    assert len(page.crossovers) <= 14
+    assert seen.complaints == []
+
+
+def test_beside_a_handle_the_mouse_moves_the_view(shown: tuple[Page, Screen]) -> None:
+    page, seen = shown
+    assert page.plots is not None
+    axis = page.plots.layout["locus"].select_one({"name": "locus-figure-0"}).x_range
+    start = axis.start
+    drag(seen, "locus-figure-0", (-60.0, 30.0), (-30.0, 30.0))
+    until(lambda: abs(axis.start - (start - 30.0)) < 2.0)
+    assert page.poles == []
+    seen.page.get_by_role("button", name="reset").nth(1).click()
+    until(lambda: axis.start == start)
+
+
+def test_the_theme_changes_while_the_page_is_open(shown: tuple[Page, Screen]) -> None:
+    page, seen = shown
+    locus = seen.page.locator("canvas").nth(2)
+    before = locus.screenshot()
+    plots, document = page.plots, page.document
+    assert plots is not None
+    assert document is not None
+    document.add_next_tick_callback(lambda: plots.dark(True))
+    until(lambda: locus.screenshot() != before)
+    assert seen.complaints == []
