@@ -466,14 +466,20 @@ def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
         ("<sensor>", '<equality><joint joint1="swing"/></equality><sensor>', "has equality constraints"),
         ('<joint name="turn" axis="0 0 1"/>', '<joint name="turn" axis="0 1 0" pos="0 0.1 0.3"/>', "meets neither"),
         ("</mujoco>", "", "is no model that MuJoCo takes"),
+        ('damping="0.01"', 'damping="nan"', "holds a number that is NaN"),
+        ('pos="0 0 0.2"', 'pos="0 0 1e60"', "is not finite or huge"),
         ("<joint", "<freejoint/><joint", "is no model that MuJoCo takes"),
     ],
 )
-def test_a_model_that_is_no_platform_is_one_line(old: str, new: str, words: str, tmp_path: Path) -> None:
+def test_a_model_that_is_no_platform_is_one_line(
+    old: str, new: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "wheel.xml"
     path.write_text(WHEEL.replace(old, new))
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=words) as caught:
         read_mjcf(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["wheel.xml"]  # MuJoCo keeps no log of it
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
@@ -63,10 +64,19 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
     label = one_line(str(file))
     read_text(file, "an MJCF file")  # what cannot be read, or is too large
     mujoco = loaded()
+    warned: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warned.append)  # else they go to a file where the user is
     try:
-        model = mujoco.MjSpec.from_file(str(file)).compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # as of a nearly singular mass matrix: what matters is refused below
+            model = mujoco.MjSpec.from_file(str(file)).compile()
     except Exception as error:
         raise InputError(f"{label}: is no model that MuJoCo takes: {one_line(' '.join(str(error).split()))}") from None
+    finally:
+        mujoco.set_mju_user_warning(before)
+    if any("NaN" in words for words in warned):
+        raise InputError(f"{label}: holds a number that is NaN; expected finite ones")
     with np.errstate(all="ignore"):  # what is not finite is refused with its place
         tables = _Model(mujoco, model, label, dict(spins or {})).tables()
     try:
