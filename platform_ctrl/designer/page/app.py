@@ -38,8 +38,9 @@ def page(workbench: Workbench, document: Document) -> None:
     See docs/designer.md.
     """
     session = Session(workbench, document, _state(document))
-    for root in session.roots():
-        document.add_root(root)
+    with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
+        for root in session.roots():
+            document.add_root(root)
     document.on_session_destroyed(session.close)
     document.title = session.title
     document.template = _template()

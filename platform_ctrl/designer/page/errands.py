@@ -159,7 +159,11 @@ class Errands:
 
     def _ask_save(self, ask: Ask) -> None:
         session = self._session
-        path = target(self._folder(), ask.more["name"])
+        try:
+            path = target(self._folder(), ask.more["name"])
+        except PlatformCtrlError as error:
+            session.answer(ask.count, saved={"kind": "error", "text": str(error)})
+            return
         settings, overwrite = session.settings, ask.more["overwrite"]
         there = [one.name for one in (path, controllers_beside(path)) if os.path.lexists(one)]
         if there and not overwrite:

@@ -87,6 +87,9 @@ class Session:
         self.wire = Wire(name="wire")
         self.wire.on_change("asked", self._asked)
         self.plots = Plots(dark=False)
+        for root in self.plots.layout.values():
+            # Beside the headings the template has a button.
+            root.children[0].margin = (0, 24, 0, 0)
         self.tree = TreeView(workbench.read.platform)
         self.plots.on_pole_pulled(self._pole_pulled)
         self.plots.on_crossover_pulled(self._crossover_pulled)

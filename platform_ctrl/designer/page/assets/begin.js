@@ -6,6 +6,14 @@ import "./table.js";
 import "./acts.js";
 
 const LOOK = 20;
+// For who watches the page from outside: whether everything that it asked for is done.
+window.designer = {
+  traffic,
+  settled: () => {
+    const { asked, answered, waiting } = traffic();
+    return asked > 0 && asked === answered && waiting === 0;
+  },
+};
 
 const begin = (bokeh) => {
   const wire = bokeh.get_model_by_name("wire");

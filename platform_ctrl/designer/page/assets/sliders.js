@@ -1,5 +1,5 @@
 // The sliders: a row each with its number, unit, a lock and a way back to where it stood at first.
-import { ask, byId, icon, made, move, newGesture, on, pending, settled, shown, typed } from "./wire.js";
+import { ask, byId, icon, made, move, newGesture, on, pending, put, settled, shown, typed } from "./wire.js";
 
 const STEPS = 1000, FINE = 2, COARSE = 20;
 const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
@@ -73,10 +73,8 @@ const makeRow = (knob, k) => {
     if (!row.typing) return;
     row.typing = false;
     row.dragged = null;
-    newGesture();
     const value = typed(number.value);
-    // What is no number goes to the server as text: one place judges it, and says so.
-    ask("move", { moves: [{ knob: row.knob.name, value: Number.isFinite(value) ? value : number.value.slice(0, 40) }], gesture });
+    put(row.knob.name, Number.isFinite(value) ? value : number.value.slice(0, 40));
   };
   number.addEventListener("input", () => { row.typing = true; });
   number.addEventListener("focus", () => number.select());

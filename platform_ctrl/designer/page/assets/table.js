@@ -2,11 +2,12 @@
 import { byId, made, on, shown } from "./wire.js";
 import { near, rows } from "./sliders.js";
 
+const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
 const LEAST = 0.002, MOST = 0.1;
 // What is left of a limit, signed; a missed one is below zero.
 const left = (one) => (one.ratio === null ? null : 1 - one.ratio);
 const percent = (share) => (share === null ? "–" : `${share < 0 ? "−" : "+"}${shown(Math.min(999, 100 * Math.abs(share)), Math.abs(share) < 0.1 ? 2 : 3)} %`);
-let influence = null, order = [];
+let influence = null;
 
 const bar = (one) => {
   // Roots, so that the last per cent before a limit can be seen.
@@ -34,10 +35,10 @@ const cell = (one, knob, change) => {
 
 const paintTable = (requirements) => {
   const table = document.querySelector("#requirements table");
-  const knobs = influence === null ? order : influence.knobs.map((name) => rows.get(name)?.knob).filter(Boolean);
-  order = knobs;
+  const knobs = [...rows.values()].map((row) => row.knob);
+  const places = new Map((influence?.knobs ?? []).map((name, k) => [name, k]));
   const head = made("tr", {},
-    made("th", { scope: "col" }, "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
+    made("th", { scope: "col" }, made("span", { className: "key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
     made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { scope: "col" }),
     ...knobs.map((knob) => made("th", { scope: "col", className: "knob-name", "data-knob": knob.name, title: knob.label }, made("span", {}, knob.label))),
     made("th", { className: "rest" }));
@@ -49,12 +50,10 @@ const paintTable = (requirements) => {
       made("td", { className: "number" }, one.asked),
       made("td", { className: "number value" }, `${one.passed ? "" : "✗ "}${one.reached}`),
       made("td", { className: "number left" }, percent(left(one))), made("td", { className: "bar" }, bar(one)),
-      ...knobs.map((knob, k) => cell(one, knob, changes[k])),
+      ...knobs.map((knob) => cell(one, knob, changes[places.get(knob.name)])),
       made("td", { className: "rest" }));
   });
   table.tBodies[0].replaceChildren(...body);
-  table.caption?.remove();
-  if (knobs.length) table.createCaption().textContent = "Arrows: which way to move a slider to help; the stronger the colour, the more 5 % of it changes. Empty: next to nothing.";
 };
 
 let requirements = [];

@@ -46,6 +46,11 @@ export const move = (knob, value) => {
   waiting.set(knob, { knob, value });
   sendWaiting();
 };
+// A number that was typed goes at once, whatever it is: the server judges it.
+export const put = (knob, value) => {
+  newGesture();
+  ask("move", { moves: [{ knob, value }], gesture });
+};
 export const newGesture = () => { gesture += 1; };
 export const pending = (knob) => waiting.has(knob);
 export const settled = (n) => n >= asked;

@@ -1,0 +1,410 @@
+from __future__ import annotations
+
+import gc
+import json
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from browser import Screen, chromium, screen, served
+
+pytest.importorskip("bokeh")
+pytest.importorskip("tomlkit")
+
+from bokeh.document import Document
+
+from platform_ctrl.cli import main
+from platform_ctrl.designer.page.asking import ASKS, ask_of
+from platform_ctrl.designer.page.choosing import chosen
+from platform_ctrl.designer.page.newest import Newest
+from platform_ctrl.designer.page.saving import check_line, target
+from platform_ctrl.designer.page.session import Session
+from platform_ctrl.designer.workbench import Workbench
+from platform_ctrl.errors import InputError, PlatformCtrlError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+    from platform_ctrl.designer.server import PageServer
+
+JOB = """# A comment that is to stay.
+schema = 1
+name = "gyros <9 & 10>"
+plant = "three_gyro_platform"
+
+[operation]
+Omega = [0.0, 0.0, 0.0]
+
+[spread]
+inertia = 0.05
+
+[sampling]
+rate_hz = 2000
+delay = 0.0005
+
+[[loop]]
+name = "caging 9-10"
+kind = "caging"
+gimbals = ["9", "10"]
+use = "classical"
+limits = { bandwidth_hz = 20, disk_margin = 0.4, disk_margin_spread = 0.3 }
+
+[[loop.design]]
+name = "classical"
+method = "classical"
+crossover_hz = 40                      # by hand
+integral_hz = 2
+
+[[loop.design]]
+name = "slower"
+method = "classical"
+crossover_hz = 30
+integral_hz = 2
+
+[[manoeuvre]]
+name = "0.5 rad/s about axis 1"
+mode = "caged"
+axis = 1
+rate = 0.5
+rise = 0.01
+hold = 0.02
+duration = 0.05
+limits = { angle = 0.1 }
+"""
+CROSSOVER = '#knobs [data-knob="crossover_hz"]'
+LOOP = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "loop") return Array.from(model.data.gain);
+  }
+}"""
+
+browser = pytest.fixture(scope="module")(chromium)
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gyros") / "gyros.toml"
+    path.write_text(JOB, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def workbench(job: Path) -> Workbench:
+    return Workbench(job)
+
+
+@pytest.fixture(scope="module")
+def server(workbench: Workbench) -> Iterator[PageServer]:
+    with served(workbench) as running:
+        yield running
+
+
+@contextmanager
+def opened(browser: Browser, address: str, **how: Any) -> Iterator[Screen]:
+    with screen(browser, address, **how) as seen:
+        seen.page.wait_for_selector("body:not(.starting)", state="attached")
+        yield seen
+
+
+@pytest.fixture(scope="module")
+def only(browser: Browser, server: PageServer) -> Iterator[Screen]:
+    with opened(browser, server.address) as one:
+        yield one
+
+
+@pytest.fixture
+def page(only: Screen) -> Page:
+    """The page, brought back to the job as it stands by all its undo."""
+    page = only.page
+    if page.locator("dialog[open]").count():
+        page.keyboard.press("Escape")
+    while page.locator("#undo").is_enabled():
+        page.locator("#undo").click()
+        settled(page)
+    page.locator("h1").click()
+    return page
+
+
+def settled(page: Page) -> None:
+    until(page, lambda: page.evaluate("window.designer.settled()"))
+
+
+def until(page: Page, what: Any, patience: float = 20.0) -> Any:
+    """Return what `what` returns once it is true; the page's own rules forbid Playwright's way of waiting."""
+    end = time.monotonic() + patience
+    while not (found := what()):
+        assert time.monotonic() < end, "it did not come"
+        page.wait_for_timeout(15)
+    return found
+
+
+def number(page: Page, knob: str) -> Locator:
+    return page.locator(f'#knobs [data-knob="{knob}"] input[type="text"]')
+
+
+def shows(page: Page, knob: str, value: str) -> None:
+    until(page, lambda: number(page, knob).input_value() == value)
+
+
+def typed(page: Page, knob: str, text: str) -> None:
+    number(page, knob).fill(text)
+    number(page, knob).press("Enter")
+    settled(page)
+
+
+def drawn(page: Page) -> list[float]:
+    return [float(one) for one in page.evaluate(LOOP)]
+
+
+def line(page: Page, part: str) -> str:
+    return str(until(page, lambda: part in (text := page.locator("#line").text_content() or "") and text))
+
+
+def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_back(page: Page) -> None:
+    before, pixels = drawn(page), page.locator("#panel-nichols").screenshot()
+    thumb = page.locator(f'{CROSSOVER} input[type="range"]').bounding_box()
+    assert thumb is not None
+    middle = thumb["y"] + thumb["height"] / 2
+    page.mouse.move(thumb["x"] + thumb["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(thumb["x"] + 0.56 * thumb["width"], middle, steps=6)
+    page.mouse.up()
+    until(page, lambda: drawn(page) != before)
+    until(page, lambda: page.locator("#panel-nichols").screenshot() != pixels)
+    until(page, lambda: number(page, "crossover_hz").input_value() not in ("", "40"))
+    page.keyboard.press("Control+z")
+    shows(page, "crossover_hz", "40")
+    until(page, lambda: drawn(page) == before)
+    page.keyboard.press("Control+Shift+z")
+    until(page, lambda: drawn(page) != before)
+
+
+def test_everything_works_by_keyboard(page: Page) -> None:
+    page.keyboard.press("g")
+    slider = page.locator(f'{CROSSOVER} input[type="range"]')
+    assert slider.evaluate("one => one === document.activeElement")
+    page.keyboard.press("ArrowRight")
+    until(page, lambda: number(page, "crossover_hz").input_value() != "40")
+    fine = float(number(page, "crossover_hz").input_value())
+    page.keyboard.press("Shift+ArrowRight")
+    until(page, lambda: float(number(page, "crossover_hz").input_value()) > fine + 5 * (fine - 40))
+    page.keyboard.press("r")
+    shows(page, "crossover_hz", "40")
+    page.keyboard.press("x")
+    pin = page.locator(f"{CROSSOVER} .pin")
+    until(page, lambda: pin.get_attribute("aria-pressed") == "true")
+    page.keyboard.press("n")
+    page.keyboard.type("41\n")
+    shows(page, "crossover_hz", "41")
+    page.keyboard.press("Escape")
+    slider.focus()
+    page.keyboard.press("d")
+    until(page, lambda: page.locator("#design").input_value() == "slower")
+    shows(page, "crossover_hz", "30")
+    page.keyboard.press("?")
+    assert page.locator("#help-dialog").is_visible()
+    assert "tune the rest" in (page.locator("#help-dialog").text_content() or "")
+    page.keyboard.press("Escape")
+    assert not page.locator("#help-dialog").is_visible()
+    page.keyboard.press("Control+s")
+    assert page.locator("#save-name").evaluate("one => one === document.activeElement")
+
+
+def test_every_control_has_a_name_and_a_visible_focus(page: Page) -> None:
+    for control in page.locator("button:visible, select:visible, input:visible").all():
+        named = control.evaluate(
+            "one => one.labels?.[0]?.textContent || one.getAttribute('aria-label') || one.textContent || one.title"
+        )
+        assert named.strip()
+    page.keyboard.press("Tab")
+    outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline == "solid"
+
+
+def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
+    typed(page, "crossover_hz", "25")
+    shows(page, "crossover_hz", "25")
+    until(page, lambda: "bad" in (page.locator("#verdict").get_attribute("class") or ""))
+    page.locator(f'#knobs [data-knob="integral_hz"] .pin').click()
+    until(page, lambda: page.locator('#knobs [data-knob="integral_hz"] .pin').get_attribute("aria-pressed") == "true")
+    page.keyboard.press("t")
+    until(page, lambda: "good" in (page.locator("#verdict").get_attribute("class") or ""), 60.0)
+    assert number(page, "integral_hz").input_value() == "2"
+    assert number(page, "crossover_hz").input_value() != "25"
+
+    page.locator("#save").click()
+    page.locator("#save-name").fill("../outside")
+    page.locator("#save-go").click()
+    until(page, lambda: "expected letters" in (page.locator("#save-line").text_content() or ""))
+    page.locator("#save-name").fill("gyros")
+    page.locator("#save-go").click()
+    until(page, lambda: page.locator("#save-go").text_content() == "Overwrite")
+    assert job.read_text(encoding="utf-8") == JOB
+    page.locator("#save-name").fill("by hand")
+    page.locator("#save-go").click()
+    command = str(until(page, lambda: page.locator("#saved-command").text_content()))
+    saved = job.with_name("by hand.toml")
+    assert command == f"platform-ctrl check '{saved}'"
+    assert "A comment that is to stay." in saved.read_text(encoding="utf-8")
+    assert main(["check", str(saved), "-o", str(job.with_name("out"))]) == 0
+
+
+def test_what_each_slider_does_is_told_once_it_rests_and_hovering_shows_its_column(page: Page) -> None:
+    cells = page.locator('#requirements td.cell[data-knob="crossover_hz"]')
+    until(page, lambda: any(cells.all_text_contents()))
+    page.locator(CROSSOVER).hover()
+    until(page, lambda: "near" in (cells.first.get_attribute("class") or ""))
+    page.locator("h1").hover()
+    assert "near" not in (cells.first.get_attribute("class") or "")
+
+
+def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> None:
+    cut = """selector => [...document.querySelectorAll(selector)]
+        .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.textContent)"""
+    for width, height in ((1920, 1080), (1440, 900)):
+        page.set_viewport_size({"width": width, "height": height})
+        size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+        assert size == [width, height]
+        assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel h2, #requirements") == []
+    # What the graphics driver says of its own speed is no complaint.
+    assert [one for one in only.complaints if "GL Driver" not in one] == []
+
+
+@pytest.mark.parametrize("state", ["nonsense", "%00%ff", "eJwrSS0uAQAEXQHB", "A" * 5000])
+def test_nonsense_in_a_link_leaves_the_job_as_it_is(workbench: Workbench, state: str) -> None:
+    session = Session(workbench, Document(), state)
+    assert session.settings is workbench.start()
+
+
+def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:
+    send = "message => { Bokeh.documents[0].get_model_by_name('wire').asked = message; }"
+    for nonsense in (
+        "no JSON",
+        5,
+        None,
+        {"a": 1},
+        '{"n": 7, "what": "move", "moves": [{"knob": "crossover_hz", "value": NaN}], "gesture": 1}',
+        json.dumps({"n": 8, "what": "move", "moves": [{"knob": "no such", "value": 1}], "gesture": 1}),
+        json.dumps({"n": 9, "what": "move", "moves": [{"knob": "crossover_hz", "value": 1e308}], "gesture": 1}),
+        json.dumps({"n": 10, "what": "set", "name": "plant", "value": ["x"]}),
+        json.dumps({"n": 11, "what": "set", "name": "loop", "value": "__class__"}),
+        json.dumps({"n": 12, "what": "fly", "manoeuvre": "none"}),
+        json.dumps({"n": 13, "what": "close"}),
+    ):
+        page.evaluate("() => { document.querySelector('#line').textContent = ''; }")
+        page.evaluate(send, nonsense)
+        until(page, lambda: "error" in (page.locator("#line").get_attribute("class") or "") and line(page, "e"))
+    typed(page, "crossover_hz", "39")
+    shows(page, "crossover_hz", "39")
+
+
+def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_behind(
+    browser: Browser, server: PageServer, page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from platform_ctrl.designer.page import app as page_app
+
+    kept: list[weakref.ref[Any]] = []
+
+    class Watched(page_app.Session):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            kept.extend(weakref.ref(one) for one in (self, self.plots, self.history, given[1]))
+
+    monkeypatch.setattr(page_app, "Session", Watched)
+    typed(page, "crossover_hz", "47.5")
+    shows(page, "crossover_hz", "47.5")
+    until(page, lambda: "state=" in page.url)
+    with opened(browser, page.url, dark=True) as other:
+        assert number(other.page, "crossover_hz").input_value() == "47.5"
+        assert drawn(other.page) == drawn(page)
+        assert other.page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 24, 30)"
+        typed(other.page, "crossover_hz", "33")
+        shows(other.page, "crossover_hz", "33")
+        assert other.page.url != page.url
+        other.page.locator('[data-theme-choice="light"]').click()
+        other.page.goto(f"{server.address}?state=nonsense")
+        other.page.wait_for_selector("body:not(.starting)", state="attached")
+        assert "The state in the link was not used" in line(other.page, "link")
+        assert number(other.page, "crossover_hz").input_value() == "40"
+        assert "state=" not in other.page.url
+        # The theme that was chosen is kept.
+        assert other.page.evaluate("document.documentElement.dataset.theme") == "light"
+    assert number(page, "crossover_hz").input_value() == "47.5"
+    assert len(kept) == 8
+    end = time.monotonic() + 20.0
+    while any(one() is not None for one in kept) and time.monotonic() < end:
+        time.sleep(0.05)
+        gc.collect()
+    assert [one() for one in kept] == [None] * 8
+
+
+def test_messages_are_judged() -> None:
+    ask = ask_of('{"n": 3, "what": "move", "moves": [{"knob": "a", "value": 2}], "gesture": 0}')
+    assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", (("a", 2.0),))
+    assert ask_of('{"n": 3, "what": "undo", "more": 1}').more == {}
+    for what, parts in ASKS.items():
+        right: dict[type, Any] = {bool: True, int: 1, str: "a", list: [], object: None}
+        whole = {"n": 1, "what": what, **{name: right[kind] for name, kind in parts.items()}}
+        assert ask_of(json.dumps(whole)).what == what
+        for name, kind in [("n", int), *parts.items()]:
+            if kind is not object:
+                with pytest.raises(InputError, match=f"{what}: {name}: given"):
+                    ask_of(json.dumps(whole | {name: {"x": 1}}))
+    huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"knob": "a", "value": 1%s}]}'
+    with pytest.raises(InputError, match="finite"):
+        ask_of(huge % ("0" * 400))
+    for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": -1, "what": "undo"}', '{"n": true, "what": "undo"}'):
+        with pytest.raises(InputError):
+            ask_of(text)
+
+
+def test_choices_are_judged(workbench: Workbench) -> None:
+    start = workbench.start()
+    assert chosen(workbench, start, "axis", 3, ()).axis == 3
+    assert chosen(workbench, start, "overlays", ["slower"], ()).overlays == ("slower",)
+    assert chosen(workbench, start, "mode", "caged", ()) is start
+    wrong = [("axis", 4), ("axis", "1"), ("axis", True), ("band", 1), ("overlays", "slower"), ("overlays", ["classical"])]
+    wrong += [("overlays", [[]]), ("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
+    wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
+    for name, given in wrong:
+        with pytest.raises(PlatformCtrlError):
+            chosen(workbench, start, name, given, ("nominal",))
+
+
+def test_a_job_is_saved_under_a_plain_name_alone(tmp_path: Path) -> None:
+    assert target(tmp_path, "by hand") == target(tmp_path, " by hand.toml ") == tmp_path / "by hand.toml"
+    assert check_line(tmp_path / "a.toml") == f"platform-ctrl check {tmp_path / 'a.toml'}"
+    for name in ("", ".", "..", "../a", "a/b", "a\\b", ".hidden", "a\0", "nul", "COM1", "a:b", "a" * 99, "~", "a*"):
+        with pytest.raises(InputError):
+            target(tmp_path, name)
+
+
+def test_only_the_newest_of_a_kind_is_worked_out() -> None:
+    done: list[list[int]] = []
+    begun, go = threading.Event(), threading.Event()
+
+    def work(tasks: list[int]) -> None:
+        done.append(tasks)
+        begun.set()
+        assert go.wait(10.0)
+
+    newest: Newest[int] = Newest(work)
+    newest.add("a", 0)
+    assert begun.wait(10.0)
+    for k in range(1, 100):
+        newest.add("a", k)
+        newest.add("b", -k)
+    go.set()
+    end = time.monotonic() + 10.0
+    while len(done) < 2 and time.monotonic() < end:
+        time.sleep(0.005)
+    assert done == [[0], [99, -99]]
+    newest.close()
+    newest.add("a", 1)
+    time.sleep(0.05)
+    assert len(done) == 2
