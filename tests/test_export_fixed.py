@@ -22,7 +22,7 @@ from generated_c import Machine as CompiledMachine
 from platform_ctrl import simulation
 from platform_ctrl.certificates.balls import balls
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError
+from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError, UnscalableError
 from platform_ctrl.export.code import write_c
 from platform_ctrl.export.code.entries import entries_of
 from platform_ctrl.export.code.from_design import scheme_of, with_excess
@@ -103,6 +103,21 @@ def integrator(gain: float, limit: float = 0.5, excess: float = 0.0) -> Scheme:
     return scheme(section, limit=limit, excess=(Row(target="x", terms=terms(Q=excess)),) if excess else ())
 
 
+def odd() -> Scheme:
+    """Return a scheme with a signal that nothing reads, a limited output that a state reads, and its excess there."""
+    section = Section(
+        name="odd",
+        kind="states",
+        signals=(
+            Row(target="unread", terms=terms(y=3.0)),
+            Row(target="within", terms=terms(y=-0.7, x=1.0)),
+            Row(target="Q", terms=terms(within=2.0, y=0.1)),
+        ),
+        states=(Row(target="x", terms=terms(x=0.6, Q=0.05, y=1.0)),),
+    )
+    return scheme(section, limit=1.0, excess=(Row(target="x", terms=terms(Q=0.3)),))
+
+
 @pytest.fixture(scope="module")
 def classical() -> Scheme:
     [entry] = entries_of(JOB, [classical_entry(JOB, ("9", "10"))])
@@ -117,6 +132,7 @@ def programmes(classical: Scheme) -> dict[str, FixedPoint]:
     out |= {f"pi_{number}": fixed_point(integrator(1e-4, excess=0.01), {"y": 2.0}, number=number) for number in NUMBERS}
     cascade = scheme(lag(0.9, 3.0, "fast", target="v"), lag(-0.4, 0.7, "ring", source_name="v"))
     out |= {f"lags_{number}": fixed_point(cascade, {"y": 0.3}, number=number) for number in NUMBERS}
+    out |= {f"odd_{number}": fixed_point(odd(), {"y": 1.0}, number=number) for number in NUMBERS}
     return out
 
 
@@ -194,7 +210,7 @@ def test_l1_norms_are_bounded_from_above_and_closely() -> None:
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize("kind", ["classical", "pi", "lags"])
+@pytest.mark.parametrize("kind", ["classical", "pi", "lags", "odd"])
 def test_the_compiled_code_is_the_model_bit_for_bit(
     kind: str, number: str, programmes: dict[str, FixedPoint], runner: Path
 ) -> None:
@@ -491,6 +507,37 @@ def test_a_slow_pole_keeps_its_place_in_16_bits() -> None:
 def test_poles_outside_of_the_circle_are_refused(pole: float, match: str) -> None:
     with pytest.raises(InfeasibleError, match=f"section 'lag': a pole of {match}"):
         fixed_point(scheme(lag(pole)), {"y": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("made", "error", "match"),
+    [
+        (scheme(lag(0.5, 1e200)), UnscalableError, "'Q' is at most 1e"),
+        (scheme(lag(0.5, 1e-200)), UnscalableError, "'Q' is at most 1e"),
+        (scheme(lag(1.0 - 1e-8)), InfeasibleError, "'lag': it settles too slowly"),
+        (integrator(1e-3, excess=1e12), InfeasibleError, "'PI': what the integral 'x' may gain"),
+        (
+            scheme(*(lag(0.5, 1e60, f"l{k}", f"v{k - 1}" if k else "y", f"v{k}") for k in range(7)), lag(0.5)),
+            UnscalableError,
+            "beyond 1e308",
+        ),
+    ],
+    ids=["huge", "tiny", "slow", "windup", "chain"],
+)
+@pytest.mark.parametrize("number", NUMBERS)
+def test_what_cannot_be_counted_is_refused(made: Scheme, error: type[Exception], match: str, number: str) -> None:
+    with pytest.raises(error, match=match):
+        fixed_point(made, {"y": 1.0}, number=number)
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_zeros_and_limits_out_of_reach_are_no_obstacle(number: str) -> None:
+    nothing = Section(name="none", kind="mix", signals=(Row(target="Q", terms=()),))
+    assert Machine(fixed_point(scheme(nothing), {"y": 1.0}, number=number)).step([5]) == (0,)
+    # The format follows from what is reached, not from the limit.
+    free = fixed_point(scheme(lag(0.5), limit=1e9), {"y": 1.0}, number=number)
+    assert free.formats["Q"].range < 1.01
+    assert free.error["Q"] < 1e-3
 
 
 def test_too_coarse_is_refused_with_the_section_that_makes_it_so() -> None:

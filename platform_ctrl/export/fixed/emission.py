@@ -160,7 +160,9 @@ class _Source:
         self.owners: dict[str, str] = {}
         self.reads: dict[str, str] = {}
         self.limited = [name for name in self.scheme.outputs if self.formats[name].saturates]
-        rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
+        self.needed = _needed(fixed)
+        rows = [row for one in fixed.sections for row in one.signals if row.target in self.needed]
+        rows += [row for one in fixed.sections for row in one.states]
         self.named = {
             (row.target, term.source): term.name
             for section in self.scheme.sections
@@ -170,7 +172,7 @@ class _Source:
         # What a sum takes in, and which excesses are there at all.
         self.sources = {product.source for row in rows for product in row.products}
         self.widths = {row.accumulator for row in rows if row.shift and row.target not in self.shifts}
-        if self.sources & set(self.shifts):
+        if any(shift and name in self.sources for name, shift in self.shifts.items()):
             self.widths.add(64)
 
     def text(self) -> str:
@@ -180,9 +182,10 @@ class _Source:
         constants: dict[int, list[str]] = {}
         for number, section in enumerate(self.fixed.sections, 1):
             self.constants = constants.setdefault(number, [])
-            if section.signals:
+            rows = [row for row in section.signals if row.target in self.needed]
+            if rows:
                 body += ["", *remark(f"{number}. {section.name}: {section.note or section.kind}", "    ")]
-            for row in section.signals:
+            for row in rows:
                 body += self._signal(row, section)
         body += self._limits()
         for number, section in enumerate(self.fixed.sections, 1):
@@ -489,6 +492,17 @@ def _wrapped(statement: str, between: str = " + ") -> list[str]:
 def _state_names(fixed: FixedPoint) -> dict[str, str]:
     names = Names(40)
     return {row.target: names[row.target] for section in fixed.sections for row in section.states}
+
+
+def _needed(fixed: FixedPoint) -> set[str]:
+    """Return what outputs and states come from: a signal that nothing reads is not computed."""
+    out = set(fixed.scheme.outputs)
+    out |= {product.source for section in fixed.sections for row in section.states for product in row.products}
+    for section in reversed(fixed.sections):
+        for row in reversed(section.signals):
+            if row.target in out:
+                out |= {product.source for product in row.products}
+    return out
 
 
 def _shifts(fixed: FixedPoint) -> dict[str, int]:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import flint
+import numpy as np
 
 from platform_ctrl.arguments import known_name, positive
 from platform_ctrl.errors import InfeasibleError, UnscalableError
@@ -44,6 +45,8 @@ _ROUNDS = 6
 _FRACTIONS = 200
 # Share of a torque's limit that the bound of the error may take.
 ACCURACY = 0.02
+# An output that stays below this share of its limit needs none.
+_OUT_OF_REACH = 0.5
 _UP = 1.0 + 1e-10
 
 
@@ -132,7 +135,8 @@ def fixed_point(
     for name in scheme.inputs:
         known_name("ranges", name, tuple(ranges))
         known[name] = positive(f"ranges[{name!r}]", ranges[name])
-    with flint.ctx.workprec(BITS):
+    # What grows beyond doubles is refused as a bound.
+    with flint.ctx.workprec(BITS), np.errstate(all="ignore"):
         parts = taken_apart(scheme)
         every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
         check_names("fractions", fractions or {}, every)
@@ -210,6 +214,8 @@ def _proved(
         integer_rows[name] = row
         if not row.products and increment:
             raise task.refused(name, f"the integral {name!r} gains less in a step than can be counted")
+        if row.largest >= 2**63:
+            raise task.refused(name, f"what the integral {name!r} may gain in a step does not fit 64 bits")
     noise = {name: count * formats[name].bit for name, count in given_up.items()}
     read = {name: 0.5 * formats[name].bit for name in parts.integrals}
     errors = real.bounds(read, noise)
@@ -276,8 +282,9 @@ def _formats(task: _Task, bounds: Mapping[str, float], given: Mapping[str, int])
     out: dict[str, Format] = {}
 
     def place(name: str, role: str, bits: int, bound: float, saturates: float | None = None) -> None:
-        fraction = given.get(name, fraction_for(bound, bits))
-        if abs(fraction) > _FRACTIONS or not math.isfinite(bound):
+        usable = math.isfinite(bound)
+        fraction = given.get(name, fraction_for(bound, bits)) if usable else 0
+        if not usable or abs(fraction) > _FRACTIONS:
             raise UnscalableError(
                 f"fixed point: {name!r} is at most {bound:.3g}; expected neither so small nor so large a number",
                 scheme,
@@ -300,7 +307,7 @@ def _formats(task: _Task, bounds: Mapping[str, float], given: Mapping[str, int])
     for section in scheme.sections:
         for row in section.signals:
             name, limit = row.target, limits.get(row.target, math.inf)
-            if not math.isfinite(limit):
+            if not math.isfinite(limit) or bounds[name] < _OUT_OF_REACH * limit:
                 place(name, "output" if name in limits else "signal", signal_bits, bounds[name])
             elif name in task.parts.outputs_read:
                 place(name, "output", signal_bits, max(bounds[name], limit), limit)
@@ -322,10 +329,13 @@ class _Scaled(NamedTuple):
 
     def __call__(self, target: str, row: Sum) -> Sum:
         fraction = self.formats[target].fraction
-        return {
-            name: coefficient * power_of_two(fraction - self.formats[name.removeprefix(excess_of(""))].fraction)
-            for name, coefficient in row.items()
-        }
+        out = {}
+        for name, coefficient in row.items():
+            form = self.formats[name.removeprefix(excess_of(""))]
+            # What is never limited has no excess.
+            if name == form.name or form.saturates:
+                out[name] = coefficient * power_of_two(fraction - form.fraction)
+        return out
 
 
 def _scaled(formats: Mapping[str, Format]) -> _Scaled:
@@ -425,7 +435,7 @@ def _up(number: float) -> float:
 
 def _cut_off(form: Format, limit: float) -> float:
     """Return by how much a limit in counts differs from the limit."""
-    return limit - form.range if math.isfinite(limit) else 0.0
+    return limit - form.range if form.saturates else 0.0
 
 
 def _drift(

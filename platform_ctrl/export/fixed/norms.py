@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.certificates.balls import Balls
+from platform_ctrl.errors import UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 
 # Working precision of the balls, and what a power of A has to be smaller than before the rest of a response is bounded.
@@ -82,6 +83,8 @@ def gains(A: Balls, B: Balls, C: Balls, D: Balls) -> Gains:
     ------
     SlowError
         A power of A below 2^-30 was not found within 2^22 samples.
+    UnscalableError
+        Numbers grow beyond those of floating point.
     """
     n, m = A.nrows(), B.ncols()
     direct = enclosed(D).size
@@ -122,7 +125,11 @@ def _powers(A: Balls) -> tuple[list[Enclosed], FloatArray, FloatArray]:
         size = powers[-1].size
         if n * size.max() < _SMALL:
             return powers, sums @ _geometric(size) * _UP, size
-        if len(powers) > _LONGEST or not np.all(np.isfinite(size)):
+        if not np.all(np.isfinite(size)):
+            raise UnscalableError(
+                "fixed point: responses grow beyond 1e308; expected states and signals in units of like size", product
+            )
+        if len(powers) > _LONGEST:
             raise SlowError
         # Σ_{k < 2N} |A^k| ≤ (I + |A^N|) Σ_{k < N} |A^k|.
         sums = (sums + size @ sums) * _UP

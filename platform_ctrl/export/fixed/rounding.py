@@ -12,6 +12,8 @@ from platform_ctrl.export.fixed.values import IntegerRow, Product
 # An integral's register and any 64-bit accumulator stay below.
 LARGEST_64 = 2**63 - 1
 LARGEST_32 = 2**31 - 1
+# Bounds of what is zero are no smaller than the smallest numbers.
+_NOTHING = 1e-280
 
 
 def nearest(number: Rational) -> int:
@@ -21,7 +23,7 @@ def nearest(number: Rational) -> int:
 
 def fraction_for(bound: float, bits: int) -> int:
     """Return the most digits behind the point with which `bound` fits a signed integer of so many bits."""
-    if bound <= 0.0:
+    if bound <= _NOTHING:
         return 0
     numerator, denominator = float(bound).as_integer_ratio()
     fraction = bits - 1 - (numerator.bit_length() - denominator.bit_length())

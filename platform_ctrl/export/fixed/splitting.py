@@ -216,9 +216,12 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
         for matrix in system.balls(names)
     )
     chosen = [system.signals.index(name) for name in scheme.outputs]
-    gain = D[chosen]
-    if n:
-        gain = gain + C[chosen] @ np.linalg.solve(np.eye(n) - A, B)
+    try:
+        gain = D[chosen] + C[chosen] @ np.linalg.solve(np.eye(n) - A, B) if n else D[chosen]
+        # What cannot be told from zero shows nothing.
+        inverse = np.linalg.pinv(gain, rcond=1e-9)
+    except np.linalg.LinAlgError:
+        gain = inverse = np.zeros((len(chosen), len(names)))
     torque = np.array(scheme.torque_limits)
     for j, name in enumerate(names):
         shows = np.abs(gain[:, j]) > 1e-9 * np.abs(gain).max(initial=0.0)
@@ -229,5 +232,5 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
                 f"limits = {{{name!r}: largest value}}",
                 scheme,
             )
-    need = np.abs(np.linalg.pinv(gain, rcond=1e-9)) @ np.where(np.isfinite(torque), torque, 0.0)
+    need = np.abs(inverse) @ np.where(np.isfinite(torque), torque, 0.0)
     return {name: out.get(name, HEADROOM * float(need[j])) for j, name in enumerate(names)}
