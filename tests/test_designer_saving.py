@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_gyro_job import JOB as ONE
 
+from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
@@ -98,20 +98,22 @@ def _moved(bench: Workbench, settings: Settings, **knobs: float) -> Settings:
 
 def test_a_link_reproduces_the_state_and_is_short(shipped: Workbench) -> None:
     start = shipped.start()
-    assert text_of(shipped, start) == "" and settings_of(shipped, "").data() == start.data()
+    assert text_of(shipped, start) == ""
+    assert settings_of(shipped, "").data() == start.data()
     settings = _moved(shipped, shipped.start(LOOP), crossover_hz=61.123456789, rate_hz=2100.0, delay=3e-4, Omega2=-0.5)
     settings = shipped.moved(shipped.switched(settings, "lag", True), "spin 11", 1234.5)
     settings = settings.but(fixed=frozenset({"lead_hz"}), overlays=("H-infinity",), axis=3, band=False, channel="Q10")
     text = text_of(shipped, settings)
     assert settings_of(shipped, text).data() == settings.data()
-    assert len(text) < 400 and set(text) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_")
+    assert len(text) < 400
+    assert set(text) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_")
     servo = _moved(shipped, shipped.start("stabilisation"), position_hz=1.0)
     assert settings_of(shipped, text_of(shipped, servo)).data() == servo.data()
 
 
 @pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE", "eNoDAAAAAAE", "-_-_", "%00", "AAAA\n"])
 def test_a_damaged_link_is_told_in_one_line(shipped: Workbench, text: str) -> None:
-    with pytest.raises(InputError, match="^link: ") as told:
+    with pytest.raises(InputError, match=r"^link: ") as told:
         settings_of(shipped, text)
     assert "\n" not in str(told.value)
 
@@ -149,7 +151,8 @@ def test_a_damaged_link_is_told_in_one_line(shipped: Workbench, text: str) -> No
 def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Workbench, changed: object) -> None:
     with pytest.raises(InputError) as told:
         judged(shipped, changed)
-    assert "\n" not in str(told.value) and "expected" in str(told.value)
+    assert "\n" not in str(told.value)
+    assert "expected" in str(told.value)
 
 
 def test_a_saved_job_is_the_picture_and_check_accepts_it(
@@ -166,8 +169,10 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
         assert comment in text
     data = tomllib.loads(text)
     [loop] = data["loop"]
-    assert "notch_hz" not in loop["design"][0] and loop["design"][0]["tune"] is False
-    assert data["operation"]["Omega"] == [1.0, 1.25, 1.0] and data["sampling"]["rate_hz"] == 2100
+    assert "notch_hz" not in loop["design"][0]
+    assert loop["design"][0]["tune"] is False
+    assert data["operation"]["Omega"] == [1.0, 1.25, 1.0]
+    assert data["sampling"]["rate_hz"] == 2100
     assert next(r for r in data["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
     again = Workbench(saved.job)
     for ours, theirs in zip(picture.requirements, again.picture(again.start()).requirements, strict=True):
@@ -189,7 +194,8 @@ def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Workbench, job_f
     settings = bench.start()
     with pytest.raises(InputError, match="stands there already"):
         bench.saved(settings, job_file)
-    assert job_file.read_text() == TWO and not (tmp_path / "gyro.controllers.json").exists()
+    assert job_file.read_text() == TWO
+    assert not (tmp_path / "gyro.controllers.json").exists()
     bench.saved(settings, job_file, overwrite=True)
     assert read_job(job_file).name == "two designs"
     with pytest.raises(InputError, match="does not end in"):
@@ -206,7 +212,8 @@ def test_inline_tables_are_saved_too(tmp_path: Path) -> None:
     settings = _moved(bench, bench.start(), crossover_hz=42.0, delay=4e-4)
     saved = bench.saved(settings, tmp_path / "two.toml")
     job = read_job(saved.job)
-    assert job.loops[0].designs[0].options["crossover_hz"] == 42.0 and job.sampling.delay == 4e-4
+    assert job.loops[0].designs[0].options["crossover_hz"] == 42.0
+    assert job.sampling.delay == 4e-4
 
 
 def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> None:
@@ -226,9 +233,11 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Workbench)
     assert not all(r.passed for r in bench.picture(settings).requirements)
     told: list[str] = []
     tuned = bench.tuned(settings, told.append)
-    assert told and all("of its limit" in line for line in told)
+    assert told
+    assert all("of its limit" in line for line in told)
     before, after = (one.options[LOOP]["by hand"] for one in (settings, tuned))
-    assert after["crossover_hz"] == before["crossover_hz"] and after["damping_hz"] != before["damping_hz"]
+    assert after["crossover_hz"] == before["crossover_hz"]
+    assert after["damping_hz"] != before["damping_hz"]
     results = bench.picture(tuned).requirements
     assert max(r.ratio for r in results) <= 0.96
     assert all(r.passed for r in loops(bench.read)[0].closed.results)
@@ -259,9 +268,11 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench)
     )
     assert overlay.requirements == () or overlay.requirements[0].design == "lqg"
     moved = bench.picture(bench.moved(settings, "rate_hz", 2200.0))
-    assert moved.stable and "Tustin" in moved.notes[0]
+    assert moved.stable
+    assert "Tustin" in moved.notes[0]
     bandwidth = next(k for k in bench.knobs(settings) if k.name == "bandwidth_hz")
-    assert bandwidth.background and not bandwidth.tunable
+    assert bandwidth.background
+    assert not bandwidth.tunable
     with pytest.raises(DesignError, match="was made for other settings"):
         bench.saved(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
 
@@ -277,9 +288,11 @@ def test_controllers_of_a_result_are_shown_as_they_are(bench: Workbench, tmp_pat
     closed = next(design for design in result.loops[0].designs if design.name == "by hand")
     picture = given.picture(settings.but(overlays=("lqg",)))
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
-    assert [o.design for o in picture.bode.overlays] == ["lqg"] and not picture.notes
+    assert [o.design for o in picture.bode.overlays] == ["lqg"]
+    assert not picture.notes
     K = given._closing.caged(settings)[0].controller
-    assert isinstance(K, StateArrays) and np.allclose(K.A, closed.controller.A)
+    assert isinstance(K, StateArrays)
+    assert np.allclose(K.A, closed.controller.A)
 
 
 def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Workbench) -> None:

@@ -241,7 +241,7 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
         labels=tuple(one.label for one in linear.cases),
         torques=torques,
         angles=angles,
-        nutation=_reference(A[0], sampling.period),
+        nutation=reference_frequency(A[0], sampling.period),
         noise=np.array([s.sampled_noise(sampling.period) for s in linear.pickoffs]),
         groups=tuple(one.group for one in linear.cases),
         B_Omega=_held_rate(A, linear.B_Omega, sampling.period, arrays[0].shape[-1]),
@@ -283,7 +283,7 @@ def _held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> Float
     return out
 
 
-def _reference(A: FloatArray, period: float) -> float:
+def reference_frequency(A: FloatArray, period: float) -> float:
     """Return the frequency that grids and starting values go by: nutation; without any, a tenth of Nyquist's."""
     nyquist = np.pi / period
     fastest = float(np.abs(np.linalg.eigvals(A)).max())

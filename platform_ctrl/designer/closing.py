@@ -25,7 +25,7 @@ from platform_ctrl.designer.controllers import (
     full_options,
     parts_given,
 )
-from platform_ctrl.designer.free_plants import FreeModels, FreePlants, corners, free_models, free_plants
+from platform_ctrl.designer.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.designer.pulling import Reins
 from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
 from platform_ctrl.designer.saving import SavedController
@@ -63,7 +63,7 @@ class Closing:
         self._lock = threading.Lock()
         self._models: Bounded[LinearModel] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
-        self._free_models: Bounded[FreeModels] = Bounded(4)
+        self._free_models: Bounded[SpinningModels] = Bounded(4)
         self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self.start = self._first()
@@ -226,25 +226,40 @@ class Closing:
         rates = tuple(sensed_rates(job, controllers))
         key = (self._plant_key(settings), rates, settings.band)
         every = self._corners(settings, job)
-        of_models = (*self._spin_key(settings), rates, settings.band)
+        base = (tuple(map(float, job.Omega)), rates, settings.band)
 
-        def models() -> FreeModels:
-            return free_models(job, every if settings.band else every[:1], rates)
+        def models() -> SpinningModels:
+            start = corners(dataclasses.replace(self.read, Omega=job.Omega))
+            return SpinningModels(job=self.read, cases=start if settings.band else start[:1], rates=rates)
 
         plants = self._free.get(
-            key, lambda: free_plants(self._free_models.get(of_models, models), job.sampling, settings.band)
+            key,
+            lambda: free_plants(self._free_models.get(base, models).at(settings.spins), job.sampling, settings.band),
         )
         label, at = settings.plant, np.array(settings.Omega)
+        if not at.any() and label in plants.labels:
+            shown = plants.only(plants.labels.index(label))
+            return self._whole(settings, job, spec, controllers, plants, shown), notes
         case = next((one for one in every if one[0] == label), every[0])
         turned = (case[0], case[1], case[2] + at)
         shown = self._free.get(
             ("shown", key, label, settings.Omega),
             lambda: free_plants(free_models(job, [turned], rates), job.sampling, False),
         )
-        loop = StabilisedLoop(
+        return self._whole(settings, job, spec, controllers, plants, shown), notes
+
+    def _whole(
+        self,
+        settings: Settings,
+        job: Job,
+        spec: LoopSpec,
+        controllers: Sequence[control.StateSpace],
+        plants: FreePlants,
+        shown: FreePlants,
+    ) -> StabilisedLoop:
+        return StabilisedLoop(
             job=job, model=self._model(settings), spec=spec, controllers=tuple(controllers), plants=plants, shown=shown
         )
-        return loop, notes
 
     def kept(self, settings: Settings) -> Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]:
         """Return what keeps figures of the caging loops while only the servo's knobs move."""
@@ -287,9 +302,7 @@ class Closing:
         design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
         note = ""
         if spec.kind != "caging":
-            job = self.job(settings)
-            mine = dataclasses.replace(design, options=dict(settings.options[spec.name][name]))
-            made = platform_servo(job, self._model(settings), spec, mine).controller
+            made = self._servo(settings, spec, design)
             K, inputs, outputs = state_arrays(made, name), tuple(made.input_labels), tuple(made.output_labels)
             options = dict(settings.options[spec.name][name])
         else:
@@ -318,6 +331,14 @@ class Closing:
             note=note,
         )
 
+    def _servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
+        sampling = Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
+        mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
+        job = dataclasses.replace(self.read, sampling=sampling)
+        made = platform_servo(job, self._model(settings), spec, mine).controller
+        K = state_arrays(made, design.name)
+        return state_space(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
+
     def reins(self, settings: Settings, knobs: Sequence[Knob]) -> tuple[Reins, StateArrays, int]:
         """Return the free knobs of the design, the plant that is shown, and the channel.
 
@@ -336,6 +357,7 @@ class Closing:
         else:
             whole, _ = self.stabilised(settings)
             _, at, _, torquers = whole.joined(whole.shown)
+            here = whole.controllers[[one.name for one in self.read.loops].index(spec.name)].name
             A, B, C, D, dt = whole.shown.arrays
             plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
 
@@ -345,8 +367,9 @@ class Closing:
             new = settings.but(options={**settings.options, spec.name: mine})
             if spec.kind == "caging":
                 return self._caging(new, spec, design)[0]
-            loop = dataclasses.replace(whole, controllers=tuple(self.all_controllers(new)[0]))
-            return loop.joined(loop.shown)[0]
+            servo = self._servo(new, spec, design)
+            others = [servo if one.name == here else one for one in whole.controllers]
+            return dataclasses.replace(whole, controllers=tuple(others)).joined(whole.shown)[0]
 
         reins = Reins(
             names=tuple(knob.name for knob in free),
@@ -373,7 +396,7 @@ class Closing:
 
     def _nutation(self, settings: Settings, spec: LoopSpec) -> float:
         sampling = Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
-        return self.quick(spec).plants(settings.spins, sampling, self._range(settings)).nutation
+        return self.quick(spec).nutation(settings.spins, sampling, self._range(settings))
 
     def _model(self, settings: Settings) -> LinearModel:
         key = tuple(sorted(settings.spins.items()))
@@ -432,7 +455,7 @@ class Closing:
             return dict(platform_servo(self.read, linearise(self.read.platform), spec, design).options)
         quick = self.quick(spec)
         channel = quick.channels(spins)
-        nutation = quick.plants(spins, self.read.sampling, np.asarray(self.read.Omega)).nutation
+        nutation = quick.nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
         if design.method == "classical":
             return full_options(design, channel, nutation, period)
         try:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -20,7 +21,7 @@ from platform_ctrl.state_space import state_space as linear_state_space
 
 ATTITUDE = ("attitude1", "attitude2", "attitude3")
 # Frequencies of the band: it needs no more to be drawn.
-_BAND_POINTS = 70
+_BAND_POINTS = 50
 
 
 @value
@@ -54,6 +55,22 @@ class FreePlants:
     period: float
     frequency: FloatArray
     response: ComplexArray
+
+    def only(self, k: int) -> FreePlants:
+        """Return one of the plants alone, without a band."""
+        part = slice(k, k + 1)
+        arrays, turned = (
+            StateArrays(stack.A[part], stack.B[part], stack.C[part], stack.D[part], stack.dt)
+            for stack in (self.arrays, self.turned)
+        )
+        return dataclasses.replace(
+            self,
+            labels=self.labels[part],
+            arrays=arrays,
+            turned=turned,
+            frequency=self.frequency[:0],
+            response=self.response[part, :0],
+        )
 
 
 def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
@@ -140,6 +157,53 @@ def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], ra
         B_root=np.array(B_root),
         C_rate=np.array(C_rate),
     )
+
+
+class SpinningModels:
+    """The same plants again and again at other spins: with constant inertias the equations are affine in momenta.
+
+    Parameters
+    ----------
+    job
+        With the spins that count as nominal.
+    cases
+        Label, platform and rate of each plant.
+    rates
+        Names of the rate sensors.
+    """
+
+    def __init__(self, job: Job, cases: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> None:
+        self._job, self._cases, self._rates = job, cases, rates
+        self._rotors = {r.name: r for r in job.platform.rotors}
+        self._nominal = free_models(job, cases, rates)
+        self._slopes: dict[str, FloatArray] = {}
+
+    def at(self, spins: Mapping[str, float]) -> FreeModels:
+        """Return the plants with these spins, rad/s."""
+        A = self._nominal.A
+        for name, spin in spins.items():
+            rotor = self._rotors[name]
+            if spin != rotor.spin:
+                A = A + (rotor.axial_inertia * spin - rotor.angular_momentum) * self._slope(name)
+        return dataclasses.replace(self._nominal, A=A)
+
+    def _slope(self, name: str) -> FloatArray:
+        """Return how A changes with the nominal momentum of a rotor, (N, n, n)."""
+        if name not in self._slopes:
+            nominal = self._rotors[name].angular_momentum
+            scale = abs(nominal) or max((abs(r.angular_momentum) for r in self._rotors.values()), default=0.0) or 1.0
+            moved = []
+            for label, platform, Omega in self._cases:
+                # A plant of the spread has this rotor's L larger by a factor.
+                own = next(r.angular_momentum for r in platform.rotors if r.name == name)
+                factor = own / nominal if nominal else 1.0
+                rotors = tuple(
+                    dataclasses.replace(r, angular_momentum=own + factor * scale) if r.name == name else r
+                    for r in platform.rotors
+                )
+                moved.append((label, dataclasses.replace(platform, rotors=rotors), Omega))
+            self._slopes[name] = (free_models(self._job, moved, self._rates).A - self._nominal.A) / scale
+        return self._slopes[name]
 
 
 def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:

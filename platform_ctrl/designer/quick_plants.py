@@ -17,7 +17,15 @@ import numpy as np
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.description import Platform
 from platform_ctrl.design.channels import Channels, channels
-from platform_ctrl.design.plants import Case, LinearPlants, cases, linear_plants, rows_of, sampled_plants
+from platform_ctrl.design.plants import (
+    Case,
+    LinearPlants,
+    cases,
+    linear_plants,
+    reference_frequency,
+    rows_of,
+    sampled_plants,
+)
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, Sampling
@@ -84,6 +92,10 @@ class QuickPlants:
     def labels(self, Omega: FloatArray) -> tuple[str, ...]:
         """Return the labels of the set."""
         return tuple(one.label for one in self._all(Omega))
+
+    def nutation(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> float:
+        """Return the nutation frequency of the nominal plant, rad/s, as the set has it."""
+        return reference_frequency(self.linear(spins, Omega).A[0], sampling.period)
 
     def channels(self, spins: Mapping[str, float]) -> Channels:
         """Return how the gyros couple the gimbals at these spins."""

@@ -340,11 +340,11 @@ def _locus(
     n, m = len(P.A), P.B.shape[1]
     feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
     if P.D.any():
-        gains, branches = gain_locus(P, K, points=40)
+        gains, branches = gain_locus(P, K, points=32)
     else:
         closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
         static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
-        gains, branches = gain_locus(closed, static, points=40)
+        gains, branches = gain_locus(closed, static, points=32)
     del n, C, D, channel, settings
     finite = np.isfinite(s)
     size = np.where(finite, np.abs(s), np.inf)
