@@ -412,8 +412,10 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
     tiny = entry(
         job, "caging 9-10", (np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), 1e-60 * np.eye(2)), ("9", "10")
     )
-    with pytest.raises(UnscalableError, match="does not fit a float"):
+    with pytest.raises(UnscalableError, match="the response by 1;"):
         write_c(job, [tiny], tmp_path, number="float")
+    with pytest.raises(UnscalableError, match="does not fit a float"):
+        write_c(job, [tiny | {"D": [[1e60, 0.0], [0.0, 1.0]]}], tmp_path, number="float")
     with pytest.raises(ArgumentError, match="number: given 'half'"):
         write_c(job, [tiny], tmp_path, number="half")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="anti_windup"):
@@ -421,6 +423,16 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="expected a folder"):
         write_c(job, [tiny], tmp_path / "file" / "x")
+
+
+def test_a_controller_that_is_unstable_by_itself_is_written_and_told(job: Job, tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
+    wild = entry(job, "caging 9-10", (np.diag([1.3, 1.0, 1e-300]), B, C, D), ("9", "10"))
+    assert write_c(job, [wild], tmp_path, number="float").notes == ()
+    text = " ".join((tmp_path / "caging_9_10.h").read_text().replace("*", "").split())
+    assert "unstable by itself" in text
+    assert "slowest pole is |z| = 0.9" in text
 
 
 def test_float_coefficients_are_the_nearest(job: Job, entries: list[dict[str, Any]]) -> None:

@@ -23,6 +23,8 @@ from platform_ctrl.frozen import FloatArray, value
 _U = 2.0**-24
 # Change of the response or shift of a pole, relative to its distance from z = 1, that is told, and that is refused.
 TOLD, _REFUSED = 1e-3, 1e-2
+# A pole this little outside the unit circle lies on it.
+_ON_CIRCLE = 1e-6
 # Longest response that is summed, samples.
 _LONGEST = 20000
 
@@ -41,7 +43,7 @@ class FloatError:
         Largest shift of a pole by them, relative to its distance from z = 1.
     bound : (p,)
         Largest difference of the outputs after `steps` samples from equal states, in their units, while no limit acts
-        and the integrals are worth no more than the limits.
+        and the integrals are worth no more than the limits; inf where the controller is unstable by itself.
     steps
         Number of samples.
     unseen : (m,)
@@ -76,7 +78,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
     Raises
     ------
     UnscalableError
-        A coefficient is too large or too small for a float.
+        A coefficient is too large for a float.
 
     References
     ----------
@@ -85,12 +87,12 @@ def float_scheme(scheme: Scheme) -> Scheme:
     least, most = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 
     def rounded(x: float, what: str) -> float:
-        if x != 0.0 and not least <= abs(x) <= most:
+        if not abs(x) <= most:
             raise UnscalableError(
-                f"{scheme.name}: {what}: {x:.3g} does not fit a float; expected {least:.3g} to {most:.3g}: use double",
-                scheme,
+                f"{scheme.name}: {what}: {x:.3g} does not fit a float; expected at most {most:.3g}: use double", scheme
             )
-        return float(np.float32(x))
+        # What is smaller than any normal number is lost; whether that matters, the response tells.
+        return float(np.float32(x)) if abs(x) >= least else 0.0
 
     def row(one: Row) -> Row:
         terms = (dataclasses.replace(t, coefficient=rounded(t.coefficient, one.target)) for t in one.terms)
@@ -151,11 +153,12 @@ def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None =
         )
     states, lasting = _state_magnitudes(scheme, K, inputs)
     into, through, errors = _roundings(scheme, K, inputs, states)
+    stable = not len(K.A) or np.abs(np.linalg.eigvals(K.A)).max() < 1.0 + _ON_CIRCLE
     return FloatError(
         inputs=inputs,
         response=response,
         pole=pole,
-        bound=_grown(K, into, through, count) @ errors,
+        bound=_grown(K, into, through, count) @ errors if stable else np.full(len(K.C), np.inf),
         steps=count,
         unseen=_unseen(scheme, K, lasting),
     )

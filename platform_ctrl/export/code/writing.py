@@ -168,9 +168,14 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
         f"{name} {size:.2g} {what}"
         for name, size, what in zip(scheme.outputs, error.bound, scheme.output_units, strict=True)
     )
+    differ = (
+        f"inputs within ({inputs}), integrals worth no more than the limits, same states at first: after {error.steps} "
+        f"samples outputs differ by at most ({outputs}), while no limit acts"
+        if np.all(np.isfinite(error.bound))
+        else "the controller is unstable by itself, so that outputs differ ever more; the loop keeps them together"
+    )
     said = (
-        f"Float against double: inputs within ({inputs}), integrals worth no more than the limits, same states at "
-        f"first: after {error.steps} samples outputs differ by at most ({outputs}), while no limit acts. Rounded "
+        f"Float against double: {differ}. Rounded "
         f"coefficients change the response by at most {error.response:.2g} of its size, and a pole by "
         f"{error.pole:.2g} of its distance from z = 1."
     )
