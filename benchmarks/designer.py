@@ -48,7 +48,7 @@ def timed(bench: Workbench, settings: Settings, knob: Knob) -> tuple[float, floa
 
 
 def times(bench: Workbench) -> bool:
-    """Print the times of every kind of move, after one that warms caches, and return whether all medians keep the limit."""
+    """Print the times of every kind of move and return whether all medians keep the limit."""
     kept = True
     for loop in bench.offer().loops:
         settings = bench.start(loop)
