@@ -21,7 +21,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from one_gyro_job import JOB
-from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.errors import ArgumentError, InputError, SimulationError
 from platform_ctrl.export.fmu import write_fmu
 from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
 from platform_ctrl.job import Job, manoeuvre_scenario
@@ -241,6 +241,12 @@ def test_a_stepper_says_what_it_cannot_do(gyro):
     with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'"):
         Stepper(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
     assert caged.sample == 0
+    ended = caged.advance(5, gimbal_torque=np.full(len(job.platform.gimbals), 1e300))
+    assert not caged.going
+    assert ended.ended == "diverged at t = 0.0005 s"
+    assert len(ended.t) == 0
+    with pytest.raises(SimulationError, match=r"the run has diverged at t = 0\.0005 s"):
+        caged.advance(1)
 
 
 # The unit.

@@ -6,7 +6,6 @@ of `flight`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -321,7 +320,7 @@ def _piece_from(t: FloatArray, pieces: FloatArray, begin: float) -> FloatArray:
     c, s = pieces[k], time - t[k]
     out = np.zeros((3, 4))
     out[:, 0] = c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
-    if t[0] <= begin < t[-1] and math.isfinite(s):
+    if t[0] <= begin < t[-1]:
         out[:, 1] = c[:, 1] + s * (2.0 * c[:, 2] + 3.0 * s * c[:, 3])
         out[:, 2] = c[:, 2] + 3.0 * s * c[:, 3]
         out[:, 3] = c[:, 3]
