@@ -274,7 +274,7 @@ def _integer_note(made: FixedPoint) -> str:
     worst = ", ".join(
         f"{name} {made.error[name]:.2g} {what}" for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
     )
-    return f"{scheme.name}: {made.number}, no overflow; apart from integrals off by at most {worst}"
+    return f"{scheme.name}: {made.number}, no overflow; torques, integrals aside, are off by at most {worst}"
 
 
 def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:
