@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         certificates,
         check,
         design,
+        export,
         report,
         requirements,
         simulation,
@@ -74,6 +75,7 @@ __all__ = [
     "design",
     "element_forces",
     "equations",
+    "export",
     "forward_dynamics",
     "inverse_dynamics",
     "linearise",
@@ -95,7 +97,18 @@ __all__ = [
 ]
 
 _SUBMODULES = frozenset(
-    {"analysis", "baselines", "campaign", "certificates", "check", "design", "report", "requirements", "simulation"}
+    {
+        "analysis",
+        "baselines",
+        "campaign",
+        "certificates",
+        "check",
+        "design",
+        "export",
+        "report",
+        "requirements",
+        "simulation",
+    }
 )
 
 _HOME = {

@@ -14,6 +14,7 @@ MODULES = (
     "design",
     "design.measured",
     "errors",
+    "export",
     "force_elements",
     "job",
     "linearisation",

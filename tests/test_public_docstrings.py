@@ -52,6 +52,7 @@ SOURCES = (
     "M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996",
     "M. D. McKay, R. J. Beckman, W. J. Conover, Technometrics 21, 1979",
     "M. Shinozuka, Journal of the Acoustical Society of America 49, 1971",
+    "Modelica Association, Functional Mock-up Interface Specification 3.0, 2022",
     "N. A. Bruinsma, M. Steinbuch, Systems & Control Letters 14, 1990",
     "P. Apkarian, D. Noll, IEEE Trans. Automatic Control 51, 2006",
     "P. Apkarian, P. Gahinet, G. Becker, Automatica 31, 1995",
