@@ -144,10 +144,10 @@ def _builder() -> Any:
 
 
 def _place(job: Job, manoeuvre: str | None) -> int:
-    if manoeuvre in ("caged", "stabilised"):
-        return 1 if manoeuvre == "caged" else 2
     if manoeuvre is None:
         return 3 if job.manoeuvres else 1
+    if manoeuvre in ("caged", "stabilised") and manoeuvre not in runs_of(job):
+        return 1 if manoeuvre == "caged" else 2
     return 1 + known_name("manoeuvre", manoeuvre, runs_of(job))
 
 
