@@ -18,10 +18,10 @@ from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document
 from bokeh.models import Column, Row
 from bokeh.server.server import Server
-from browser import Screen, chromium, screen
-from designer_pictures import picture
 from tornado.ioloop import IOLoop
 
+from browser import Screen, chromium, screen
+from designer_pictures import picture
 from platform_ctrl.designer.plots import Plots
 
 HZ = 1.0 / (2.0 * np.pi)
@@ -96,12 +96,34 @@ def served() -> Iterator[tuple[Page, str]]:
     thread.join(10.0)
 
 
-@pytest.fixture
-def shown(browser: Any, served: tuple[Page, str]) -> Iterator[tuple[Page, Screen]]:
+@pytest.fixture(scope="module")
+def opened(browser: Any, served: tuple[Page, str]) -> Iterator[tuple[Page, Screen]]:
     page, address = served
     with screen(browser, address, width=1060, height=800) as seen:
         seen.page.wait_for_function("window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle")
         yield page, seen
+
+
+@pytest.fixture
+def shown(opened: tuple[Page, Screen]) -> tuple[Page, Screen]:
+    """The page with its first picture again, at rest."""
+    page, seen = opened
+    plots, document, ready = page.plots, page.document, threading.Event()
+    assert plots is not None
+    assert document is not None
+
+    def again() -> None:
+        page.poles.clear()
+        page.crossovers.clear()
+        plots.show(picture())
+        ready.set()
+
+    until(lambda: len(document.session_callbacks) == 0)  # no drag is still coming to rest
+    document.add_next_tick_callback(again)
+    assert ready.wait(20.0)
+    seen.page.wait_for_function("Bokeh.documents[0].is_idle")
+    seen.page.wait_for_timeout(300)
+    return page, seen
 
 
 def until(true: Callable[[], bool]) -> None:

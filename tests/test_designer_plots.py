@@ -16,8 +16,8 @@ from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import BoxAnnotation, Label, Model, Range1d
 from bokeh.protocol import Protocol
-from designer_pictures import DAMPING, broken, empty, picture
 
+from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.designer.plots import Plots
 from platform_ctrl.designer.plots.palette import colours
 from platform_ctrl.designer.plots.views import View, nice

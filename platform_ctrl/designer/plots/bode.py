@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from bokeh.models import AdaptiveTicker, ColumnDataSource, Span
+from bokeh.models import AdaptiveTicker, ColumnDataSource
+from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.designer.plots.columns import column, decibels, extent, finite
 from platform_ctrl.designer.plots.crossover_handle import CrossoverHandle
@@ -51,11 +52,11 @@ class BodePanel:
         for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
             area = plot.varea("frequency", f"{name}_low", f"{name}_high", source=self._band, fill_alpha=0.16)
             paint(area.glyph, fill_color="series-1")
-            line = Span(dimension="width", location=level, line_width=1)
+            level_line = Span(dimension="width", location=level, line_width=1)
             nyquist = Span(dimension="height", location=None, line_width=1, line_dash=[2, 3])
-            paint(line, line_color="reference")
+            paint(level_line, line_color="reference")
             paint(nyquist, line_color="reference")
-            plot.add_layout(line)
+            plot.add_layout(level_line)
             plot.add_layout(nyquist)
             sources.spans.append(nyquist)
             asked = Span(dimension="height", location=None, line_width=1.5, line_dash=[6, 3])

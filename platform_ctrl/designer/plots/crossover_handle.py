@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
-from bokeh.models import BoxAnnotation, Span
-from bokeh.plotting import figure
+from bokeh.models.annotations.geometry import BoxAnnotation, Span
 
 from platform_ctrl.designer.plots.panel import Theme
 from platform_ctrl.designer.plots.pulling import Pulling
@@ -28,19 +28,19 @@ class CrossoverHandle:
         Colours.
     """
 
-    def __init__(self, plot: figure, theme: Theme) -> None:
+    def __init__(self, plot: Any, theme: Theme) -> None:
         self.callbacks: list[Callable[[float], None]] = []
         self._plot = plot
         self._shown: float | None = None
         # Where it was put last; while the document holds its events, news of that comes later.
         self._put: tuple[float, float] | None = None
-        self.box = BoxAnnotation(
+        self.box: Any = BoxAnnotation(
             left=1.0, right=2.0, editable=True, movable="x", resizable="none", visible=False, name="crossover-handle",
             fill_alpha=0.14, hover_fill_alpha=0.38, line_alpha=0.0, hover_line_alpha=0.0, propagate_hover=True,
         )  # fmt: skip
         theme.paint(self.box, fill_color="series-1", hover_fill_color="series-1")
         plot.add_layout(self.box)
-        self.line = Span(dimension="height", location=None, line_width=1.2)
+        self.line: Any = Span(dimension="height", location=None, line_width=1.2)
         theme.paint(self.line, line_color="series-1")
         plot.add_layout(self.line)
         self.pulling: Pulling[float] = Pulling(plot, self._pulled, self._place)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 from bokeh.core.properties import value
-from bokeh.models import Span
+from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, strung, thinned
@@ -96,7 +96,8 @@ class LocusPanel:
             plot, [branch], [("gain", "× @gain{0.00}"), ("s", "@re{0} ± j @im{0} rad/s")], line_policy="nearest"
         )
         label = plot.text(
-            "x", "y", text="text", source=marks, text_font=value(FONT), text_font_size=value("10px"), text_align="align",
+            "x", "y", text="text", source=marks, text_align="align", text_font=value(FONT),
+            text_font_size=value("10px"),
             text_baseline="baseline", x_offset="dx", y_offset="dy",
         )  # fmt: skip
         paint(label.glyph, text_color="muted")

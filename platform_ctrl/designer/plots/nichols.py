@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from bokeh.models import AdaptiveTicker, Span
+from bokeh.models import AdaptiveTicker
+from bokeh.models.annotations.geometry import Span
 
-from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import Column, column, decibels, extent, strung, thinned
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bokeh.plotting import figure
-
 from platform_ctrl.designer.plots.columns import column, decibels
 from platform_ctrl.designer.plots.palette import dashes, series
 from platform_ctrl.designer.plots.panel import Key, Theme
@@ -32,7 +30,7 @@ class OverlayCurves:
         self._sources, self._theme = sources, theme
         self._source = sources.new("overlays", lists=("xs", "gains", "phases", "colour", "dash", "name"))
 
-    def draw(self, plot: figure, x: str, y: str) -> Any:
+    def draw(self, plot: Any, x: str, y: str) -> Any:
         """Draw two of the columns against one another."""
         return plot.multi_line(x, y, source=self._source, line_color="colour", line_dash="dash", line_width=_WIDTH)
 

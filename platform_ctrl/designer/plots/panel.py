@@ -6,29 +6,28 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+from bokeh.events import DoubleTap
 from bokeh.models import (
     BasicTickFormatter,
-    Button,
     Column,
     CrosshairTool,
-    Div,
     HoverTool,
     InlineStyleSheet,
-    Label,
     LinearAxis,
     LogAxis,
-    LogTickFormatter,
     LogTicker,
+    LogTickFormatter,
     Model,
     Node,
     PanTool,
-    Plot,
     ResetTool,
     Row,
-    Span,
     WheelZoomTool,
 )
-from bokeh.events import DoubleTap
+from bokeh.models.annotations.geometry import Span
+from bokeh.models.annotations.labels import Label
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.markups import Div
 from bokeh.plotting import figure
 
 from platform_ctrl.designer.plots.palette import FONT, NORMAL, SMALL, colours
@@ -58,6 +57,15 @@ _BUTTON = """
 """
 
 
+_TIP = """
+:host {{ background-color: {page}; color: {ink}; border: 1px solid {frame}; border-radius: 3px; padding: 4px 8px;
+  opacity: 1; }}
+.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {small}/16px {font};
+  font-variant-numeric: tabular-nums; }}
+.word {{ color: {muted}; }} .number {{ text-align: right; }}
+"""
+
+
 class Theme:
     """Which property of which model has which colour of the palette, so that all can change in place.
 
@@ -71,7 +79,7 @@ class Theme:
         self.dark = dark
         self.colours = colours(dark)
         self._properties: list[tuple[Model, str, str]] = []
-        self._sheets: list[tuple[InlineStyleSheet, str]] = []
+        self._sheets: list[tuple[Model, str, str]] = []
 
     def paint(self, model: Model, **roles: str) -> None:
         """Give properties of a model their colours by name, now and after every change of the theme."""
@@ -82,22 +90,25 @@ class Theme:
     def sheet(self, css: str) -> InlineStyleSheet:
         """Return a style sheet whose ``{names}`` are the theme's colours."""
         out = InlineStyleSheet()
-        self._sheets.append((out, css))
-        self._write(out, css)
+        self.words(out, "css", css)
         return out
+
+    def words(self, model: Model, name: str, text: str) -> None:
+        """Give a property a text whose ``{names}`` are the theme's colours."""
+        self._sheets.append((model, name, text))
+        setattr(model, name, self._filled(text))
 
     def change(self, dark: bool) -> None:
         """Switch all that was painted."""
         self.dark, self.colours = dark, colours(dark)
         for model, name, role in self._properties:
             setattr(model, name, self.colours[role])
-        for sheet, css in self._sheets:
-            self._write(sheet, css)
+        for model, name, text in self._sheets:
+            setattr(model, name, self._filled(text))
 
-    def _write(self, sheet: InlineStyleSheet, css: str) -> None:
-        sheet.css = css.format(
-            small=SMALL, font=FONT, **{name.replace("-", "_"): c for name, c in self.colours.items()}
-        )
+    def _filled(self, text: str) -> str:
+        names = {name.replace("-", "_"): colour for name, colour in self.colours.items()}
+        return text.format(small=SMALL, font=FONT, **names)
 
 
 class Panel:
@@ -115,7 +126,7 @@ class Panel:
 
     def __init__(self, name: str, title: str, theme: Theme) -> None:
         self.name, self._title, self.theme = name, title, theme
-        self.figures: list[Plot] = []
+        self.figures: list[Any] = []
         self._views: list[View] = []
         colour = theme.sheet(
             ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
@@ -129,10 +140,11 @@ class Panel:
         self._keys = Div(sizing_mode="stretch_width", height=16, tags=["heading"], **common)
         self._reset = self.button("reset", f"{name}-reset")
         self._reset.on_click(self.reset)
-        self._row = Row(self._head, self._reset, sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4)
-        self.layout = Column(
-            self._row,
-            self._keys,
+        self.row: Any = Row(
+            children=[self._head, self._reset], sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4
+        )
+        self.layout: Any = Column(
+            children=[self.row, self._keys],
             sizing_mode="stretch_both",
             margin=0,
             spacing=2,
@@ -154,7 +166,7 @@ class Panel:
             stylesheets=[self.theme.sheet(_BUTTON)],
         )  # fmt: skip
 
-    def add(self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False) -> Plot:
+    def add(self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False) -> Any:
         """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
         out = figure(
             name=f"{self.name}-figure-{len(self.figures)}",
@@ -192,7 +204,7 @@ class Panel:
         self.layout.children = [*self.layout.children, out]
         return out
 
-    def _style(self, plot: Plot) -> None:
+    def _style(self, plot: Any) -> None:
         paint = self.theme.paint
         paint(plot, background_fill_color="page", border_fill_color="page")
         plot.outline_line_color = None
@@ -202,7 +214,7 @@ class Panel:
             paint(grid, grid_line_color="grid")
             grid.grid_line_width = 1
 
-    def _ticks(self, plot: Plot) -> None:
+    def _ticks(self, plot: Any) -> None:
         """Let a figure have as many ticks as its size on the screen has room for."""
         for axes, pixels, each in ((plot.xaxis, inner_width(plot), 58.0), (plot.yaxis, inner_height(plot), 24.0)):
             for axis in axes:
@@ -231,7 +243,7 @@ class Panel:
             axis.ticker.desired_num_ticks = 5
             axis.formatter = BasicTickFormatter(use_scientific=False)
 
-    def label_ticks(self, plot: Plot, shown: bool, words: str = "") -> None:
+    def label_ticks(self, plot: Any, shown: bool, words: str = "") -> None:
         """Write numbers and words below a figure, or leave them to the figure under it."""
         axis = plot.xaxis[0]
         # A size of 0 is no size for a power of ten.
@@ -241,33 +253,35 @@ class Panel:
         # Room for half a number of the vertical axis.
         plot.min_border_bottom = 0 if shown else 8
 
-    def crosshair(self, *plots: Plot) -> None:
+    def crosshair(self, *plots: Any) -> None:
         """Let figures have a cross at the mouse; its vertical line goes through all of them."""
         vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
         self.theme.paint(vertical, line_color="reference")
         for plot in plots:
             across = Span(dimension="width", line_width=1, line_dash=[3, 3])
             self.theme.paint(across, line_color="reference")
-            plot.add_tools(CrosshairTool(overlay=[across, vertical], visible=False))
+            plot.add_tools(CrosshairTool(overlay=(across, vertical), visible=False))
 
-    def hover(self, plot: Plot, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
+    def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
         """Let curves tell their numbers: rows of words and Bokeh's fields, which hold the unit."""
         tool = HoverTool(
             renderers=list(renderers),
-            tooltips=_tip(rows),
+            tooltips="",
             visible=False,
             show_arrow=False,
             **settings,
         )
+        self.theme.words(tool, "tooltips", _tip(rows))
         plot.add_tools(tool)
 
-    def message(self, plot: Plot) -> Label:
+    def message(self, plot: Any) -> Any:
         """Return a line of text at the top left of a figure, empty at first, that says what is the matter."""
         corner = Node(target="frame", symbol="top_left")
-        out = Label(
+        out: Any = Label(
             x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT,
-            text_font_size=NORMAL, padding=3, level="annotation", visible=False,
+            text_font_size=NORMAL, level="annotation", visible=False,
         )  # fmt: skip
+        out.padding = 3
         self.theme.paint(out, text_color="limit", background_fill_color="page")
         out.background_fill_alpha = 0.85
         plot.add_layout(out)
@@ -292,17 +306,15 @@ class Panel:
         self._keys.text = f'<div class="line keys">{"".join(parts)}</div>'
 
 
-def tell(label: Label, text: str) -> None:
+def tell(label: Any, text: str) -> None:
     """Write a message into a figure; an empty one hides it."""
     label.update(text=text, visible=bool(text))
 
 
 def _tip(rows: Sequence[tuple[str, str]]) -> str:
+    """Return the words of a tooltip with places for the theme's colours; Bokeh's own fields stay as they are."""
     cells = "".join(
-        f'<span style="opacity:.7">{escape(words)}</span><span style="text-align:right">{number}</span>'
-        for words, number in rows
+        f'<span class="word">{escape(words)}</span><span class="number">{number}</span>' for words, number in rows
     )
-    return (
-        f'<div style="display:grid;grid-template-columns:auto auto;gap:0 10px;font:{SMALL}/16px system-ui,sans-serif;'
-        f'font-variant-numeric:tabular-nums">{cells}</div>'
-    )
+    # A style inside the tooltip is one for its host: Bokeh's is white in any theme.
+    return f"<style>{_TIP}</style><div class='tip'>" + cells.replace("{", "{{").replace("}", "}}") + "</div>"

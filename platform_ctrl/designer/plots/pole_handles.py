@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation
-from bokeh.plotting import figure
+from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.designer.plots.columns import column
 from platform_ctrl.designer.plots.panel import Theme
@@ -33,7 +33,7 @@ class PoleHandles:
         Where the data of all plots stand; the source ``pulled`` shows where a pole and its conjugate are wanted.
     """
 
-    def __init__(self, plot: figure, theme: Theme, sources: Sources) -> None:
+    def __init__(self, plot: Any, theme: Theme, sources: Sources) -> None:
         self.callbacks: list[Callable[[complex, complex], None]] = []
         self._plot, self._sources = plot, sources
         self._poles = np.zeros(0, np.complex128)
@@ -45,11 +45,12 @@ class PoleHandles:
         self._putting = False
         self.boxes = []
         for k in range(NUMBER):
-            box = BoxAnnotation(
+            box: Any = BoxAnnotation(
                 left=0.0, right=1.0, bottom=0.0, top=1.0, editable=True, movable="both", resizable="none",
-                visible=False, border_radius=int(_HALF), name=f"pole-handle-{k}", fill_alpha=0.10,
+                visible=False, name=f"pole-handle-{k}", fill_alpha=0.10,
                 hover_fill_alpha=0.40, line_alpha=0.55, hover_line_alpha=1.0, hover_line_width=1, propagate_hover=True,
             )  # fmt: skip
+            box.border_radius = int(_HALF)
             theme.paint(
                 box, fill_color="series-1", hover_fill_color="series-1", line_color="series-1", hover_line_color="ink"
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from bokeh.models import BoxAnnotation
+from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, extent, finite
@@ -63,7 +63,7 @@ class RatePanel:
         self.shows_frequency = False
         self.toggle = self.panel.button("frequency", "Omega-toggle")
         self.toggle.on_click(self._toggled)
-        row = self.panel.layout.children[0]
+        row = self.panel.row
         row.children = [row.children[0], self.toggle, *row.children[1:]]
         plot.visible = False
         self._picture: Picture | None = None

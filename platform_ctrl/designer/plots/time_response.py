@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, Plot, Range1d
+from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models.annotations.geometry import BoxAnnotation
 
 from platform_ctrl.designer.plots.columns import Column, column, extent, finite, thinned
 from platform_ctrl.designer.plots.palette import dashes, series
@@ -54,7 +56,7 @@ class TimePanel:
         self._shown = True
 
     @property
-    def plots(self) -> list[Plot]:
+    def plots(self) -> list[Any]:
         """The figures."""
         return [one.plot for one in self._traces]
 
@@ -112,7 +114,8 @@ class _Trace:
         drive = sources.new(f"{name}_drive", "t", "share")
         self._limits = []
         for edge in ("bottom", "top"):
-            beyond = BoxAnnotation(**{edge: 0.0}, visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+            beyond: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+            setattr(beyond, edge, 0.0)
             theme.paint(beyond, fill_color="beyond")
             plot.add_layout(beyond)
             self._limits.append(beyond)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from bokeh.core.property.descriptors import UnsetValueError
-from bokeh.models import Plot
 
 
-def inner_width(plot: Plot) -> float:
+def inner_width(plot: Any) -> float:
     """Return the width of the figure's frame, pixels; a guess before the browser has said it."""
     return _told(plot, "inner_width", 320.0)
 
 
-def inner_height(plot: Plot) -> float:
+def inner_height(plot: Any) -> float:
     """Return the height of the figure's frame, pixels; a guess before the browser has said it."""
     return _told(plot, "inner_height", 240.0)
 
 
-def _told(plot: Plot, name: str, guess: float) -> float:
+def _told(plot: Any, name: str, guess: float) -> float:
     try:
         number = getattr(plot, name)
     except UnsetValueError:
