@@ -425,6 +425,25 @@ def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> No
         write_c(job, [tiny], tmp_path / "file" / "x")
 
 
+def test_what_is_doubtful_as_float_is_told(job: Job, tmp_path: Path) -> None:
+    across = np.array([[0.0, -1.0], [1.0, 0.0]])
+    # An integral that takes a thousand seconds to fill is worth little in every sample.
+    lazy = entry(job, "caging 9-10", (np.eye(2), np.eye(2), 1e-4 * across, 60.0 * across), ("9", "10"))
+    notes = write_c(job, [lazy], tmp_path, number="float").notes
+    assert len(notes) == 2
+    lost = float(re.search(r"may lose a constant alpha9 of (\S+);", notes[0])[1])
+    assert lost == pytest.approx(2.0**-24 * 0.25 / 1e-4, rel=0.02)
+    # It is lost: half of it is never added to an integral that holds the limit's worth.
+    x = np.float32(0.25 / 1e-4)
+    assert x + np.float32(0.4 * lost) == x
+    assert x + np.float32(4.0 * lost) != x
+    # A pole at 4 mHz, half way between two floats.
+    slow = entry(job, "caging 9-10", (np.eye(2) * (1.0 - 218.5 * 2.0**-24), np.eye(2), across, across), ("9", "10"))
+    notes = write_c(job, [slow], tmp_path, number="float").notes
+    assert any("of its distance from z = 1" in note for note in notes)
+    assert write_c(job, [lazy], tmp_path).notes == ()
+
+
 def test_a_controller_that_is_unstable_by_itself_is_written_and_told(job: Job, tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     B, C, D = (rng.standard_normal(shape) for shape in ((3, 2), (2, 3), (2, 2)))
