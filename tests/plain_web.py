@@ -52,6 +52,10 @@ def token(server: Served) -> str:
     return found[1]
 
 
+def message(kind: str, content: object, **header: object) -> list[bytes]:
+    return [json.dumps(one).encode() for one in ({"msgid": "1", "msgtype": kind} | header, {}, content)]
+
+
 class Socket:
     """A websocket to the server, spoken by hand."""
 
@@ -93,23 +97,31 @@ class Socket:
             head += bytes([0x80 | 127]) + struct.pack(">Q", said)
         return self.raw(head + bytes(4) + data)  # a mask of zeros leaves it as it is
 
+    def send_message(self, kind: str, content: object) -> Socket:
+        for fragment in message(kind, content):
+            self.send(fragment)
+        return self
+
     def raw(self, data: bytes) -> Socket:
         with suppress(BrokenPipeError, ConnectionResetError):  # ended already: that is what is tested
             self.talk.sendall(data)
         return self
 
-    def text(self) -> str:
-        """Return the next text that comes; ends the test where there is none."""
+    def part(self, opcode: int = 1) -> bytes:
+        """Return what the next frame brings: a text, or bytes (2); pings are passed over."""
         while True:
             frame = self._frame()
-            if frame is not None and frame[0] == 1:
-                return frame[1].decode()
-            assert frame is None, frame
-            assert self._more(), "ended"
+            if frame is None:
+                assert self._more(), "ended"
+            elif frame[0] != 9:
+                assert frame[0] == opcode, frame
+                return frame[1]
 
     def message(self) -> tuple[str, Any]:
-        """Return kind and content of the next message: three texts."""
-        header, _, content = (json.loads(self.text()) for _ in range(3))
+        """Return kind and content of the next message: three texts, and perhaps buffers."""
+        header, _, content = (json.loads(self.part()) for _ in range(3))
+        for _ in range(header.get("num_buffers", 0)):
+            self.part(), self.part(2)
         return header["msgtype"], content
 
     def _frame(self) -> tuple[int, bytes] | None:

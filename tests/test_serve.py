@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import json
 import random
 import re
 import socket
@@ -15,7 +14,7 @@ from typing import Any
 import pytest
 
 from browser import served
-from plain_web import Socket, answer, asked, token
+from plain_web import Socket, answer, asked, message, token
 from platform_ctrl.designer.hosts import Hosts
 from platform_ctrl.errors import InputError
 
@@ -38,10 +37,6 @@ def server() -> Iterator[PageServer]:
     with served(make=a_slider) as running:
         yield running
     gc.unfreeze()
-
-
-def message(kind: str, content: object, **header: object) -> list[bytes]:
-    return [json.dumps(one).encode() for one in ({"msgid": "1", "msgtype": kind} | header, {}, content)]
 
 
 def answers(server: PageServer) -> bool:

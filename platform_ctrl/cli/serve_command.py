@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -106,7 +107,8 @@ def serve(
         if shown:
             _open(server.address)
 
-    with _noted() as heed:
+    with _noted() as heed, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
         server.run(ready, heed)
 
 
