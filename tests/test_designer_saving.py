@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import time
 import tomllib
 from pathlib import Path
@@ -253,9 +254,12 @@ def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Workbench) -> No
 def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench) -> None:
     settings = bench.chosen(bench.start(), design="lqg")
     assert not bench.designed(settings)
-    with pytest.raises(DesignError, match="not designed yet"):
+    there = threading.Event()
+    end = bench.on_designed(there.set)
+    with pytest.raises(DesignError, match="is being designed"):
         bench.picture(settings)
-    bench.redesigned(settings)
+    assert there.wait(60.0)
+    end()
     assert bench.designed(settings)
     picture = bench.picture(settings)
     expected = next(one for one in loops(bench.read)[0].designs if one.name == "lqg")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -183,14 +183,18 @@ class Closing:
 
     def key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
         """Return all that a design of a method depends on."""
-        options = settings.options[spec.name][design.name]
         return (
-            tuple(sorted(options.items())),
+            self.options_key(settings.options[spec.name][design.name]),
             settings.rate_hz,
             settings.delay,
             tuple(sorted(settings.spins.items())),
             tuple(map(float, self._range(settings))),
         )
+
+    @staticmethod
+    def options_key(options: Mapping[str, float]) -> Hashable:
+        """Return options as part of a key."""
+        return tuple(sorted(options.items()))
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the caging loop that is worked on, and lines about its controller.

@@ -34,6 +34,15 @@ class Store:
         """Return whether there is a design for just these settings."""
         return self._made.found((loop, design, key)) is not None
 
+    def any(self, loop: str, design: str) -> bool:
+        """Return whether there is a design for any settings."""
+        return self._latest.found((loop, design)) is not None
+
+    def made_of(self, loop: str, design: str, options: Hashable) -> bool:
+        """Return whether the latest design was made of these options, whatever the plant."""
+        latest = self._latest.found((loop, design))
+        return latest is not None and isinstance(latest[0], tuple) and latest[0][0] == options
+
     def found(self, loop: str, design: str, key: Hashable, period: float) -> tuple[StateArrays, str] | None:
         """Return the controller of a design and a line about it, the latest one where there is none for these settings.
 

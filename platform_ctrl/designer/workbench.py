@@ -12,9 +12,10 @@ import numpy as np
 
 from platform_ctrl.arguments import known_name, short, whole
 from platform_ctrl.designer import background
-from platform_ctrl.designer.caged import CagedParts, caged_overlay, caged_parts
+from platform_ctrl.designer.caged import CagedLoop, CagedParts, caged_overlay, caged_parts
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
+from platform_ctrl.designer.drafting import Drafting
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
@@ -69,6 +70,35 @@ class Workbench:
             controllers = controllers_beside(self.path)
         self._closing = Closing(self.read, None if controllers is None else Path(controllers))
         self._start = self._closing.start
+        self._drafting = Drafting()
+
+    def close(self) -> None:
+        """End the designs that are being made; nobody asks any more.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        self._drafting.end()
+
+    def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called, in a thread, whenever a design that pictures were waiting for is there or failed.
+
+        Parameters
+        ----------
+        listener
+            Called without arguments; drawing the picture again then shows the design.
+
+        Returns
+        -------
+        callable
+            Ends that: a page that is closed calls it.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        return self._drafting.listen(listener)
 
     @property
     def title(self) -> str:
@@ -379,7 +409,7 @@ class Workbench:
         if spec.kind != "caging":
             free, told = self._closing.stabilised(settings)
             return dataclasses.replace(stabilised_parts(free, settings, self._closing.kept(settings)), notes=told)
-        loop, told = self._closing.caged(settings)
+        loop, told = self._caged(settings)
         parts = caged_parts(loop, settings)
         overlays, more = self._overlays(settings, spec, parts.bode.frequency)
         return dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more))
@@ -752,6 +782,26 @@ class Workbench:
         chosen = self.read.manoeuvres[known_name("manoeuvre", manoeuvre, names)]
         return fly(self.job(settings), chosen, self._closing.all_controllers(settings)[0]).trajectory
 
+    def _caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
+        spec, design = self._closing.design(settings)
+        if self._closing.live(design) or self.designed(settings):
+            return self._closing.caged(settings)
+
+        def wanted() -> str:
+            def make(unwanted: Cancelled) -> None:
+                self.redesigned(settings, cancelled=unwanted)
+
+            return self._drafting.want(spec.name, design.name, self._closing.key(settings, spec, design), make)
+
+        if not self._closing.store.any(spec.name, design.name):
+            raise DesignError(f"{spec.name}, {wanted()}")
+        loop, told = self._closing.caged(settings)
+        own = settings.options[spec.name][design.name]
+        if again and not self._closing.store.made_of(spec.name, design.name, self._closing.options_key(own)):
+            return loop, (wanted(),)
+        return loop, told
+
     def _overlays(
         self, settings: Settings, spec: LoopSpec, frequency: np.ndarray
     ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
@@ -770,6 +820,6 @@ class Workbench:
 
     def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: np.ndarray) -> tuple[Overlay, str]:
         other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        loop, told = self._closing.caged(settings.but(design=name))
+        loop, told = self._caged(settings.but(design=name), again=False)
         with np.errstate(all="ignore"):
             return caged_overlay(loop, settings, other.method, frequency), " ".join(told)
