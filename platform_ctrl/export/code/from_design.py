@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.description import Platform
-from platform_ctrl.design.channels import Channels, channels
+from platform_ctrl.design.channels import channels
 from platform_ctrl.design.classical import classical_diagram
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.design.stabilisation import rate_estimate, servo_diagram
@@ -58,7 +59,7 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
     ----------
     See docs/generated-code.md.
     """
-    limits = {torquer.name: torquer.limit for torquer in job.platform.torquers}
+    limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
 
     def scheme(sections: tuple[Section, ...], excess: tuple[Row, ...] = ()) -> Scheme:
         return Scheme(
@@ -68,9 +69,7 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
             outputs=entry.outputs,
             output_units=tuple(unit_of(job, name) for name in entry.outputs),
             sections=sections,
-            torque_limits=tuple(
-                np.inf if limits.get(name) is None else float(limits[name] or 0.0) for name in entry.outputs
-            ),
+            torque_limits=tuple(limits[name] for name in entry.outputs),
             excess=excess,
             period=job.sampling.period,
             delay=job.sampling.delay,
@@ -78,7 +77,7 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
             or Provenance(job=job.name, loop=entry.loop, design=entry.design, method=entry.method),
         )
 
-    for build in (_classical, _servo, pid_of):
+    for build in (_classical, _servo, _pid):
         sections = _tried(build, job, entry)
         if sections is None:
             continue
@@ -121,8 +120,6 @@ def with_excess(scheme: Scheme, gain: FloatArray) -> Scheme:
     ----------
     See docs/generated-code.md.
     """
-    import dataclasses
-
     return dataclasses.replace(scheme, excess=_excess_rows(scheme, gain))
 
 
@@ -230,33 +227,12 @@ def _servo(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | 
     )
 
 
-def pid_of(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
-    """Return a matrix PID as the structured design makes it, or None.
-
-    Parameters
-    ----------
-    job, entry, model
-        The job, its controller, and its plant at rest.
-
-    Returns
-    -------
-    tuple of Section or None
-        None where its matrices are no such PID.
-
-    Raises
-    ------
-    ArgumentError
-        The plant has no such gimbal.
-
-    References
-    ----------
-    See docs/generated-code.md.
-    """
+def _pid(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
     found = _gimbals(job, entry)
     if found is None:
         return None
-    channel: Channels = channels(model, rows_of(model, found[0]))
-    return pid_sections(entry, channel, found[1])
+    gimbals, angles = found
+    return pid_sections(entry, channels(model, rows_of(model, gimbals)), angles)
 
 
 def _gimbals(job: Job, entry: Entry) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
