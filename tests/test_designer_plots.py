@@ -389,7 +389,9 @@ def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
     plots.show(shown)
     [box] = [one for one in named(plots, BoxAnnotation) if one.name == "crossover-handle"]
     assert np.sqrt(box.left * box.right) == pytest.approx(shown.margins.crossover * HZ)  # type: ignore[operator]
+    assert plots.drags == 0
     box.update(left=1.5 * box.left, right=1.5 * box.right)
+    assert plots.drags == 1
     assert pulled[-1] == pytest.approx(1.5 * shown.margins.crossover)  # type: ignore[operator]
 
 

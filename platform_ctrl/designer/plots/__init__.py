@@ -56,6 +56,11 @@ class Plots:
         self.sources = self._sources.by_name
         self.layout: dict[str, LayoutDOM] = {one.panel.name: one.panel.layout for one in self._panels}
 
+    @property
+    def drags(self) -> int:
+        """How many drags of a pole or of the crossover have begun: all calls of one drag see the same number."""
+        return self._locus.handles.pulling.begun + self._bode.handle.pulling.begun
+
     def show(self, picture: Picture) -> None:
         """Follow a picture: what has changed goes to the browser in one go, no model is made or removed.
 

@@ -37,6 +37,8 @@ from platform_ctrl.designer.plots.widths import inner_height, inner_width
 # Key of a curve: words, name of its colour, dashes, width.
 Key = tuple[str, str, Sequence[int], float]
 
+# More keys than this stand closer together.
+_FEW = 5
 _LEFT, _RIGHT, _TOP = 54, 12, 7
 
 _HEADING = f"""
@@ -45,6 +47,7 @@ _HEADING = f"""
 .title {{ font-weight: 650; }}
 .detail {{ overflow: hidden; text-overflow: ellipsis; }}
 .keys {{ font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
+.keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
 .keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
 """
 
@@ -290,20 +293,23 @@ class Panel:
     def say(self, detail: str) -> None:
         """Write what stands beside the heading."""
         self._head.text = (
-            f'<div class="line"><span class="title">{escape(self._title)}</span>'
+            f'<div class="line" title="{escape(detail)}"><span class="title">{escape(self._title)}</span>'
             f'<span class="detail">{escape(detail)}</span></div>'
         )
 
     def keys(self, entries: Sequence[Key]) -> None:
         """Write what each curve is: words, name of the colour, dashes, width."""
         parts = []
+        many = len(entries) > _FEW
         for words, role, dash, width in entries:
+            written = escape(words.replace("attitude", "att.") if many else words)
             dashing = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
             parts.append(
-                f'<span><svg><line x1="0" x2="22" y1="4" y2="4" stroke="{self.theme.colours[role]}" '
-                f'stroke-width="{width:g}"{dashing}/></svg>{escape(words)}</span>'
+                f'<span><svg><line x1="0" x2="100%" y1="4" y2="4" stroke="{self.theme.colours[role]}" '
+                f'stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
             )
-        self._keys.text = f'<div class="line keys">{"".join(parts)}</div>'
+        every = escape(", ".join(words for words, _, _, _ in entries))
+        self._keys.text = f'<div class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</div>'
 
 
 def tell(label: Any, text: str) -> None:
@@ -317,4 +323,4 @@ def _tip(rows: Sequence[tuple[str, str]]) -> str:
         f'<span class="word">{escape(words)}</span><span class="number">{number}</span>' for words, number in rows
     )
     # A style inside the tooltip is one for its host: Bokeh's is white in any theme.
-    return f"<style>{_TIP}</style><div class='tip'>" + cells.replace("{", "{{").replace("}", "}}") + "</div>"
+    return '<div class="tip">' + cells.replace("{", "{{").replace("}", "}}") + f"<style>{_TIP}</style></div>"

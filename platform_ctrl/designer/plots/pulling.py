@@ -32,9 +32,12 @@ class Pulling(Generic[Place]):
         self._waiting: Any = None
         self._resting: Any = None
         self.active = False
+        # Drags so far.
+        self.begun = 0
 
     def move(self, place: Place) -> None:
         """Take a new place."""
+        self.begun += not self.active
         self.active = True
         self._place = place
         document = self._anchor.document
