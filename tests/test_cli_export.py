@@ -257,3 +257,25 @@ def test_exported_models_are_of_the_plant_as_it_stands(there: Path) -> None:
     assert (plant.A == ours.A).all()
     assert plant.inputs == tuple(ours.input_labels)
     assert plant.input_units[:2] == ("N m", "N m")
+
+
+def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_again(there: Path) -> None:
+    options = ["--number", "q31", "--range", "alpha9=0.002", "--range", "beta10=0.001", "--accuracy", "0.01"]
+    assert main(["export", "job.toml", "--c", "c", *options]) == 0
+    header = "".join(path.read_text() for path in sorted(Path("c").glob("*.h")))
+    assert "--range alpha9=0.002 --range beta10=0.001 --accuracy 0.01" in " ".join(header.replace("*", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--number", "q31", "--range", "alpha"], "--range alpha: expected a name, = and a number, as in alpha9=0.01"),
+        (["--range", "alpha9=1"], "--range and --integral-limit are of fixed point"),
+        (["--number", "q31", "--range", "gamma=1"], "ranges: given 'gamma'"),
+        (["--number", "q31", "--range", "alpha9=nan"], "alpha"),
+        (["--number", "q15", "--accuracy", "-1"], "accuracy"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused_in_one_line(options: list[str], said: str, there: Path, capsys) -> None:
+    assert said in refused(capsys, "export", "job.toml", "--c", "c", "--quiet", *options)
+    assert not Path("c").exists()

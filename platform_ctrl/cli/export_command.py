@@ -112,6 +112,35 @@ def export(
             rich_help_panel=HOW,
         ),
     ] = "back-calculation",
+    ranges: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            metavar="SIGNAL=NUMBER",
+            help="Fixed point: largest magnitude of an input, SI units. Default: from stops, torque limits, Omega.",
+            show_default=False,
+            rich_help_panel=HOW,
+        ),
+    ] = None,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--integral-limit",
+            metavar="STATE=NUMBER",
+            help="Fixed point: where an integral stops. Default: from the torquers' limits.",
+            show_default=False,
+            rich_help_panel=HOW,
+        ),
+    ] = None,
+    accuracy: Annotated[
+        float,
+        typer.Option(
+            "--accuracy",
+            metavar="SHARE",
+            help="Fixed point: largest error of a torque, as a share of its limit.",
+            rich_help_panel=HOW,
+        ),
+    ] = 0.02,
     form: Annotated[
         str,
         typer.Option(
@@ -173,6 +202,14 @@ def export(
     ):
         if given not in known:
             raise InputError(f"{option} {given}: expected one of {', '.join(known)}")
+    c_options: dict[str, Any] = {"number": number, "anti_windup": anti_windup}
+    fixed = {"ranges": _numbers("--range", ranges), "limits": _numbers("--integral-limit", limits)}
+    if number in ("q31", "q15"):
+        c_options |= fixed | {"accuracy": accuracy}
+    elif any(fixed.values()):
+        raise InputError(
+            f"--range and --integral-limit are of fixed point; given --number {number}; expected q31 or q15"
+        )
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         needed = bool(folders) or mat is not None or fmu is not None
@@ -180,7 +217,7 @@ def export(
         file = _controllers(controllers, job, needed) if wanted else None
         _judge_targets(job, file, files, folders)
         owned = {option: own_files(f"--{option}", path) for option, path in folders.items()}
-        work = _Work(read, job, file, {"number": number, "anti_windup": anti_windup}, form, root, manoeuvre)
+        work = _Work(read, job, file, c_options, form, root, manoeuvre)
         made: dict[str, list[Path]] = {}
         with all_or_none() as stage:
             for option, target in (files | folders).items():
@@ -219,7 +256,7 @@ class _Work:
     job: Job
     path: Path
     file: Path | None
-    c_options: dict[str, str]
+    c_options: dict[str, Any]
     form: str
     root: str
     manoeuvre: str | None
@@ -275,7 +312,7 @@ def _write_c(work: _Work, at: Path, target: Path) -> None:
     _, data = opened(cast(Path, work.file))
     versions = data.get("versions")
     words = ["platform-ctrl", "export", str(work.path), "--controllers", str(work.file), "--c", str(target)]
-    words += [word for option, given in work.c_options.items() for word in (f"--{option.replace('_', '-')}", given)]
+    words += _as_typed(work.c_options)
     written = write_c(
         work.job,
         data["controllers"],
@@ -283,10 +320,32 @@ def _write_c(work: _Work, at: Path, target: Path) -> None:
         sha256=work.about["controllers"]["sha256"],
         versions=versions if isinstance(versions, Mapping) else None,
         command=shlex.join(words),
-        **cast(Any, work.c_options),
+        **work.c_options,
     )
     work.notes += written.notes
     write_folder_record(at, work.about)
+
+
+def _as_typed(options: Mapping[str, Any]) -> list[str]:
+    """Return the words of the command line that say the options of the C source."""
+    words = ["--number", options["number"], "--anti-windup", options["anti_windup"]]
+    for option, name in (("--range", "ranges"), ("--integral-limit", "limits")):
+        words += [word for key, number in options.get(name, {}).items() for word in (option, f"{key}={number!r}")]
+    return [*words, *(["--accuracy", repr(options["accuracy"])] if "accuracy" in options else [])]
+
+
+def _numbers(option: str, given: list[str] | None) -> dict[str, float]:
+    """Return what stands as NAME=NUMBER behind an option, by name."""
+    out = {}
+    for one in given or []:
+        name, _, number = one.rpartition("=")
+        try:
+            out[name] = float(number)
+        except ValueError:
+            name = ""
+        if not name:
+            raise InputError(f"{option} {one}: expected a name, = and a number, as in alpha9=0.01")
+    return out
 
 
 def _write_csv(work: _Work, at: Path, target: Path) -> None:

@@ -61,7 +61,7 @@ def input_ranges(
         else:
             raise InputError(
                 f"fixed point: no range is known for {name!r}; expected stops of its gimbal or a limit of its torquer "
-                f"in the plant file; or give ranges = {{{name!r}: largest magnitude}}"
+                f"in the plant file; or give its largest magnitude (ranges; on the command line --range {name}=NUMBER)"
             )
     return out
 

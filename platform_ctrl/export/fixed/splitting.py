@@ -228,8 +228,8 @@ def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | N
         if name not in out and not (shows.any() and np.all(np.isfinite(torque[shows]))):
             raise InfeasibleError(
                 f"fixed point: section {parts.section[name]!r}: no limit is known for the integral {name!r}; expected "
-                "a limit of the torquer that it drives in the plant file; or give "
-                f"limits = {{{name!r}: largest value}}",
+                "a limit of the torquer that it drives in the plant file; or give its largest value (limits; on the "
+                f"command line --integral-limit {name}=NUMBER)",
                 scheme,
             )
     need = np.abs(inverse) @ np.where(np.isfinite(torque), torque, 0.0)
