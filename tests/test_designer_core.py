@@ -25,6 +25,7 @@ from platform_ctrl.designer.workbench import Workbench
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job import Spread
 from platform_ctrl.linearisation import linearise
+from platform_ctrl.reading import read_job
 
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
@@ -397,3 +398,52 @@ def test_a_bounded_cache_lets_the_oldest_go() -> None:
     assert len(cache) == 3
     assert cache.found(6) is None
     assert cache.found(9) == 9
+
+
+def _bare_job(**plant: object) -> Workbench:
+    gimbal = {"name": "a", "parent": "case", "axis": [0, 1, 0], "inertia": [1e-3, 1e-3, 1e-3]}
+    inner = {"name": "b", "parent": "a", "axis": [0, 0, 1], "inertia": [5e-4, 5e-4, 5e-4]}
+    whole = {
+        "schema": 1,
+        "name": "bare",
+        "root": {"name": "case", "inertia": [0.1, 0.1, 0.1]},
+        "gimbal": [gimbal, inner],
+        "torquer": [{"gimbal": "a"}, {"gimbal": "b"}],
+        "pickoff": [{"gimbal": "a"}, {"gimbal": "b"}],
+        **plant,
+    }
+    crossover = "crossover_hz" if "rotor" in plant else "inertial_crossover_hz"
+    design = {"name": "by hand", "method": "classical", crossover: 5.0}
+    loop = {"name": "both", "kind": "caging", "gimbals": ["a", "b"], "use": "by hand", "design": [design]}
+    return Workbench(
+        read_job(
+            {
+                "schema": 1,
+                "name": "bare",
+                "plant": whole,
+                "operation": {"Omega": [0.0, 0.0, 0.0]},
+                "sampling": {"rate_hz": 500, "delay": 0.0},
+                "loop": [loop],
+            }
+        )
+    )
+
+
+ROTOR = {"name": "r", "carrier": "b", "axis": [1, 0, 0], "axial_inertia": 1e-4, "transverse_inertia": 6e-5}
+
+
+@pytest.mark.parametrize("rotors", [[], [{**ROTOR, "spin": 400.0}]])
+def test_plants_without_gyro_spread_limits_or_delay_have_pictures(rotors: list[dict[str, object]]) -> None:
+    bench = _bare_job(**({"rotor": rotors} if rotors else {}))
+    settings = bench.start("both")
+    picture = bench.picture(settings)
+    assert picture.stable
+    assert picture.plants == ("nominal",)
+    assert not picture.bode.band_frequency.size
+    assert len(bench.picture(bench.moved(settings, "Omega1", 0.5)).plants) > 1
+    assert bench.influence(settings).change.shape[0] == len(picture.requirements)
+    if rotors:
+        # Stopped, run backwards, and a tenth as fast: other gyros, other directions, and still a picture.
+        for spin in (0.0, -400.0, 40.0):
+            shown = bench.picture(bench.moved(settings, "spin r", spin))
+            assert np.isfinite(shown.bode.magnitude).all()
