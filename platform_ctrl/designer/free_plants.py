@@ -21,7 +21,7 @@ from platform_ctrl.state_space import state_space as linear_state_space
 
 ATTITUDE = ("attitude1", "attitude2", "attitude3")
 # Frequencies of the band: it needs no more to be drawn.
-_BAND_POINTS = 50
+_BAND_POINTS = 36
 
 
 @value
@@ -221,7 +221,7 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
     turned = _turned(models, period, delay)
     nyquist = np.pi / period
     fastest = float(np.abs(np.linalg.eigvals(models.A[0])).max(initial=0.0)) or 0.1 * nyquist
-    low = min(1e-3 * fastest, 0.01 * nyquist)
+    low = min(2e-3 * fastest, 0.01 * nyquist)
     grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
     return FreePlants(
         labels=models.labels,

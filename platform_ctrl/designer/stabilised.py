@@ -229,14 +229,9 @@ def _peak_margins(
     sizes = np.abs(S[:, at, at] - 0.5)
     k = np.argmax(sizes, axis=0)
     each = np.arange(len(at))
-    best, low, high = sizes[k, each], grid[np.maximum(k - 1, 0)], grid[np.minimum(k + 1, len(grid) - 1)]
-    for _ in range(2):
-        w = np.linspace(low, high, 11)
-        found = _sensitivity(P, K, w.ravel()).reshape(*w.shape, *S.shape[1:])
-        sizes = np.abs(found[:, each, at, at] - 0.5)
-        k = np.argmax(sizes, axis=0)
-        best = np.maximum(best, sizes[k, each])
-        low, high = w[np.maximum(k - 1, 0), each], w[np.minimum(k + 1, 10), each]
+    w = np.linspace(grid[np.maximum(k - 1, 0)], grid[np.minimum(k + 1, len(grid) - 1)], 13)
+    found = _sensitivity(P, K, w.ravel()).reshape(*w.shape, *S.shape[1:])
+    best = np.maximum(sizes[k, each], np.abs(found[:, each, at, at] - 0.5).max(axis=0))
     return np.asarray(1.0 / best)
 
 
