@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -133,11 +134,21 @@ def until(true: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def drag(seen: Screen, figure: str, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
+def drag(
+    seen: Screen,
+    figure: str,
+    start: tuple[float, float],
+    end: tuple[float, float],
+    *,
+    held: float = 0.0,
+    steps: int = 12,
+) -> None:
+    """Drag from a place to another, after the mouse has been held down for some milliseconds."""
     mouse = seen.page.mouse
     first, last = (seen.page.evaluate(PLACE, [figure, *place]) for place in (start, end))
     mouse.move(*first)
     mouse.down()
+    seen.page.wait_for_timeout(held)
     mouse.move(*last, steps=steps)
     mouse.up()
 
@@ -154,6 +165,14 @@ def test_a_pole_is_dragged_and_the_last_place_wins(shown: tuple[Page, Screen]) -
     until(lambda: len(page.plots.sources["pulled"].data["x0"]) == 0)  # type: ignore[union-attr]
     assert sorted(page.plots.sources["poles"].data["im"]) == pytest.approx([-90.0, 90.0], rel=0.02)
     assert seen.complaints == []
+
+
+def test_a_pole_that_is_gripped_and_held_can_still_be_dragged(shown: tuple[Page, Screen]) -> None:
+    page, seen = shown
+    script = resources.files("platform_ctrl.designer.page") / "assets" / "dragging.js"
+    seen.page.add_script_tag(content=script.read_text(encoding="utf-8"), type="module")
+    drag(seen, "locus-figure-0", (-10.0, float(np.sqrt(3900.0))), (-10.0, 80.0), held=500.0)
+    until(lambda: bool(page.poles) and abs(page.poles[-1][1] - complex(-10.0, 80.0)) < 1.0)
 
 
 def test_the_crossover_is_dragged_along_the_frequencies(shown: tuple[Page, Screen]) -> None:
