@@ -220,10 +220,10 @@ def test_what_is_shown_larger_or_slower_is_said(pyramid: Screen) -> None:
     state(pyramid, "tree.controls.platform.checked = true; tree.magnify(20); tree.seek(1)")
     note = pyramid.page.locator("gimbal-tree .note")
     slower = state(pyramid)["slower"]
-    spin = "spin as it is" if slower == 1 else f"spin shown {slower:g} times slower"
-    assert note.text_content() == f"gimbal angles × 20, platform’s × 20 too; {spin}"
+    spin = "spin as it is" if slower == 1 else f"spin {slower:g} times slower"
+    assert note.text_content() == f"angles × 20 (platform’s × 20), {spin}"
     pyramid.page.get_by_label("Platform’s angles too").uncheck()
-    assert "platform’s as they are" in str(note.text_content())
+    assert "angles × 20 (platform’s × 1)" in str(note.text_content())
     pyramid.page.get_by_label("Angles are shown times").fill("0")
     assert str(note.text_content()).startswith("angles as they are")
 

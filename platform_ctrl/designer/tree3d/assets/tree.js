@@ -36,7 +36,7 @@ input[type="checkbox"] { width: 13px; height: 13px; margin: 0; accent-color: var
 select { height: 24px; font: inherit; color: var(--ink, #1b2430); background: var(--page, #fff); border: 1px solid var(--line, #dde1e7); border-radius: 4px; }
 :focus-visible { outline: 2px solid var(--accent, #0b5c8f); outline-offset: 1px; }
 @container (max-width: 640px) { .long { display: none; } }
-@container (max-width: 480px) { .bar { flex-wrap: wrap; gap: 3px 9px; padding-top: 2px; } .time { flex-basis: calc(100% - 40px); } .word { display: none; } .names { font-size: 10.5px; } .names.many .rotor { display: none; } }
+@container (max-width: 480px) { .bar { gap: 6px; padding-bottom: 0; } .word, .platform { display: none; } .time { gap: 3px; } .factor { gap: 3px; } .factor input { width: 48px; } .time output { min-width: 46px; } .names { font-size: 10.5px; } .names.many .rotor { display: none; } }
 :host { container-type: size; }
 `;
 const BODY = `
@@ -49,11 +49,10 @@ const BODY = `
   <button type="button" aria-label="Play" title="Play or pause (Space)"><svg viewBox="0 0 10 10" aria-hidden="true"><path/></svg></button>
   <label class="time"><span class="long">t</span><input type="range" min="0" max="1" step="any" value="0" aria-label="Time"><output>0 s</output></label>
   <label title="Seconds of the run in a second of yours"><span class="word">time</span> <select aria-label="Time is shown times"></select></label>
-  <label class="factor" title="Angles are milliradians: this many times as large they can be seen">angles <input type="range" min="0" max="2" step="0.01" value="0" aria-label="Angles are shown times"><output>× 1</output></label>
-  <label class="platform" title="The platform’s own angles as many times too"><input type="checkbox" aria-label="Platform’s angles too">platform<span class="long">&nbsp;too</span></label>
+  <label class="factor" title="Angles are milliradians: this many times as large they can be seen"><span class="word">angles</span> <input type="range" min="0" max="2" step="0.01" value="0" aria-label="Angles are shown times"><output>× 1</output></label>
+  <label class="platform" title="The platform’s own angles as many times too"><input type="checkbox" aria-label="Platform’s angles too"><span>platform<span class="long"> too</span></span></label>
 </div>`;
 const PLAY = "M1.500 0.500v9l8-4.500z", PAUSE = "M1 0.500h3v9h-3z M6 0.500h3v9h-3z";
-const digits = (x) => Number(x.toPrecision(x < 10 ? 2 : 3)).toString();
 
 class GimbalTree extends HTMLElement {
   connectedCallback() {
@@ -298,9 +297,9 @@ class GimbalTree extends HTMLElement {
     const c = this.controls;
     c.time.value = this.time;
     c.shown.value = `${this.time.toFixed(Math.min(4, Math.max(0, 3 - Math.floor(Math.log10(Math.max(this.run.end, 1e-3))))))} s`;
-    const spin = this.fastest === 0 ? "" : this.slower === 1 ? "spin as it is" : `spin shown ${digits(this.slower)} times slower`;
-    const angles = this.factor === 1 ? "angles as they are" : `gimbal angles × ${this.factor}, platform’s ${this.platformFactor === 1 ? "as they are" : `× ${this.factor} too`}`;
-    const words = this.run.there ? [angles, spin].filter(Boolean).join("; ") : "Simulate a manoeuvre to see it turn";
+    const angles = this.factor === 1 ? "angles as they are" : `angles × ${this.factor} (platform’s × ${this.platformFactor})`;
+    const spin = this.fastest === 0 ? "" : this.slower === 1 ? "spin as it is" : `spin ${this.slower} times slower`;
+    const words = this.run.there ? [angles, spin].filter(Boolean).join(", ") : "Simulate a manoeuvre to see it turn";
     if (this.note.textContent !== words) this.note.textContent = words;
   }
 
