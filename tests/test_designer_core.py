@@ -385,8 +385,8 @@ def test_nothing_grows_while_knobs_move(bench: Workbench, settings: Settings) ->
 
     tracemalloc.start()
     try:
-        full = held(21)
-        assert abs(held(9) - full) < 0.1 * full
+        full = held(18)
+        assert abs(held(6) - full) < 0.1 * full
     finally:
         tracemalloc.stop()
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.branches import followed
@@ -163,6 +164,18 @@ def gain_locus(
     half = points // 2
     gains = np.concatenate([np.linspace(0.0, 1.0, half + 1) ** 1.5, np.linspace(1.0, highest, half)[1:]])
     return gains, continuous_poles(followed(poles(gains)), period)
+
+
+def moved_by_gain(gains: FloatArray, branches: ComplexArray, present: ComplexArray) -> BoolArray:
+    """Return which of the present poles (n,) the gain moves: by a hundredth of themselves or more, if it is doubled."""
+    at = int(np.argmin(np.abs(gains - 1.0)))
+    low, high = max(at - 1, 0), min(at + 1, len(gains) - 1)
+    with np.errstate(all="ignore"):
+        speed = np.abs(branches[high] - branches[low]) / (gains[high] - gains[low])
+        nearest = np.nanargmin(
+            np.where(np.isfinite(branches[at]), np.abs(present[:, None] - branches[at]), np.inf), axis=1
+        )
+        return np.asarray(speed[nearest] > 0.01 * np.abs(present))
 
 
 def arrays_of(stack: StateArrays, k: int) -> StateArrays:

@@ -27,6 +27,7 @@ from platform_ctrl.designer.curves import (
     gain_locus,
     gain_range,
     held_responses,
+    moved_by_gain,
     sample_times,
 )
 from platform_ctrl.designer.free_plants import ATTITUDE, FreePlants
@@ -350,7 +351,9 @@ def _locus(
         gains=gains,
         branches=branches,
         present=s,
-        draggable=np.asarray(finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist)),
+        draggable=np.asarray(
+            finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist) & moved_by_gain(gains, branches, s)
+        ),
         others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
         reach=reach,
         damping=None,
