@@ -201,7 +201,7 @@ def test_nonsense_sent_to_the_pages_own_models_is_answered_and_leaves_the_others
         sent.send_message("PULL-DOC-REQ", {})
         models = list(_models(sent.message()[1]["doc"]))
         (wire,) = [one for one in models if one["name"].endswith(".Wire")]
-        for _ in range(50):
+        for _ in range(30):
             model = noise.choice([wire, noise.choice(models)])
             event = {
                 "kind": noise.choice(
