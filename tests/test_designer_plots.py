@@ -381,6 +381,34 @@ def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> Non
     assert present.imag > 70.0  # as it stands after the first answer, not where it began
 
 
+def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None:
+    shown = picture()
+
+    def with_poles(*poles: complex) -> Picture:
+        present = np.array(poles)
+        locus = dataclasses.replace(shown.locus, present=present, draggable=np.ones(len(poles), np.bool_))
+        return dataclasses.replace(shown, locus=locus)
+
+    def centres() -> dict[str | None, complex]:
+        boxes = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle")]
+        return {
+            one.name: complex(0.5 * (one.left + one.right), 0.5 * (one.bottom + one.top))
+            for one in boxes
+            if one.visible
+        }
+
+    fresh.show(with_poles(-10 + 50j, -20 + 60j))
+    first = centres()
+    fresh.show(with_poles(-10 + 54j, -20 + 56j, -5 + 1j))
+    second = centres()
+    fresh.show(with_poles(-10 + 58j, -20 + 52j))
+    third = centres()
+    [name] = [one for one, centre in first.items() if abs(centre - (-10 + 50j)) < 1e-6]
+    assert second[name] == pytest.approx(-10 + 54j)
+    assert third[name] == pytest.approx(-10 + 58j)
+    assert (len(first), len(second), len(third)) == (2, 3, 2)
+
+
 def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
     plots = fresh
     pulled: list[float] = []

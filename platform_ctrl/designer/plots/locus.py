@@ -147,8 +147,8 @@ class LocusPanel:
             colour=[self._theme.colours[series(1 + k)] for _, k, _ in found],
             name=[name for _, _, name in found],
         )
-        self._asked(locus.damping)
         self._look(locus)
+        self._asked(locus.damping)
         self.handles.show(locus)
         self.panel.say("drag a ringed pole" if locus.draggable.any() else "")
         self.panel.keys(
@@ -171,8 +171,10 @@ class LocusPanel:
         if damping is None or not 0.0 < damping < 1.0:
             self._sources.put("asked_damping", x=column([]), y=column([]))
             return
-        slope = -damping / math.sqrt(1.0 - damping**2) * _END
-        self._sources.put("asked_damping", x=column([slope, 0.0, slope]), y=column([_END, 0.0, -_END]))
+        # Dashes are drawn one by one, far outside the view too: no further than somebody may zoom out.
+        end = 8.0 * self._reach
+        slope = -damping / math.sqrt(1.0 - damping**2) * end
+        self._sources.put("asked_damping", x=column([slope, 0.0, slope]), y=column([end, 0.0, -end]))
 
     def _look(self, locus: Locus) -> None:
         """Show the upper half plane as far as it matters; a reach that changes a little moves nothing."""

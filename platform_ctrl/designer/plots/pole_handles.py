@@ -36,7 +36,8 @@ class PoleHandles:
     def __init__(self, plot: Any, theme: Theme, sources: Sources) -> None:
         self.callbacks: list[Callable[[complex, complex], None]] = []
         self._plot, self._sources = plot, sources
-        self._poles = np.zeros(0, np.complex128)
+        # Ring → pole. A ring keeps its pole from picture to picture.
+        self._poles: dict[int, complex] = {}
         # While a ring is dragged: which, where its pole stands in the last picture, and where it was wanted then.
         self._caught: tuple[int, complex] | None = None
         self._wanted = 0j
@@ -68,12 +69,24 @@ class PoleHandles:
     def show(self, locus: Locus) -> None:
         """Stand around the poles that may be dragged, the slowest ones where there are too many."""
         poles = locus.present[locus.draggable & np.isfinite(locus.present)]
-        self._poles = poles[np.argsort(np.abs(poles), kind="stable")[:NUMBER]]
-        if self._caught is not None and self._poles.size:
+        left = [complex(pole) for pole in poles[np.argsort(np.abs(poles), kind="stable")[:NUMBER]]]
+        kept: dict[int, complex] = {}
+        if self._caught is not None and left:
             # It has come some part of the way: of all poles it is the one nearest to both ends of that way.
             k, before = self._caught
-            ways = np.abs(self._poles - before) + np.abs(self._poles - self._wanted)
-            self._caught = (k, complex(self._poles[np.argmin(ways)]))
+            kept[k] = min(left, key=lambda pole: abs(pole - before) + abs(pole - self._wanted))
+            self._caught = (k, kept[k])
+            left.remove(kept[k])
+        others = [k for k in self._poles if k not in kept]
+        if others and left:
+            from scipy.optimize import linear_sum_assignment
+
+            away = np.abs(np.subtract.outer([self._poles[k] for k in others], left))
+            rows, columns = linear_sum_assignment(away)
+            kept |= {others[i]: left[j] for i, j in zip(rows, columns, strict=True)}
+            left = [pole for j, pole in enumerate(left) if j not in columns]
+        free = (k for k in range(NUMBER) if k not in kept)
+        self._poles = kept | dict(zip(free, left, strict=False))
         self._place()
 
     def _place(self) -> None:
@@ -81,10 +94,10 @@ class PoleHandles:
         for k, box in enumerate(self.boxes):
             if self._caught is not None and self._caught[0] == k:
                 continue
-            if k >= len(self._poles):
+            if k not in self._poles:
                 box.visible = False
                 continue
-            x, y = float(self._poles[k].real), float(self._poles[k].imag)
+            x, y = self._poles[k].real, self._poles[k].imag
             left, right, bottom, top = self._put[k] = [x - wide, x + wide, y - high, y + high]
             self._putting = True
             box.update(left=left, right=right, bottom=bottom, top=top, visible=True)
@@ -112,9 +125,9 @@ class PoleHandles:
             left, right, bottom, top = map(float, edges)
             middle = complex(0.5 * (left + right), 0.5 * (bottom + top))
             if self._caught is None or self._caught[0] != k:
-                if k >= len(self._poles) or abs(middle - self._poles[k]) < 1e-9 * (right - left):
+                if k not in self._poles or abs(middle - self._poles[k]) < 1e-9 * (right - left):
                     return
-                self._caught = (k, complex(self._poles[k]))
+                self._caught = (k, self._poles[k])
                 self._wanted = self._caught[1]
             # The lower half plane is the upper one's mirror: the pole wanted is the upper of the pair.
             target = complex(middle.real, abs(middle.imag))

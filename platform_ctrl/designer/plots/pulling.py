@@ -9,8 +9,9 @@ from bokeh.models import Model
 
 Place = TypeVar("Place")
 
-# Milliseconds between two places that are handed on, and of rest after which a drag is over.
-EVERY, REST = 40, 350
+# Milliseconds between two places that are handed on, of rest after which a drag is over, and for what the browser has
+# sent while the server was busy.
+EVERY, REST, LATE = 40, 400, 150
 
 
 class Pulling(Generic[Place]):
@@ -48,7 +49,7 @@ class Pulling(Generic[Place]):
             self._waiting = document.add_timeout_callback(self._hand_on, EVERY)
         if self._resting is not None:
             document.remove_timeout_callback(self._resting)
-        self._resting = document.add_timeout_callback(self.end, REST)
+        self._resting = document.add_timeout_callback(self._rested, REST)
 
     def end(self) -> None:
         """End the drag now: what was not handed on yet is."""
@@ -61,6 +62,11 @@ class Pulling(Generic[Place]):
         self._hand_on()
         self.active = False
         self._ended()
+
+    def _rested(self) -> None:
+        document = self._anchor.document
+        if document is not None:
+            self._resting = document.add_timeout_callback(self.end, LATE)
 
     def _hand_on(self) -> None:
         self._waiting = None
