@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
 from browser import Screen, chromium, screen, served
 
 pytest.importorskip("bokeh")
@@ -230,7 +231,7 @@ def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     typed(page, "crossover_hz", "25")
     shows(page, "crossover_hz", "25")
     until(page, lambda: "bad" in (page.locator("#verdict").get_attribute("class") or ""))
-    page.locator(f'#knobs [data-knob="integral_hz"] .pin').click()
+    page.locator('#knobs [data-knob="integral_hz"] .pin').click()
     until(page, lambda: page.locator('#knobs [data-knob="integral_hz"] .pin').get_attribute("aria-pressed") == "true")
     page.keyboard.press("t")
     until(page, lambda: "good" in (page.locator("#verdict").get_attribute("class") or ""), 60.0)
@@ -368,7 +369,14 @@ def test_choices_are_judged(workbench: Workbench) -> None:
     assert chosen(workbench, start, "axis", 3, ()).axis == 3
     assert chosen(workbench, start, "overlays", ["slower"], ()).overlays == ("slower",)
     assert chosen(workbench, start, "mode", "caged", ()) is start
-    wrong = [("axis", 4), ("axis", "1"), ("axis", True), ("band", 1), ("overlays", "slower"), ("overlays", ["classical"])]
+    wrong = [
+        ("axis", 4),
+        ("axis", "1"),
+        ("axis", True),
+        ("band", 1),
+        ("overlays", "slower"),
+        ("overlays", ["classical"]),
+    ]
     wrong += [("overlays", [[]]), ("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
     wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
     for name, given in wrong:

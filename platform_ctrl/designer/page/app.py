@@ -49,7 +49,7 @@ def page(workbench: Workbench, document: Document) -> None:
 
 def _state(document: Document) -> str:
     """Return the state that the page's address asks for, empty where it asks for none."""
-    context = document.session_context
+    context: Any = document.session_context
     request = None if context is None else context.request
     given: Any = {} if request is None else request.arguments
     texts = given.get("state") or [b""]

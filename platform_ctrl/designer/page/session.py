@@ -87,7 +87,8 @@ class Session:
         self.wire = Wire(name="wire")
         self.wire.on_change("asked", self._asked)
         self.plots = Plots(dark=False)
-        for root in self.plots.layout.values():
+        roots: list[Any] = list(self.plots.layout.values())
+        for root in roots:
             # Beside the headings the template has a button.
             root.children[0].margin = (0, 24, 0, 0)
         self.tree = TreeView(workbench.read.platform)
@@ -129,6 +130,7 @@ class Session:
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Have the settings changed and shown. A change of the same key that still waits is dropped."""
         self._errands.cancel_tuning()
+        self._no_rest()
         if gesture is None:
             gesture = object()
         self._newest.add(key, Task(count=count, change=change, gesture=gesture))
@@ -189,9 +191,7 @@ class Session:
     def _ask_set(self, ask: Ask) -> None:
         workbench, name, given = self.workbench, ask.more["name"], ask.more["value"]
         plants = () if self.picture is None else self.picture.plants
-        self.change(
-            f"set {name}", lambda settings: chosen(workbench, settings, name, given, plants), count=ask.count
-        )
+        self.change(f"set {name}", lambda settings: chosen(workbench, settings, name, given, plants), count=ask.count)
 
     def _ask_undo(self, ask: Ask) -> None:
         self._gone_to(ask, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
@@ -208,11 +208,11 @@ class Session:
 
     def _pole_pulled(self, pole: complex, target: complex) -> None:
         pulled = self.workbench.pulled_pole
-        self.change("pull", lambda settings: pulled(settings, pole, target), gesture=("pole", pole))
+        self.change("pull", lambda settings: pulled(settings, pole, target), gesture=("pole", self.plots.drags))
 
     def _crossover_pulled(self, frequency: float) -> None:
         pulled = self.workbench.pulled_crossover
-        self.change("pull", lambda settings: pulled(settings, frequency), gesture="crossover")
+        self.change("pull", lambda settings: pulled(settings, frequency), gesture=("crossover", self.plots.drags))
 
     # What comes of it.
 
@@ -309,8 +309,7 @@ class Session:
         document = self.document
         if document is None:
             return
-        if self._idle is not None:
-            document.remove_timeout_callback(self._idle)
+        self._no_rest()
 
         def rested() -> None:
             self._idle = None
@@ -318,3 +317,8 @@ class Session:
                 self._errands.influence(self.picture.settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
+
+    def _no_rest(self) -> None:
+        if self._idle is not None and self.document is not None:
+            self.document.remove_timeout_callback(self._idle)
+        self._idle = None

@@ -10,7 +10,7 @@ from bokeh.core.properties import String
 from bokeh.model import DataModel
 
 
-class Wire(DataModel):  # type: ignore[misc]  # Bokeh gives its models no types
+class Wire(DataModel):
     """What was asked last by the page, and told last by the session.
 
     References
@@ -34,4 +34,4 @@ class Wire(DataModel):  # type: ignore[misc]  # Bokeh gives its models no types
         ----------
         RFC 8259.
         """
-        self.told = json.dumps(parts, allow_nan=False, separators=(",", ":"))
+        self.update(told=json.dumps(parts, allow_nan=False, separators=(",", ":")))

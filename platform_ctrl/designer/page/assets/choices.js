@@ -1,5 +1,5 @@
 // What is shown: mode, loop, design, plant and the rest; verdict and margins.
-import { ask, byId, made, on, shown } from "./wire.js";
+import { ask, byId, dress, made, on, shown, write } from "./wire.js";
 
 const SELECTS = { loop: "loop", design: "design", channel: "channel", axis: "axis", plant: "plant" };
 
@@ -48,7 +48,17 @@ export const themeChanged = () => {
 };
 window.designerTheme.onChange(themeChanged);
 
-let state = null;
+let state = null, overlays = "";
+// The address follows once nothing moves: browsers allow it to change only so often.
+const REST = 150;
+let resting = 0;
+const showLink = () => {
+  clearTimeout(resting);
+  resting = setTimeout(() => {
+    const address = state.link === "" ? location.pathname : `?state=${state.link}`;
+    if (address !== location.pathname + location.search && address !== location.search) history.replaceState(null, "", address);
+  }, REST);
+};
 export const shownState = () => state;
 on("state", (given) => {
   state = given;
@@ -62,7 +72,10 @@ on("state", (given) => {
   byId("redo").disabled = !given.redo;
   byId("tune").disabled = !given.tunable;
   byId("compare").disabled = given.choices.overlays.length === 0;
-  history.replaceState(null, "", given.link === "" ? location.pathname : `?state=${given.link}`);
+  showLink();
+  const now = JSON.stringify([given.choices.overlays, given.overlays]);
+  if (now === overlays) return;
+  overlays = now;
   byId("overlays").replaceChildren(...given.choices.overlays.map((one) => {
     const box = made("input", { type: "checkbox", checked: given.overlays.includes(one.design) });
     box.addEventListener("change", () => {
@@ -73,22 +86,38 @@ on("state", (given) => {
   }));
 });
 
+let figures = "", cells = [];
 on("bar", (given) => {
   const verdict = byId("verdict");
-  verdict.className = `verdict ${given.verdict}`;
-  verdict.querySelector(".mark").textContent = { good: "✓", bad: "✗" }[given.verdict] ?? "";
-  verdict.querySelector(".words").replaceChildren(given.words, ...(given.more ? [made("small", { title: given.more }, given.more)] : []));
-  byId("figures").replaceChildren(...given.figures.map((one) =>
-    made("div", { className: one.bad ? "bad" : "", title: one.tip ?? "" }, made("dt", {}, one.label),
-      made("dd", {}, typeof one.value === "string" && one.value !== "inf" ? one.value : shown(one.value, 3), made("small", {}, one.unit)))));
-  byId("elapsed").textContent = given.elapsed;
+  dress(verdict, `verdict ${given.verdict}`);
+  write(verdict.querySelector(".mark"), { good: "✓", bad: "✗" }[given.verdict] ?? "");
+  const words = verdict.querySelector(".words");
+  if (words.childElementCount === 0) words.replaceChildren(made("span"), made("small"));
+  write(words.firstChild, given.words);
+  write(words.lastChild, given.more);
+  words.lastChild.title = given.more;
+  const now = JSON.stringify(given.figures.map((one) => [one.label, one.unit]));
+  if (now !== figures) {
+    figures = now;
+    cells = given.figures.map((one) => {
+      const number = made("span");
+      return { number, element: made("div", {}, made("dt", {}, one.label), made("dd", {}, number, made("small", {}, one.unit))) };
+    });
+    byId("figures").replaceChildren(...cells.map((cell) => cell.element));
+  }
+  for (const [k, one] of given.figures.entries()) {
+    write(cells[k].number, typeof one.value === "string" && one.value !== "inf" ? one.value : shown(one.value, 3));
+    dress(cells[k].element, one.bad ? "bad" : "");
+    if (cells[k].element.title !== one.tip) cells[k].element.title = one.tip;
+  }
+  write(byId("elapsed"), given.elapsed);
 });
 
 on("line", (given) => {
   const line = byId("line");
-  line.textContent = given?.text ?? "";
-  line.title = line.textContent;
-  line.className = given?.kind ?? "";
+  write(line, given?.text ?? "");
+  if (line.title !== line.textContent) line.title = line.textContent;
+  dress(line, given?.kind ?? "");
 });
 on("busy", (given) => {
   byId("busy").hidden = given === null;

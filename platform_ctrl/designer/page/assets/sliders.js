@@ -27,6 +27,9 @@ const paintRow = (row) => {
   const { knob, slider, number, pin, element } = row;
   const position = row.dragged ?? place(knob, knob.value);
   const value = row.dragged === null ? knob.value : valueAt(knob, row.dragged);
+  const now = JSON.stringify([position, value, knob.fixed, knob.value === knob.start, row.typing, document.activeElement === number]);
+  if (now === row.painted) return;
+  row.painted = now;
   if (Number(slider.value) !== position) slider.value = position;
   slider.style.setProperty("--at", `${position / STEPS * 100}%`);
   slider.setAttribute("aria-valuetext", `${shown(value)} ${knob.unit}`.trim());
@@ -52,7 +55,7 @@ const makeRow = (knob, k) => {
   const unit = made("span", { className: "unit" }, knob.unit);
   const tip = made("span", { className: "unseen", id: `${id}-tip` }, knob.tip);
   const element = made("div", { className: "knob", "data-knob": knob.name }, label, slider, number, unit, pin, reset, tip);
-  const row = { knob, element, slider, number, pin, reset, dragged: null, typing: false };
+  const row = { knob, element, slider, number, pin, reset, dragged: null, typing: false, painted: "" };
 
   slider.addEventListener("pointerdown", newGesture);
   slider.addEventListener("input", () => slide(row, Number(slider.value)));
@@ -81,7 +84,7 @@ const makeRow = (knob, k) => {
   number.addEventListener("blur", commit);
   number.addEventListener("keydown", (event) => {
     if (event.key === "Enter") { commit(); number.select(); }
-    else if (event.key === "Escape") { row.typing = false; paintRow(row); number.select(); }
+    else if (event.key === "Escape") { row.typing = false; row.painted = ""; paintRow(row); number.select(); }
     else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       row.typing = false;
       slide(row, (row.dragged ?? place(row.knob, row.knob.value)) + (event.key === "ArrowUp" ? 1 : -1) * (event.shiftKey ? COARSE * FINE : FINE));
@@ -132,6 +135,7 @@ on("knobs", (knobs, told) => {
   for (const knob of knobs) {
     const row = rows.get(knob.name);
     row.knob = knob;
+    if (told.line?.kind === "error") row.painted = "";
     // A slider that is being moved stays under the hand: its newest move is still on its way.
     if (!pending(knob.name) && settled(told.n)) row.dragged = null;
     paintRow(row);

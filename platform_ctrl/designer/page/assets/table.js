@@ -1,5 +1,5 @@
 // The requirements: what is asked, what is reached, how much is left, and which way each slider would help.
-import { byId, made, on, shown } from "./wire.js";
+import { byId, dress, made, on, shown, write } from "./wire.js";
 import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
@@ -9,63 +9,93 @@ const left = (one) => (one.ratio === null ? null : 1 - one.ratio);
 const percent = (share) => (share === null ? "–" : `${share < 0 ? "−" : "+"}${shown(Math.min(999, 100 * Math.abs(share)), Math.abs(share) < 0.1 ? 2 : 3)} %`);
 let influence = null;
 
-const bar = (one) => {
-  // Roots, so that the last per cent before a limit can be seen.
-  const margin = Math.sign(left(one) ?? -1) * Math.sqrt(Math.min(1, Math.abs(left(one) ?? 1)));
+const bar = () => {
   const fill = made("span", { className: "fill" });
-  fill.style.left = `${margin >= 0 ? 50 : 50 + 50 * margin}%`;
-  fill.style.width = `${Math.max(0.8, 50 * Math.abs(margin))}%`;
-  return made("span", { className: "track", role: "img", "aria-label": left(one) === null ? "missed" : `${percent(left(one))} left` }, fill);
+  return [made("span", { className: "track", role: "img" }, fill), fill];
 };
 
-const cell = (one, knob, change) => {
-  const element = made("td", { className: "cell", "data-knob": knob.name });
-  if (change === null || change === undefined) return element;
+const paintBar = (row, one) => {
+  const share = left(one);
+  // Roots, so that the last per cent before a limit can be seen.
+  const margin = Math.sign(share ?? -1) * Math.sqrt(Math.min(1, Math.abs(share ?? 1)));
+  const place = `left: ${(margin >= 0 ? 50 : 50 + 50 * margin).toFixed(1)}%; width: ${Math.max(0.8, 50 * Math.abs(margin)).toFixed(1)}%`;
+  if (row.place === place) return;
+  row.place = place;
+  row.fill.style.cssText = place;
+  row.track.setAttribute("aria-label", share === null ? "missed" : `${percent(share)} left`);
+};
+
+const paintCell = (element, name, knob, change) => {
   const rises = change === "inf" || change > 0;
-  const size = change === "inf" ? MOST : Math.abs(change);
-  const words = change === "inf" ? "the loop becomes unstable" : `${one.name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % of the limit`;
-  element.title = `${knob.label} + 5 %: ${words}`;
-  if (size < LEAST) return element;
+  const size = change === "inf" ? MOST : Math.abs(change ?? 0);
   // The arrow says which way to move the slider to help.
-  element.append(rises ? "↓" : "↑");
+  write(element, size < LEAST ? "" : rises ? "↓" : "↑");
   const strength = 0.1 + 0.5 * Math.min(1, Math.log(size / LEAST) / Math.log(MOST / LEAST));
-  element.style.background = `rgba(var(--${rises ? "down" : "up"}), ${strength.toFixed(3)})`;
-  return element;
+  element.style.background = size < LEAST ? "" : `rgba(var(--${rises ? "down" : "up"}), ${strength.toFixed(3)})`;
+  const words = change === "inf" ? "the loop becomes unstable" : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % of the limit`;
+  element.title = change === null || change === undefined ? "" : `${knob.label} + 5 %: ${words}`;
 };
 
-const paintTable = (requirements) => {
+let structure = "", body = [];
+const buildTable = (requirements, knobs) => {
   const table = document.querySelector("#requirements table");
-  const knobs = [...rows.values()].map((row) => row.knob);
-  const places = new Map((influence?.knobs ?? []).map((name, k) => [name, k]));
-  const head = made("tr", {},
+  table.tHead.replaceChildren(made("tr", {},
     made("th", { scope: "col" }, made("span", { className: "key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
     made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { scope: "col" }),
     ...knobs.map((knob) => made("th", { scope: "col", className: "knob-name", "data-knob": knob.name, title: knob.label }, made("span", {}, knob.label))),
-    made("th", { className: "rest" }));
-  table.tHead.replaceChildren(head);
-  const body = requirements.map((one, r) => {
-    const changes = influence?.change[one.name] ?? [];
-    return made("tr", { className: `${one.passed ? "met" : "missed"}${one.hard ? "" : " goal"}` },
-      made("th", { scope: "row", title: one.full }, one.name),
-      made("td", { className: "number" }, one.asked),
-      made("td", { className: "number value" }, `${one.passed ? "" : "✗ "}${one.reached}`),
-      made("td", { className: "number left" }, percent(left(one))), made("td", { className: "bar" }, bar(one)),
-      ...knobs.map((knob) => cell(one, knob, changes[places.get(knob.name)])),
-      made("td", { className: "rest" }));
+    made("th", { className: "rest" })));
+  body = requirements.map((one) => {
+    const [track, fill] = bar();
+    const row = {
+      track, fill, place: "",
+      asked: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
+      cells: knobs.map((knob) => made("td", { className: "cell", "data-knob": knob.name })),
+    };
+    row.element = made("tr", {}, made("th", { scope: "row", title: one.full }, one.name), row.asked, row.reached, row.left,
+      made("td", { className: "bar" }, track), ...row.cells, made("td", { className: "rest" }));
+    return row;
   });
-  table.tBodies[0].replaceChildren(...body);
+  table.tBodies[0].replaceChildren(...body.map((row) => row.element));
 };
 
 let requirements = [];
+const paintTable = () => {
+  const knobs = [...rows.values()].map((row) => row.knob);
+  const now = JSON.stringify([knobs.map((knob) => knob.label), requirements.map((one) => one.full)]);
+  const fresh = now !== structure;
+  if (fresh) {
+    structure = now;
+    influence = null;
+    buildTable(requirements, knobs);
+  }
+  for (const [r, one] of requirements.entries()) {
+    const row = body[r];
+    dress(row.element, `${one.passed ? "met" : "missed"}${one.hard ? "" : " goal"}`);
+    write(row.asked, one.asked);
+    write(row.reached, `${one.passed ? "" : "✗ "}${one.reached}`);
+    write(row.left, percent(left(one)));
+    paintBar(row, one);
+  }
+};
+
+const paintInfluence = () => {
+  const places = new Map(influence.knobs.map((name, k) => [name, k]));
+  const knobs = [...rows.values()].map((row) => row.knob);
+  for (const [r, one] of requirements.entries()) {
+    const changes = influence.change[one.name] ?? [];
+    for (const [k, knob] of knobs.entries()) paintCell(body[r].cells[k], one.name, knob, changes[places.get(knob.name)]);
+  }
+};
+
 on("requirements", (given) => {
   requirements = given;
+  paintTable();
   byId("requirements").classList.add("stale");
-  paintTable(requirements);
 });
 on("influence", (given) => {
   influence = given;
-  byId("requirements").classList.toggle("stale", given === null);
-  paintTable(requirements);
+  paintInfluence();
+  byId("requirements").classList.remove("stale");
 });
 for (const [type, is] of [["mouseover", true], ["mouseout", false]]) {
   byId("requirements").addEventListener(type, (event) => {

@@ -72,6 +72,10 @@ export const hear = (told) => {
   }
 };
 
+// Writes only what is different: whatever is written makes the browser lay the page out again.
+export const write = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+export const dress = (element, name) => { if (element.className !== name) element.className = name; };
+
 // Numbers as an instrument shows them: four figures, no exponent where none is needed.
 export const shown = (value, figures = 4) => {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";

@@ -1,0 +1,119 @@
+"""The designer's page as its user feels it: from a slider's event to the plots painted, and what many moves leave.
+
+    python benchmarks/designer_page.py [--rounds 100] [--moves 3000] [--job JOB.toml]
+
+A real Chromium without a window, drawing by software; the server in a process of its own. Needs the extra `test`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
+BUDGET = 100.0  # ms, from the event to the plots painted
+FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking")
+SLIDERS = ("crossover_hz", "damping_hz", "lead_hz", "delay", "rate_hz", "spin 6")
+# Moves a slider `rounds` times around where it stands; each time waits until the answer is painted.
+MOVE = """async ([name, rounds, painted]) => {
+  const slider = document.querySelector(`#knobs [data-knob="${name}"] input[type="range"]`);
+  const middle = Number(slider.value), times = [];
+  for (let k = 0; k < rounds; k += 1) {
+    const began = performance.now();
+    slider.value = middle + 3 + (k % 2 ? k % 40 : -(k % 40));
+    slider.dispatchEvent(new Event("input", { bubbles: true }));
+    await new Promise((done) => {
+      const heard = () => {
+        if (!window.designer.settled()) return;
+        window.removeEventListener("told", heard);
+        if (!painted) { done(); return; }
+        // After the frame in which the plots are painted.
+        requestAnimationFrame(() => setTimeout(done, 0));
+      };
+      window.addEventListener("told", heard);
+    });
+    times.push([performance.now() - began, Number.parseFloat(document.querySelector("#elapsed").textContent)]);
+  }
+  return times;
+}"""
+
+
+def server_memory(process: subprocess.Popen[str]) -> float:
+    """Return the resident memory of the server, MB; nan where the system does not tell."""
+    try:
+        text = Path(f"/proc/{process.pid}/statm").read_text(encoding="ascii")
+    except OSError:
+        return float("nan")
+    return int(text.split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def page_memory(talk: Any) -> float:
+    """Return what the page's JavaScript holds after its rubbish was collected, MB."""
+    talk.send("HeapProfiler.collectGarbage")
+    metrics = talk.send("Performance.getMetrics")["metrics"]
+    return float(next(one["value"] for one in metrics if one["name"] == "JSHeapUsedSize")) / 1e6
+
+
+def main() -> None:
+    """Print the times of each slider and the memory before and after many moves."""
+    from playwright.sync_api import sync_playwright
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=100, help="moves of each slider that are timed")
+    parser.add_argument("--moves", type=int, default=3000, help="moves after which memory is looked at again")
+    parser.add_argument("--job", type=Path, default=JOB)
+    given = parser.parse_args()
+    command = [sys.executable, "-m", "platform_ctrl", "serve", str(given.job), "--port", "0", "--no-browser", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        address = json.loads(process.stdout.readline())["address"]
+        path = next(
+            found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))
+        )
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+            page = browser.new_page(viewport={"width": 1440, "height": 900})
+            page.set_default_timeout(0)
+            page.goto(address)
+            page.wait_for_selector("body:not(.starting)", state="attached")
+            talk = page.context.new_cdp_session(page)
+            talk.send("Performance.enable")
+            print(f"{'slider':<14} {'median':>8} {'95 %':>8} {'picture':>8}   of {BUDGET:g} ms")
+            for name in SLIDERS:
+                if page.locator(f'#knobs [data-knob="{name}"]').count() == 0:
+                    continue
+                page.evaluate(MOVE, [name, 10, True])
+                times = page.evaluate(MOVE, [name, given.rounds, True])
+                whole = sorted(one[0] for one in times)
+                middle, late = statistics.median(whole), whole[int(0.95 * (len(whole) - 1))]
+                picture = statistics.median(one[1] for one in times)
+                print(
+                    f"{name:<14} {middle:5.0f} ms {late:5.0f} ms {picture:5.0f} ms   {middle / BUDGET:5.2f}", flush=True
+                )
+            rows = []
+            for part in range(4):
+                if part:
+                    for name in SLIDERS[:3]:
+                        page.evaluate(MOVE, [name, given.moves // 9, False])
+                page.wait_for_timeout(1500)
+                rows.append((part * (given.moves // 9) * 3, server_memory(process), page_memory(talk)))
+                print(
+                    f"after {rows[-1][0]:6d} moves: server {rows[-1][1]:7.1f} MB, page {rows[-1][2]:6.1f} MB",
+                    flush=True,
+                )
+            browser.close()
+    finally:
+        process.terminate()
+        process.wait(30.0)
+
+
+if __name__ == "__main__":
+    main()
