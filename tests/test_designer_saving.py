@@ -20,8 +20,8 @@ from platform_ctrl.designer.background import Abandoned
 from platform_ctrl.designer.link import judged, settings_of, text_of
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.designer.workbench import Workbench
-from platform_ctrl.errors import ArgumentError, DesignError, InputError
-from platform_ctrl.reading import read_job
+from platform_ctrl.errors import ArgumentError, DesignError, InputError, PlatformCtrlError
+from platform_ctrl.reading import read_job, shipped_models
 
 SHIPPED = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
@@ -307,3 +307,36 @@ def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Workbench) -
     assert peak == pytest.approx(np.abs(shown.values[0]).max(), rel=0.1)
     with pytest.raises(ArgumentError, match="turn"):
         bench.run(settings, "roll")
+
+
+def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Workbench, tmp_path: Path) -> None:
+    saved = shipped.saved(shipped.start(), tmp_path / "new.toml")
+    assert len(saved.notes) == 2
+    assert "classical is closed in place of structured" in saved.notes[0]
+    assert read_job(saved.job).loops[1].use == "classical"
+    loop_names = [one["name"] for one in json.loads(saved.controllers.read_text())["controllers"]]
+    assert loop_names == [spec.name for spec in shipped.read.loops]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", shipped_models())
+def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
+    assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
+    bench = Workbench(tmp_path / "mine.toml")
+    for loop in bench.offer().loops:
+        settings = bench.start(loop)
+        picture = bench.picture(settings)
+        assert picture.stable
+        told = []
+        for knob in bench.knobs(settings):
+            for number in (knob.low, knob.high):
+                try:
+                    bench.picture(bench.moved(settings, knob.name, number))
+                except PlatformCtrlError as error:
+                    told.append(str(error))
+        assert not any("\n" in line for line in told)
+        pole = complex(picture.locus.present[picture.locus.draggable][0])
+        there = bench.picture(bench.pulled_pole(settings, pole, 1.03 * pole)).locus.present
+        assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)
+    saved = bench.saved(settings, tmp_path / "saved.toml")
+    assert Workbench(saved.job).picture(Workbench(saved.job).start(settings.loop)).stable

@@ -50,6 +50,8 @@ class Saved:
     ----------
     job, controllers
         Paths of both files.
+    notes
+        Lines to be told: loops that close another design than the job did, because it was not designed.
 
     References
     ----------
@@ -58,6 +60,7 @@ class Saved:
 
     job: Path
     controllers: Path
+    notes: tuple[str, ...] = ()
 
 
 def controllers_beside(job: Path) -> Path:

@@ -739,16 +739,23 @@ class Workbench:
             }
             for loop, designs in used.items()
         }
-        return save(
+        start = self._start
+        notes = tuple(
+            f"{spec.name}: {closed[spec.name]} is closed in place of {spec.use}, which is not designed"
+            for spec in self.read.loops
+            if start.closed[spec.name] != spec.use and closed[spec.name] == start.closed[spec.name]
+        )
+        written = save(
             self.path,
             Path(path),
             overwrite,
             settings.but(closed=closed),
-            self._start,
+            start,
             self.job(settings),
             changed,
             controllers,
         )
+        return dataclasses.replace(written, notes=notes)
 
     def run(self, settings: Settings, manoeuvre: str) -> Trajectory:
         """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
