@@ -381,6 +381,20 @@ def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> Non
     assert present.imag > 70.0  # as it stands after the first answer, not where it began
 
 
+def test_the_plane_stays_while_a_pole_is_dragged_over_it(fresh: Plots) -> None:
+    shown = picture()
+    far = dataclasses.replace(shown, locus=dataclasses.replace(shown.locus, reach=500.0))
+    fresh.show(shown)
+    y = figure(fresh, "locus").y_range
+    before = y.end
+    [box] = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
+    box.update(bottom=box.bottom + 20.0, top=box.top + 20.0)
+    fresh.show(far)
+    assert y.end == before
+    fresh._locus.handles.pulling.end()
+    assert y.end > 500.0
+
+
 def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None:
     shown = picture()
 

@@ -116,7 +116,9 @@ class BodePanel:
         for span in self._sources.asked:
             span.location = asked
         seen = extent([f])
-        self._frequency.fit(seen if seen is not None and seen[0] > 0.0 else None)
+        # An axis that moves would move the crossover under the mouse.
+        still = self.handle.pulling.active or seen is None or seen[0] <= 0.0
+        self._frequency.fit(None if still else seen)
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
         self.handle.show(None if margins.crossover is None else margins.crossover * HZ)

@@ -101,7 +101,8 @@ class LocusPanel:
             text_baseline="baseline", x_offset="dx", y_offset="dy",
         )  # fmt: skip
         paint(label.glyph, text_color="muted")
-        self.handles = PoleHandles(plot, theme, sources)
+        self.handles = PoleHandles(plot, theme, sources, self._look_again)
+        self._later: Locus | None = None
         self._message = self.panel.message(plot)
         slopes = [zeta / math.sqrt(1.0 - zeta**2) for zeta in DAMPINGS]
         sources.put(
@@ -179,6 +180,10 @@ class LocusPanel:
     def _look(self, locus: Locus) -> None:
         """Show the upper half plane as far as it matters; a reach that changes a little moves nothing."""
         reach = locus.reach
+        if self.handles.pulling.active:
+            # A view that moves would move the pole under the mouse; it follows afterwards.
+            self._later = locus
+            return
         if not (math.isfinite(reach) and reach > 0.0) or self._reach / _PLAY <= reach <= self._reach:
             return
         self._reach = reach * 1.12
@@ -191,6 +196,11 @@ class LocusPanel:
         self._label(radii)
         arcs = np.outer(radii[radii < 4.0 * reach], turn)
         self._sources.put("arcs", x=strung(arcs.real), y=strung(arcs.imag))
+
+    def _look_again(self) -> None:
+        locus, self._later = self._later, None
+        if locus is not None:
+            self._look(locus)
 
     def _label(self, radii: FloatArray) -> None:
         """Write frequencies beside the arcs and damping ratios at the ends of the rays."""

@@ -31,11 +31,13 @@ class PoleHandles:
         Colours.
     sources
         Where the data of all plots stand; the source ``pulled`` shows where a pole and its conjugate are wanted.
+    ended
+        Called after a drag.
     """
 
-    def __init__(self, plot: Any, theme: Theme, sources: Sources) -> None:
+    def __init__(self, plot: Any, theme: Theme, sources: Sources, ended: Callable[[], None]) -> None:
         self.callbacks: list[Callable[[complex, complex], None]] = []
-        self._plot, self._sources = plot, sources
+        self._plot, self._sources, self._then = plot, sources, ended
         # Ring → pole. A ring keeps its pole from picture to picture.
         self._poles: dict[int, complex] = {}
         # While a ring is dragged: which, where its pole stands in the last picture, and where it was wanted then.
@@ -156,3 +158,4 @@ class PoleHandles:
         self._caught = None
         self._sources.put("pulled", **{name: column([]) for name in ("x0", "y0", "x1", "y1")})
         self._place()
+        self._then()
