@@ -5,7 +5,8 @@ import { Orbit } from "./orbit.js";
 import { Run, rotationOf, round125 } from "./run.js";
 
 const SPEEDS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10];
-const LARGEST = 100;
+// Ends of what the largest factor of the angles can be; the largest angle of a run at first, rad.
+const LEAST = 100, MOST = 1e5, SEEN = 0.35;
 // Half turns a second at which the fastest rotor is shown, and seconds that a run is shown for at first.
 const SHOWN_SPIN = Math.PI, SHOWN_TIME = 8;
 const STYLE = `
@@ -204,7 +205,9 @@ class GimbalTree extends HTMLElement {
       this.speed = SPEEDS.reduce((best, one) => (Math.abs(Math.log(one / lasting)) < Math.abs(Math.log(best / lasting)) ? one : best));
       c.speed.value = this.speed;
       const largest = this.run.largestAngle();
-      this.magnify(largest > 0 ? Math.min(Math.max(round125(0.35 / largest), 1), LARGEST) : 1);
+      const wanted = largest > 0 ? Math.min(Math.max(round125(SEEN / largest), 1), MOST) : 1;
+      c.factor.max = Math.log10(Math.max(LEAST, wanted));
+      this.magnify(wanted);
       c.platform.checked = this.run.largestTurn() * this.factor < 1.2;
     }
     this.seek(this.run.start);
