@@ -288,6 +288,8 @@ class SocketHandler(WSHandler):
         return await super()._handle(message)
 
     async def _async_open(self, token: str) -> None:
+        # A message is many small pieces: each would wait for the browser's word about the one before.
+        self.set_nodelay(True)
         try:
             await super()._async_open(token)
         except ProtocolError:
