@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from platform_ctrl.export.code.cost import Cost, cost_of
+from platform_ctrl.export.code.framing import declared, header_file, struct
 from platform_ctrl.export.code.identifiers import Names, comment
 from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term
 from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
@@ -100,7 +101,6 @@ def header(unit: Unit) -> str:
     """
     s, p, kind = unit.scheme, unit.prefix, unit.number
     names = _state_names(unit)
-    guard = f"{p.upper()}_H"
     inputs = [field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
     outputs, commanded = [], []
     for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
@@ -112,49 +112,22 @@ def header(unit: Unit) -> str:
         for number, section in enumerate(s.sections, 1)
         for row in section.states
     ]
-    return "\n".join(
-        [
-            *_head(unit),
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-            "#ifdef __cplusplus",
-            'extern "C" {',
-            "#endif",
-            "",
-            "/* What a step returns: the sum of what applies. */",
-            f"#define {p.upper()}_OK 0U      /* as it should be */",
-            f"#define {p.upper()}_LIMITED 1U /* an output is at its limit */",
-            f"#define {p.upper()}_HELD 2U    /* an input or a result was not finite: all is as it was */",
-            "",
-            f"typedef struct {p}_in {{",
-            *inputs,
-            f"}} {p}_in;",
-            "",
-            f"typedef struct {p}_out {{",
-            *outputs,
-            *commanded,
-            f"}} {p}_out;",
-            "",
-            f"typedef struct {p}_state {{",
-            *states,
-            f"    {p}_out last; /* what the last step gave */",
-            f"}} {p}_state;",
-            "",
-            "/* All states and last outputs to zero. Call it before the first step. */",
-            f"void {p}_reset({p}_state *state);",
-            "",
-            "/* One sample: from the inputs of this instant to the outputs; returns the status. */",
-            *signature(p, ";"),
-            "",
-            "#ifdef __cplusplus",
-            "}",
-            "#endif",
-            "",
-            f"#endif /* {guard} */",
-            "",
-        ]
-    )
+    body = [
+        "/* What a step returns: the sum of what applies. */",
+        f"#define {p.upper()}_OK 0U      /* as it should be */",
+        f"#define {p.upper()}_LIMITED 1U /* an output is at its limit */",
+        f"#define {p.upper()}_HELD 2U    /* an input or a result was not finite: all is as it was */",
+        "",
+        *struct(f"{p}_in", inputs),
+        *struct(f"{p}_out", [*outputs, *commanded]),
+        *struct(f"{p}_state", [*states, f"    {p}_out last; /* what the last step gave */"]),
+        *declared(
+            p,
+            "All states and last outputs to zero.",
+            "One sample: from the inputs of this instant to the outputs; returns the status.",
+        ),
+    ]
+    return header_file(p, _head(unit), (), body)
 
 
 def source(unit: Unit) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 
 from platform_ctrl.export.code.cost import cost_of
 from platform_ctrl.export.code.emission import Unit
-from platform_ctrl.export.code.wording import acts, block, field, provenance, signature
+from platform_ctrl.export.code.framing import job_header_file, job_source_file, measured
+from platform_ctrl.export.code.wording import acts, block, field, provenance
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:
@@ -35,18 +36,15 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
     ISO/IEC 9899:1999.
     """
     p, kind = prefix, units[0].number
-    guard = f"{p.upper()}_H"
     inputs, outputs = [], []
-    for name, unit in _measured(units).items():
-        inputs.append(
-            field(kind, unit.signals[name], dict(zip(unit.scheme.inputs, unit.scheme.input_units, strict=True))[name])
-        )
+    for name, k in measured([unit.scheme for unit in units]).items():
+        units_of = dict(zip(units[k].scheme.inputs, units[k].scheme.input_units, strict=True))
+        inputs.append(field(kind, units[k].signals[name], units_of[name]))
     for unit in units:
         s = unit.scheme
         for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
             bound = f"{what}, within +-{limit:.9g}" if np.isfinite(limit) else f"{what}, not limited"
             outputs.append(field(kind, unit.signals[name], bound))
-    statuses = [f"    unsigned int {unit.prefix}_status; /* what {unit.prefix}_step returned */" for unit in units]
     costs = [cost_of(unit.scheme) for unit in units]
     first = units[0].scheme
     head = block(
@@ -69,45 +67,7 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
             f"{sum(c.comparisons for c in costs)} comparisons. No allocation, recursion, loop or global variable.",
         ]
     )
-    return "\n".join(
-        [
-            *head,
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-            *(f'#include "{unit.prefix}.h"' for unit in units),
-            "",
-            "#ifdef __cplusplus",
-            'extern "C" {',
-            "#endif",
-            "",
-            f"typedef struct {p}_in {{",
-            *inputs,
-            f"}} {p}_in;",
-            "",
-            f"typedef struct {p}_out {{",
-            *outputs,
-            *statuses,
-            f"}} {p}_out;",
-            "",
-            f"typedef struct {p}_state {{",
-            *(f"    {unit.prefix}_state {unit.prefix};" for unit in units),
-            f"}} {p}_state;",
-            "",
-            "/* All states and last outputs to zero. Call it before the first step. */",
-            f"void {p}_reset({p}_state *state);",
-            "",
-            "/* One sample of all controllers; returns the sum of what applies to any of them (bits as there). */",
-            *signature(p, ";"),
-            "",
-            "#ifdef __cplusplus",
-            "}",
-            "#endif",
-            "",
-            f"#endif /* {guard} */",
-            "",
-        ]
-    )
+    return job_header_file(p, head, [unit.prefix for unit in units], inputs, outputs)
 
 
 def job_source(prefix: str, units: Sequence[Unit]) -> str:
@@ -131,57 +91,16 @@ def job_source(prefix: str, units: Sequence[Unit]) -> str:
     ----------
     ISO/IEC 9899:1999.
     """
-    p = prefix
     made: dict[str, str] = {}
-    body: list[str] = []
+    wired = []
     for number, unit in enumerate(units, 1):
-        s = unit.scheme
-        body += ["", f"    /* {number}. {unit.prefix} */"]
-        for name in s.inputs:
-            field = unit.signals[name]
-            body.append(f"    in_{number}.{field} = {made.get(name, f'in->{field}')};")
-        body.append(
-            f"    out->{unit.prefix}_status = {unit.prefix}_step(&state->{unit.prefix}, &in_{number}, &out_{number});"
-        )
-        body.append(f"    status |= out->{unit.prefix}_status;")
-        for name in s.outputs:
-            field = unit.signals[name]
-            body.append(f"    out->{field} = out_{number}.{field};")
-            made[name] = f"out_{number}.{field}_commanded"
-    return "\n".join(
-        [
-            *block([f"{p}.c: all controllers of a job. See {p}.h. Generated; do not edit."]),
-            f'#include "{p}.h"',
-            "",
-            f"void {p}_reset({p}_state *state)",
-            "{",
-            *(f"    {unit.prefix}_reset(&state->{unit.prefix});" for unit in units),
-            "}",
-            "",
-            *signature(p),
-            "{",
-            "    unsigned int status = 0U;",
-            *(
-                f"    {unit.prefix}_{way} {way}_{number};"
-                for number, unit in enumerate(units, 1)
-                for way in ("in", "out")
-            ),
-            *body,
-            "",
-            "    return status;",
-            "}",
-            "",
-        ]
-    )
-
-
-def _measured(units: Sequence[Unit]) -> dict[str, Unit]:
-    """Return the signals that no controller before gives, each with the first that takes it in."""
-    made: set[str] = set()
-    out: dict[str, Unit] = {}
-    for unit in units:
+        before, after = [], []
         for name in unit.scheme.inputs:
-            if name not in made:
-                out.setdefault(name, unit)
-        made |= set(unit.scheme.outputs)
-    return out
+            own = unit.signals[name]
+            before.append(f"    in_{number}.{own} = {made.get(name, f'in->{own}')};")
+        for name in unit.scheme.outputs:
+            own = unit.signals[name]
+            after.append(f"    out->{own} = out_{number}.{own};")
+            made[name] = f"out_{number}.{own}_commanded"
+        wired.append((before, after))
+    return job_source_file(prefix, (), [unit.prefix for unit in units], wired)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from platform_ctrl.export.code.framing import declared, header_file, struct
 from platform_ctrl.export.code.identifiers import Names
 from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
+from platform_ctrl.export.fixed.integers import counted, integer, literal, shifted, to_count, to_value, within
 from platform_ctrl.export.fixed.splitting import excess_of
-from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, Format, IntegerRow, Product
+from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, IntegerRow, Product
 from platform_ctrl.export.fixed.wording import format_lines
 from platform_ctrl.frozen import value
 
@@ -59,52 +61,33 @@ def header(unit: Unit) -> str:
     """
     fixed, signals = unit.fixed, unit.signals
     p, s, upper = unit.prefix, fixed.scheme, unit.prefix.upper()
-    guard = f"{upper}_H"
     states = _state_names(fixed)
     shifts = _shifts(fixed)
-    lines = [
-        *_head(unit),
-        f"#ifndef {guard}",
-        f"#define {guard}",
-        "",
-        "#include <stdint.h>",
-        "",
-        "#ifdef __cplusplus",
-        'extern "C" {',
-        "#endif",
-        "",
+    inputs = [field(integer(fixed.formats[k].bits), signals[k], counted(fixed.formats[k])) for k in s.inputs]
+    outputs = [field(integer(fixed.formats[k].bits), signals[k], counted(fixed.formats[k])) for k in s.outputs]
+    outputs += [field(wide(fixed, k), f"{signals[k]}_commanded", "the same before its limit") for k in s.outputs]
+    kept = []
+    for name, identifier in states.items():
+        form = fixed.formats[name]
+        if name in shifts:
+            kept.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
+        else:
+            kept.append(field(integer(form.bits), identifier, form.q))
+    body = [
         "/* What a step returns: the sum of what applies. */",
         f"#define {upper}_OK 0U      /* as it should be */",
         f"#define {upper}_LIMITED 1U /* an output is at its limit */",
         f"#define {upper}_CLIPPED 4U /* an input was out of its range and has been cut off */",
         f"#define {upper}_STOPPED 8U /* an integral is at its end */",
         "",
-        f"typedef struct {p}_in {{",
-    ]
-    for name in s.inputs:
-        lines.append(field(integer(fixed.formats[name].bits), signals[name], counted(fixed.formats[name])))
-    lines += [f"}} {p}_in;", "", f"typedef struct {p}_out {{"]
-    for name in s.outputs:
-        lines.append(field(integer(fixed.formats[name].bits), signals[name], counted(fixed.formats[name])))
-    for name in s.outputs:
-        lines.append(field(wide(fixed, name), f"{signals[name]}_commanded", "the same before its limit"))
-    lines += [f"}} {p}_out;", "", f"typedef struct {p}_state {{"]
-    for name, identifier in states.items():
-        form = fixed.formats[name]
-        if name in shifts:
-            lines.append(field("int64_t", identifier, f"2^{shifts[name]} times {form.q}, saturating"))
-        else:
-            lines.append(field(integer(form.bits), identifier, form.q))
-    if not states:
-        lines.append("    int32_t none; /* not used */")
-    lines += [
-        f"}} {p}_state;",
-        "",
-        "/* All states to zero. Call it before the first step. */",
-        f"void {p}_reset({p}_state *state);",
-        "",
-        "/* One sample: from the counts of this instant to the counts of the outputs; returns the status. */",
-        *signature(p, ";"),
+        *struct(f"{p}_in", inputs),
+        *struct(f"{p}_out", outputs),
+        *struct(f"{p}_state", kept or ["    int32_t none; /* not used */"]),
+        *declared(
+            p,
+            "All states to zero.",
+            "One sample: from the counts of this instant to the counts of the outputs; returns the status.",
+        ),
         "",
         "/*",
         " * Between counts and values, for tests and slow paths: the step does not use them.",
@@ -112,13 +95,12 @@ def header(unit: Unit) -> str:
         " */",
     ]
     for name in s.inputs:
-        lines += [*_to_count(p, signals[name], fixed.formats[name]), ""]
+        body += [*to_count(f"{p}_count_{signals[name]}", fixed.formats[name]), ""]
     for name in s.outputs:
         form = fixed.formats[name]
-        lines += [*_to_value(f"{p}_value_{signals[name]}", integer(form.bits), form), ""]
-        lines += [*_to_value(f"{p}_value_{signals[name]}_commanded", wide(fixed, name), form), ""]
-    lines += ["#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
-    return "\n".join(lines)
+        body += [*to_value(f"{p}_value_{signals[name]}", integer(form.bits), form), ""]
+        body += [*to_value(f"{p}_value_{signals[name]}_commanded", wide(fixed, name), form), ""]
+    return header_file(p, _head(unit), ["<stdint.h>"], body[:-1])
 
 
 def source(unit: Unit) -> str:
@@ -352,45 +334,6 @@ class _Source:
         return self.formats[name.removeprefix("excess of ")].fraction
 
 
-def shifted(bits: int) -> list[str]:
-    """Return a C function that shifts sums of so many bits."""
-    kind = integer(bits)
-    return [
-        "/* The sum over 2^digits, rounded down: defined for negative sums too, unlike a shift of one. */",
-        f"static {kind} shifted{bits}({kind} sum, unsigned int digits)",
-        "{",
-        f"    {kind} result = 0;",
-        "    if (sum >= 0) {",
-        "        result = sum >> digits;",
-        "    } else {",
-        "        result = -((-(sum + 1)) >> digits) - 1;",
-        "    }",
-        "    return result;",
-        "}",
-        "",
-    ]
-
-
-def within() -> list[str]:
-    """Return a C function that cuts off a count."""
-    return [
-        "/* The count within +- the largest. */",
-        "static int64_t within(int64_t count, int64_t largest)",
-        "{",
-        "    int64_t result = count;",
-        "    if (count > largest) {",
-        "        result = largest;",
-        "    } else if (count < -largest) {",
-        "        result = -largest;",
-        "    } else {",
-        "        result = count;",
-        "    }",
-        "    return result;",
-        "}",
-        "",
-    ]
-
-
 def _head(unit: Unit) -> list[str]:
     fixed, prefix = unit.fixed, unit.prefix
     s = fixed.scheme
@@ -421,63 +364,10 @@ def _head(unit: Unit) -> list[str]:
     )
 
 
-def counted(form: Format) -> str:
-    """Return what a count of a format means."""
-    return f"{form.q}: 1 is {form.bit:.17g} {form.unit}, within +-{form.largest}".replace("  ", " ")
-
-
-def _to_count(prefix: str, name: str, form: Format) -> list[str]:
-    kind = integer(form.bits)
-    largest = f"{form.largest}.0"
-    return [
-        f"static inline {kind} {prefix}_count_{name}(double value)",
-        "{",
-        f"    const double scaled = value * {_power(form.fraction)};",
-        f"    {kind} count = 0;",
-        f"    if (scaled >= {largest}) {{",
-        f"        count = {literal(form.largest, form.bits)};",
-        f"    }} else if (scaled <= -{largest}) {{",
-        f"        count = -{literal(form.largest, form.bits)};",
-        "    } else if (scaled >= 0.0) {",
-        f"        count = ({kind})(scaled + 0.5);",
-        "    } else if (scaled < 0.0) {",
-        f"        count = ({kind})(scaled - 0.5);",
-        "    } else {",
-        "        count = 0;",
-        "    }",
-        "    return count;",
-        "}",
-    ]
-
-
-def _to_value(name: str, kind: str, form: Format) -> list[str]:
-    return [
-        f"static inline double {name}({kind} count)",
-        "{",
-        f"    return (double)count * {_power(-form.fraction)};",
-        "}",
-    ]
-
-
-def _power(exponent: int) -> str:
-    text = repr(2.0**exponent)
-    return text if "." in text or "e" in text else f"{text}.0"
-
-
-def integer(bits: int) -> str:
-    """Return the C type of so many bits."""
-    return f"int{bits}_t"
-
-
 def wide(fixed: FixedPoint, output: str) -> str:
     """Return the C type of an output before its limit."""
     bits = fixed.formats[output].bits
     return integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
-
-
-def literal(number: int, bits: int) -> str:
-    """Return an integer constant in C of so many bits."""
-    return f"INT{bits}_C({number})" if bits != 16 else str(number)
 
 
 def _wrapped(statement: str, between: str = " + ") -> list[str]:

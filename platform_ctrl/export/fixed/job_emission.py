@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from platform_ctrl.export.code.wording import acts, block, field, provenance, signature
-from platform_ctrl.export.fixed.emission import Unit, counted, integer, literal, shifted, within
+from platform_ctrl.export.code.framing import job_header_file, job_source_file, measured
+from platform_ctrl.export.code.wording import acts, block, field, provenance
+from platform_ctrl.export.fixed.emission import Unit
+from platform_ctrl.export.fixed.integers import counted, integer, literal, shifted, within
 from platform_ctrl.export.fixed.values import Format
 
 
@@ -33,7 +35,6 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
     See docs/fixed-point.md.
     """
     p = prefix
-    guard = f"{p.upper()}_H"
     inputs = [
         field(integer(form.bits), unit.signals[name], f"{name}, {counted(form)}")
         for name, (unit, form) in _measured(units).items()
@@ -61,45 +62,7 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
             "Formats and proofs stand in these headers. No allocation, recursion, loop or global variable.",
         ]
     )
-    return "\n".join(
-        [
-            *head,
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-            *(f'#include "{unit.prefix}.h"' for unit in units),
-            "",
-            "#ifdef __cplusplus",
-            'extern "C" {',
-            "#endif",
-            "",
-            f"typedef struct {p}_in {{",
-            *inputs,
-            f"}} {p}_in;",
-            "",
-            f"typedef struct {p}_out {{",
-            *outputs,
-            *(f"    unsigned int {unit.prefix}_status; /* what {unit.prefix}_step returned */" for unit in units),
-            f"}} {p}_out;",
-            "",
-            f"typedef struct {p}_state {{",
-            *(f"    {unit.prefix}_state {unit.prefix};" for unit in units),
-            f"}} {p}_state;",
-            "",
-            "/* All states to zero. Call it before the first step. */",
-            f"void {p}_reset({p}_state *state);",
-            "",
-            "/* One sample of all controllers; returns the sum of what applies to any of them (bits as there). */",
-            *signature(p, ";"),
-            "",
-            "#ifdef __cplusplus",
-            "}",
-            "#endif",
-            "",
-            f"#endif /* {guard} */",
-            "",
-        ]
-    )
+    return job_header_file(p, head, [unit.prefix for unit in units], inputs, outputs)
 
 
 def job_source(prefix: str, units: Sequence[Unit]) -> str:
@@ -123,51 +86,21 @@ def job_source(prefix: str, units: Sequence[Unit]) -> str:
     ----------
     See docs/fixed-point.md.
     """
-    p = prefix
     given = {name: (f"in->{unit.signals[name]}", form.fraction) for name, (unit, form) in _measured(units).items()}
     helpers: set[str] = set()
-    body: list[str] = []
+    wired = []
     for number, unit in enumerate(units, 1):
-        fixed = unit.fixed
-        body += ["", f"    /* {number}. {unit.prefix} */"]
+        fixed, before, after = unit.fixed, [], []
         for name in fixed.scheme.inputs:
             taken = _rescaled(*given[name], fixed.formats[name], helpers)
-            body.append(f"    in_{number}.{unit.signals[name]} = {taken};")
-        body.append(
-            f"    out->{unit.prefix}_status = {unit.prefix}_step(&state->{unit.prefix}, &in_{number}, &out_{number});"
-        )
-        body.append(f"    status |= out->{unit.prefix}_status;")
+            before.append(f"    in_{number}.{unit.signals[name]} = {taken};")
         for name in fixed.scheme.outputs:
             own = unit.signals[name]
-            body.append(f"    out->{own} = out_{number}.{own};")
+            after.append(f"    out->{own} = out_{number}.{own};")
             given[name] = (f"out_{number}.{own}_commanded", fixed.formats[name].fraction)
-    return "\n".join(
-        [
-            *block([f"{p}.c: all controllers of a job. See {p}.h. Generated; do not edit."]),
-            f'#include "{p}.h"',
-            "",
-            *(shifted(64) if "shifted" in helpers else []),
-            *(within() if "within" in helpers else []),
-            f"void {p}_reset({p}_state *state)",
-            "{",
-            *(f"    {unit.prefix}_reset(&state->{unit.prefix});" for unit in units),
-            "}",
-            "",
-            *signature(p),
-            "{",
-            "    unsigned int status = 0U;",
-            *(
-                f"    {unit.prefix}_{way} {way}_{number};"
-                for number, unit in enumerate(units, 1)
-                for way in ("in", "out")
-            ),
-            *body,
-            "",
-            "    return status;",
-            "}",
-            "",
-        ]
-    )
+        wired.append((before, after))
+    functions = [*(shifted(64) if "shifted" in helpers else []), *(within() if "within" in helpers else [])]
+    return job_source_file(prefix, functions, [unit.prefix for unit in units], wired)
 
 
 def _rescaled(taken: str, fraction: int, form: Format, helpers: set[str]) -> str:
@@ -192,11 +125,5 @@ def _rescaled(taken: str, fraction: int, form: Format, helpers: set[str]) -> str
 
 def _measured(units: Sequence[Unit]) -> dict[str, tuple[Unit, Format]]:
     """Return the signals that no controller before gives, each with the first that takes it in and its format."""
-    made: set[str] = set()
-    out: dict[str, tuple[Unit, Format]] = {}
-    for unit in units:
-        for name in unit.fixed.scheme.inputs:
-            if name not in made:
-                out.setdefault(name, (unit, unit.fixed.formats[name]))
-        made |= set(unit.fixed.scheme.outputs)
-    return out
+    taken_in = measured([unit.fixed.scheme for unit in units])
+    return {name: (units[k], units[k].fixed.formats[name]) for name, k in taken_in.items()}
