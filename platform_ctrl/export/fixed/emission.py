@@ -5,7 +5,7 @@ from __future__ import annotations
 from platform_ctrl.export.code.framing import declared, header_file, struct
 from platform_ctrl.export.code.identifiers import Names
 from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
-from platform_ctrl.export.fixed.integers import counted, integer, literal, shifted, to_count, to_value, within
+from platform_ctrl.export.fixed.integers import counted, integer, literal, shifted, to_count, to_value, wide, within
 from platform_ctrl.export.fixed.splitting import excess_of
 from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, IntegerRow, Product
 from platform_ctrl.export.fixed.wording import format_lines
@@ -362,12 +362,6 @@ def _head(unit: Unit) -> list[str]:
             "Pointers are not checked.",
         ]
     )
-
-
-def wide(fixed: FixedPoint, output: str) -> str:
-    """Return the C type of an output before its limit."""
-    bits = fixed.formats[output].bits
-    return integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
 
 
 def _wrapped(statement: str, between: str = " + ") -> list[str]:

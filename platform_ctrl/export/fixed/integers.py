@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from platform_ctrl.export.fixed.values import Format
+from platform_ctrl.export.fixed.values import FixedPoint, Format
 
 
 def integer(bits: int) -> str:
     """Return the C type of so many bits."""
     return f"int{bits}_t"
+
+
+def wide(fixed: FixedPoint, output: str) -> str:
+    """Return the C type of an output before its limit."""
+    bits = fixed.formats[output].bits
+    return integer(bits if not fixed.formats[output].saturates else 32 if fixed.commanded[output] < 2**31 else 64)
 
 
 def literal(number: int, bits: int) -> str:

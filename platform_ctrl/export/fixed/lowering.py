@@ -16,7 +16,6 @@ import flint
 import numpy as np
 
 from platform_ctrl.arguments import known_name, positive
-from platform_ctrl.errors import InfeasibleError, UnscalableError
 from platform_ctrl.export.code.scheme import Scheme
 from platform_ctrl.export.fixed.bounds import Responses, responses
 from platform_ctrl.export.fixed.exact import (
@@ -30,50 +29,19 @@ from platform_ctrl.export.fixed.exact import (
     multiplied_out,
     power_of_two,
 )
+from platform_ctrl.export.fixed.formats import WIDTHS, Task, formats_for, scaled
 from platform_ctrl.export.fixed.norms import BITS, SlowError
 from platform_ctrl.export.fixed.ranges import check_names
-from platform_ctrl.export.fixed.rounding import count_of, fraction_for, integer_row, integral_row
-from platform_ctrl.export.fixed.splitting import Parts, excess_of, integral_limits, taken_apart
+from platform_ctrl.export.fixed.rounding import count_of, integer_row, integral_row
+from platform_ctrl.export.fixed.splitting import excess_of, integral_limits, taken_apart
 from platform_ctrl.export.fixed.values import FixedPoint, FixedSection, Format, IntegerRow, Number
 from platform_ctrl.export.fixed.wording import proof_lines
 
-# Bits of inputs, signals and outputs, of states, and significant bits of coefficients.
-_WIDTHS = {"q31": (32, 32, 31), "q15": (16, 32, 15)}
 # How often formats whose bound does not fit after rounding give up a digit.
 _ROUNDS = 6
-# Most digits before or behind the point.
-_FRACTIONS = 200
 # Share of a torque's limit that the bound of the error may take.
 ACCURACY = 0.02
-# An output that stays below this share of its limit needs none.
-_OUT_OF_REACH = 0.5
 _UP = 1.0 + 1e-10
-
-
-class _Task(NamedTuple):
-    scheme: Scheme
-    parts: Parts
-    number: Number
-    ranges: dict[str, float]
-    limits: dict[str, float]
-
-    @property
-    def sizes(self) -> dict[str, float]:
-        return self.ranges | self.limits
-
-    @property
-    def torque_limits(self) -> dict[str, float]:
-        return dict(zip(self.scheme.outputs, self.scheme.torque_limits, strict=True))
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        excesses = (excess_of(name) for name in self.parts.limited)
-        return (*self.scheme.inputs, *self.parts.integrals, *excesses)
-
-    def refused(self, row: str, what: str, more: str = "") -> InfeasibleError:
-        cure = "give number = 'q31'" if self.number == "q15" else "export it as double or float"
-        where = f"section {self.parts.section[row]!r}" if row in self.parts.section else "inputs"
-        return InfeasibleError(f"fixed point, {self.number}: {where}: {what}; {more}{cure}", self.scheme)
 
 
 class _Rounded(NamedTuple):
@@ -128,7 +96,7 @@ def fixed_point(
     ----------
     See docs/fixed-point.md.
     """
-    known_name("number", number, tuple(_WIDTHS))
+    known_name("number", number, tuple(WIDTHS))
     accuracy = positive("accuracy", accuracy)
     check_names("ranges", ranges, scheme.inputs)
     known = {}
@@ -140,18 +108,18 @@ def fixed_point(
         parts = taken_apart(scheme)
         every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
         check_names("fractions", fractions or {}, every)
-        task = _Task(scheme, parts, number, known, integral_limits(scheme, parts, limits))
+        task = Task(scheme, parts, number, known, integral_limits(scheme, parts, limits))
         return _lowered(task, accuracy, dict(fractions or {}))
 
 
-def _lowered(task: _Task, accuracy: float, given: Mapping[str, int]) -> FixedPoint:
+def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoint:
     parts, rows = task.parts, task.parts.rows
     real = _responses(task, rows)
     bounds = real.bounds(task.sizes, {})
     # The excess that enters stable states is saturated where it is largest while it does not act.
     cut = {name: max(bounds[name] - task.torque_limits[name], 0.0) for name in parts.limited}
     bounds = real.bounds(task.sizes | {excess_of(name): size for name, size in cut.items()}, {})
-    formats = _formats(task, bounds, given)
+    formats = formats_for(task, bounds, given)
     excesses: dict[str, int] = {}
     for _ in range(_ROUNDS):
         excesses = {name: count_of(size, formats[name].fraction) for name, size in cut.items()}
@@ -175,13 +143,13 @@ def _lowered(task: _Task, accuracy: float, given: Mapping[str, int]) -> FixedPoi
     return _proved(task, accuracy, real, formats, excesses, rounded, counts, poles, found.norms.samples)
 
 
-def _stored(task: _Task, form: Format) -> bool:
+def _stored(task: Task, form: Format) -> bool:
     """Whether the count before saturation is stored: not where an output is limited at once."""
     return not form.saturates or form.name in task.parts.outputs_read
 
 
 def _proved(
-    task: _Task,
+    task: Task,
     accuracy: float,
     real: Responses,
     formats: dict[str, Format],
@@ -202,15 +170,16 @@ def _proved(
         beyond = max(counts[name] - formats[name].largest, 0)
         excesses.setdefault(name, beyond)
         largest[excess_of(name)] = min(excesses[name], beyond)
-    scaled = _scaled(formats)
     integer_rows = {name: _with_largest(row, largest) for name, row in rounded.rows.items()}
     exact = {**parts.rows.signals, **parts.rows.states}
     given_up = {
-        name: (0.5 if row.shift else 0.0) + _changed(scaled(name, exact[name]), rounded, name, largest)
+        name: (0.5 if row.shift else 0.0) + _changed(scaled(formats, name, exact[name]), rounded, name, largest)
         for name, row in integer_rows.items()
     }
     for name, increment in parts.integrals.items():
-        row = integral_row(name, scaled(name, increment), formats[name].largest, largest, _WIDTHS[task.number][2])
+        row = integral_row(
+            name, scaled(formats, name, increment), formats[name].largest, largest, WIDTHS[task.number][2]
+        )
         integer_rows[name] = row
         if not row.products and increment:
             raise task.refused(name, f"the integral {name!r} gains less in a step than can be counted")
@@ -234,7 +203,9 @@ def _proved(
                 "give smaller ranges of the inputs, or a larger accuracy; or ",
             )
     drift = {
-        name: _drift(task, name, scaled(name, parts.integrals[name]), integer_rows[name], formats, largest, errors)
+        name: _drift(
+            task, name, scaled(formats, name, parts.integrals[name]), integer_rows[name], formats, largest, errors
+        )
         for name in parts.integrals
     }
     out = FixedPoint(
@@ -263,7 +234,7 @@ def _proved(
     return dataclasses.replace(out, proof=proof_lines(out, parts.leaks))
 
 
-def _responses(task: _Task, rows: Rows) -> Responses:
+def _responses(task: Task, rows: Rows) -> Responses:
     system = multiplied_out(rows, task.free, task.parts.states)
     try:
         return responses(system)
@@ -275,76 +246,9 @@ def _responses(task: _Task, rows: Rows) -> Responses:
         raise task.refused(slowest[0], "it settles too slowly for a finite bound", "give a faster pole; or ") from None
 
 
-def _formats(task: _Task, bounds: Mapping[str, float], given: Mapping[str, int]) -> dict[str, Format]:
-    scheme, (signal_bits, state_bits, _) = task.scheme, _WIDTHS[task.number]
-    units = dict(zip((*scheme.inputs, *scheme.outputs), (*scheme.input_units, *scheme.output_units), strict=True))
-    limits = task.torque_limits
-    out: dict[str, Format] = {}
-
-    def place(name: str, role: str, bits: int, bound: float, saturates: float | None = None) -> None:
-        usable = math.isfinite(bound)
-        fraction = given.get(name, fraction_for(bound, bits)) if usable else 0
-        if not usable or abs(fraction) > _FRACTIONS:
-            raise UnscalableError(
-                f"fixed point: {name!r} is at most {bound:.3g}; expected neither so small nor so large a number",
-                scheme,
-            )
-        largest = 2 ** (bits - 1) - 1 if saturates is None else count_of(saturates, fraction)
-        if not 0 < largest < 2 ** (bits - 1):
-            raise task.refused(name, f"{name!r}, at most {bound:.3g}, does not fit {fraction} digits behind the point")
-        out[name] = Format(
-            name=name,
-            role=role,  # type: ignore[arg-type]  # one of the words of `Role`
-            unit=units.get(name, ""),
-            bits=bits,
-            fraction=fraction,
-            largest=largest,
-            saturates=saturates is not None,
-        )
-
-    for name, size in task.ranges.items():
-        place(name, "input", signal_bits, size, size)
-    for section in scheme.sections:
-        for row in section.signals:
-            name, limit = row.target, limits.get(row.target, math.inf)
-            if not math.isfinite(limit) or bounds[name] < _OUT_OF_REACH * limit:
-                place(name, "output" if name in limits else "signal", signal_bits, bounds[name])
-            elif name in task.parts.outputs_read:
-                place(name, "output", signal_bits, max(bounds[name], limit), limit)
-            else:
-                place(name, "output", signal_bits, limit, limit)
-        for row in section.states:
-            name = task.parts.differences.get(row.target, row.target)
-            if name in task.limits:
-                place(name, "integral", state_bits, task.limits[name], task.limits[name])
-            else:
-                place(name, "state", state_bits, bounds[name])
-    return out
-
-
-class _Scaled(NamedTuple):
-    """Rows in counts per count."""
-
-    formats: Mapping[str, Format]
-
-    def __call__(self, target: str, row: Sum) -> Sum:
-        fraction = self.formats[target].fraction
-        out = {}
-        for name, coefficient in row.items():
-            form = self.formats[name.removeprefix(excess_of(""))]
-            # What is never limited has no excess.
-            if name == form.name or form.saturates:
-                out[name] = coefficient * power_of_two(fraction - form.fraction)
-        return out
-
-
-def _scaled(formats: Mapping[str, Format]) -> _Scaled:
-    return _Scaled(formats)
-
-
-def _rounded(task: _Task, formats: Mapping[str, Format], excesses: Mapping[str, int]) -> _Rounded:
+def _rounded(task: Task, formats: Mapping[str, Format], excesses: Mapping[str, int]) -> _Rounded:
     """Return all rows but those of integrals, for any counts that the formats can hold."""
-    scaled, mantissa = _scaled(formats), _WIDTHS[task.number][2]
+    mantissa = WIDTHS[task.number][2]
     largest = {name: form.largest for name, form in formats.items()}
     # Before its limit a count of an output that others take in may be as large as the word.
     largest |= {name: 2 ** (formats[name].bits - 1) - 1 for name in task.parts.outputs_read}
@@ -354,7 +258,7 @@ def _rounded(task: _Task, formats: Mapping[str, Format], excesses: Mapping[str, 
     states: dict[str, Sum] = {}
     for rational_rows, kept, out in ((task.parts.rows.signals, False, signals), (task.parts.rows.states, True, states)):
         for name, row in rational_rows.items():
-            counted = scaled(name, row)
+            counted = scaled(formats, name, row)
             own = counted.get(name, flint.fmpq(0))
             keeps = kept and flint.fmpq(1, 2) < own < flint.fmpq(3, 2)
             if keeps:
@@ -378,7 +282,7 @@ def _exactly(row: IntegerRow) -> Sum:
     return out
 
 
-def _poles(task: _Task, rows: Rows) -> dict[str, float]:
+def _poles(task: Task, rows: Rows) -> dict[str, float]:
     """Return the largest magnitude of a pole by section, and refuse one that rounding moves out of the circle."""
     system = multiplied_out(rows, task.free, task.parts.states)
     out: dict[str, float] = {}
@@ -398,7 +302,7 @@ def _poles(task: _Task, rows: Rows) -> dict[str, float]:
 
 
 def _counts(
-    task: _Task, formats: Mapping[str, Format], excesses: Mapping[str, int], rounded: _Rounded, found: Responses
+    task: Task, formats: Mapping[str, Format], excesses: Mapping[str, int], rounded: _Rounded, found: Responses
 ) -> dict[str, int]:
     """Return the largest counts of signals and states, before any limit."""
     sizes = {name: float(formats[name].largest) for name in (*task.ranges, *task.limits)}
@@ -439,7 +343,7 @@ def _cut_off(form: Format, limit: float) -> float:
 
 
 def _drift(
-    task: _Task,
+    task: Task,
     name: str,
     wanted: Sum,
     row: IntegerRow,
