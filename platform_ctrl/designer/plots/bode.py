@@ -48,6 +48,8 @@ class BodePanel:
         self._loop: ColumnDataSource = sources.new("loop", "frequency", "gain", "phase")
         self._band = sources.new("band", "frequency", "gain_low", "gain_high", "phase_low", "phase_high")
         self._marks = sources.new("margins", "frequency", "gain0", "gain1", "phase0", "phase1")
+        self._nyquist: list[Span] = []
+        self._asked: list[Span] = []
         paint = theme.paint
         for plot, name, level in ((above, "gain", 0.0), (below, "phase", -180.0)):
             area = plot.varea("frequency", f"{name}_low", f"{name}_high", source=self._band, fill_alpha=0.16)
@@ -58,12 +60,11 @@ class BodePanel:
             paint(nyquist, line_color="reference")
             plot.add_layout(level_line)
             plot.add_layout(nyquist)
-            sources.spans.append(nyquist)
+            self._nyquist.append(nyquist)
             asked = Span(dimension="height", location=None, line_width=1.5, line_dash=[6, 3])
             paint(asked, line_color="limit")
             plot.add_layout(asked)
-            sources.asked.append(asked)
-            self._nyquist_and_asked = (nyquist, asked)
+            self._asked.append(asked)
         self.overlays = OverlayCurves(sources, theme)
         self.overlays.draw(above, "xs", "gains")
         self.overlays.draw(below, "xs", "phases")
@@ -82,7 +83,6 @@ class BodePanel:
         self.panel.crosshair(above, below)
         self.handle = CrossoverHandle(above, theme)
         self._message = self.panel.message(above)
-        self._late = self.panel.message(below)
 
     def on_pulled(self, callback: Callable[[float], None]) -> None:
         """Call `callback` with a frequency, rad/s, while the crossover is dragged."""
@@ -110,10 +110,10 @@ class BodePanel:
         names = ("frequency", "gain0", "gain1", "phase0", "phase1")
         self._sources.put("margins", **{name: column(marks[:, k]) for k, name in enumerate(names)})
         nyquist = bode.nyquist * HZ
-        for span in self._sources.spans:
+        for span in self._nyquist:
             span.location = float(nyquist) if math.isfinite(nyquist) else None
         asked = next((r.limit for r in picture.requirements if _is_bandwidth(r.name, r.unit)), None)
-        for span in self._sources.asked:
+        for span in self._asked:
             span.location = asked
         seen = extent([f])
         # An axis that moves would move the crossover under the mouse.
@@ -133,7 +133,6 @@ class BodePanel:
         )
         empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())
         tell(self._message, "no finite response of this loop" if empty else _trouble(picture))
-        tell(self._late, "")
 
 
 def _is_bandwidth(name: str, unit: str) -> bool:

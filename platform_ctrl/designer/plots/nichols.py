@@ -76,7 +76,9 @@ class NicholsPanel:
         if len(nichols.labels) > 1:
             phases.append(phase)
             gains.append(gain)
-        self._phase.fit(_among(phases, gains))
+        seen = _among(phases, gains)
+        # The critical point is always in view, and what is to the left and right of it.
+        self._phase.fit(None if seen is None else (min(seen[0], -270.0), max(seen[1], -90.0)))
         self._gain.fit(extent(gains))
         self._regions(nichols.disk_margin)
         others = len(nichols.labels) - 1
@@ -117,7 +119,7 @@ def _thin(nichols: Nichols) -> tuple[Column, Column]:
     """Return all plants as one line with gaps: those first that come first, thinned along the frequencies."""
     if len(nichols.labels) < 2:
         return column([]), column([])
-    at = _spread(nichols.phase, thinned(nichols.phase.shape[1], _POINTS))
+    at = thinned(nichols.phase.shape[1], _POINTS)
     rows = thinned(len(nichols.phase) - 1, _PLANTS) + 1
     return strung(nichols.phase[rows][:, at]), strung(20.0 * _log10(nichols.magnitude[rows][:, at]))
 
@@ -125,12 +127,6 @@ def _thin(nichols: Nichols) -> tuple[Column, Column]:
 def _log10(gain: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.log10(gain))
-
-
-def _spread(
-    phase: FloatArray, at: np.ndarray[tuple[int], np.dtype[np.intp]]
-) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    return at if phase.shape[1] > len(at) else np.arange(phase.shape[1])
 
 
 def _among(phases: list[Column], gains: list[Column]) -> tuple[float, float] | None:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource
-from bokeh.models.annotations.geometry import Span
 
 
 class Sources:
@@ -14,8 +13,6 @@ class Sources:
 
     def __init__(self) -> None:
         self.by_name: dict[str, ColumnDataSource] = {}
-        self.spans: list[Span] = []
-        self.asked: list[Span] = []
 
     def new(self, name: str, *columns: str, lists: tuple[str, ...] = ()) -> ColumnDataSource:
         """Return a new source with empty columns: of numbers, and of texts or whole curves (`lists`)."""
