@@ -85,7 +85,7 @@ def test_the_installed_package_is_complete_and_finds_its_models(site: Path, tmp_
     assert seen["angles"] == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
     assert seen["commands"] == ["platform-ctrl"]
     assert seen["version"] == pc.__version__
-    assert seen["licence"] == "BSD-3-Clause"
+    assert seen["licence"] == "BSD-3-Clause AND MIT"
 
 
 def test_the_installed_command_lists_the_shipped_models(site: Path, tmp_path: Path) -> None:
