@@ -144,6 +144,18 @@ def test_branches_begin_at_the_poles_of_the_open_loop(plots: Plots) -> None:
     assert branches["gain"][0] == 0.0
 
 
+def test_a_pair_of_branches_turns_where_it_leaves_the_real_axis(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    data = plots.sources["branches"].data
+    s, gain = np.float64(data["re"]) + 1j * np.float64(data["im"]), 4000.0 * np.float64(data["gain"])
+    fine = np.isfinite(s)
+    assert fine.sum() > 2 * len(shown.locus.gains)
+    # Every point that is drawn is a pole for its gain, the double pole at a gain of 100 among them.
+    assert np.abs(s**2 + DAMPING * s + gain)[fine].max() < 1e-2
+    assert np.abs(s[fine] + 10.0).min() < 0.05
+
+
 def test_rays_have_their_damping(plots: Plots) -> None:
     data = plots.sources["rays"].data
     x, y = np.float64(data["x1"]), np.float64(data["y1"])

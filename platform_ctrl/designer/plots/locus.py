@@ -10,6 +10,7 @@ from bokeh.core.properties import value
 from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.designer.plots.bode import HZ
+from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.columns import column, strung, thinned
 from platform_ctrl.designer.plots.palette import FONT, series
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
@@ -121,8 +122,9 @@ class LocusPanel:
         """Follow a picture."""
         locus = picture.locus
         at = thinned(len(locus.gains), _GAINS)
-        branches = locus.branches[at].T
-        gains = np.broadcast_to(locus.gains[at], branches.shape)
+        factors, rows = rounded(locus.gains[at], locus.branches[at])
+        branches = rows.T
+        gains = np.broadcast_to(factors, branches.shape)
         put = self._sources.put
         put("branches", re=strung(branches.real), im=strung(branches.imag), gain=strung(gains))
         first = branches[:, 0] if branches.size else np.zeros(0, np.complex128)
