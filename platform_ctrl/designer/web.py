@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from importlib import resources
 from typing import Any
 
@@ -131,12 +131,6 @@ class PageApplication(BokehTornado):
             return self.get_handler_delegate(request, StaticHandler, {}, path_args=[path[len("/static/") :].encode()])
         return by(Line)
 
-    def new_connection(self, protocol: Any, socket: Any, application_context: Any, session: Any) -> ServerConnection:
-        """Take a page's websocket; what changes together goes to it together."""
-        connection = Together(protocol, socket, application_context, session)
-        self._clients.add(connection)
-        return connection
-
     def client_lost(self, connection: ServerConnection) -> None:
         """Forget a page that was closed: at once if it said so, else its session ends some seconds later."""
         session, left = connection.session, connection._socket.close_code in _LEFT
@@ -167,29 +161,6 @@ class PageApplication(BokehTornado):
             except (OSError, ModuleNotFoundError):
                 return None
         return self.files[key]
-
-
-class Together(ServerConnection):
-    """Sends all changes that a document went through while it was locked as one message.
-
-    One for each would be some hundred for every move of a slider, and the browser would paint in between.
-
-    References
-    ----------
-    See docs/designer.md.
-    """
-
-    _changes: tuple[Any, ...] = ()
-
-    def send_patch_document(self, event: Any) -> Awaitable[None]:
-        """Take a change; what is returned sends it with all that came with it."""
-        self._changes = (*self._changes, event)
-        return self._sent()
-
-    async def _sent(self) -> None:
-        changes, self._changes = self._changes, ()
-        if changes:
-            await self._socket.send_message(self.protocol.create("PATCH-DOC", list(changes)))
 
 
 class Guarding(OutputTransform):
