@@ -6,6 +6,7 @@ import dataclasses
 import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
@@ -223,9 +224,18 @@ def answer() -> None:
         pipe.flush()
 
     question = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         tell("done", question.worked_out(lambda line: tell("told", line)))
     except PlatformCtrlError as error:
         # What was being solved may not be for a pipe.
         plain = DesignError(str(error)) if isinstance(error, DesignError) else error
         tell("failed", plain)
+
+
+def _end_with_parent() -> None:
+    """End this process when the other end of its input is gone: nobody waits for the answer any more."""
+    # Not through Python's own buffer, whose lock would be missed when this process ends by itself.
+    while os.read(0, 4096):
+        pass
+    os._exit(0)
