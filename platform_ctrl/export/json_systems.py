@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.check.records import SCHEMA, laid_out, plain
-from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, linear_system, system_of
+from platform_ctrl.errors import InputError
+from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, linear_system, system_of
 from platform_ctrl.reading.json_file import read_json
 from platform_ctrl.reading.mistakes import given
 from platform_ctrl.reading.source import path_of
@@ -27,7 +27,7 @@ def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str])
     Parameters
     ----------
     systems
-        As from `linear_system` or `job_systems`.
+        As from `linear_system`, `controller_systems` or `model_systems`.
     path
         Of the file; its folder is there.
 
@@ -119,20 +119,6 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
     if not isinstance(entries, list) or not 0 < len(entries) <= MOST_SYSTEMS:
         raise InputError(f'{label}: "{key}" is {given(entries)}; expected a list of 1 to {MOST_SYSTEMS} systems')
     return tuple(_system(f"{label}: {key} {number}", entry) for number, entry in enumerate(entries, 1))
-
-
-def expect_systems(systems: Sequence[LinearSystem], where: str) -> None:
-    """Judge what has to be a list of systems.
-
-    Raises
-    ------
-    ArgumentError
-        It is something else, empty or too long.
-    """
-    if isinstance(systems, LinearSystem) or not all(isinstance(one, LinearSystem) for one in systems):
-        raise ArgumentError(f"{where}: expected a list of LinearSystem, for example from linear_system")
-    if not 0 < len(systems) <= MOST_SYSTEMS:
-        raise ArgumentError(f"{where}: given {len(systems)} systems; expected 1 to {MOST_SYSTEMS}")
 
 
 def _entry(one: LinearSystem) -> dict[str, Any]:

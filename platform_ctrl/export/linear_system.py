@@ -146,6 +146,20 @@ def signal_units(platform: Platform) -> dict[str, str]:
     return units | dict.fromkeys([*(t.name for t in platform.torquers), *ROOT_TORQUE_NAMES], "N m")
 
 
+def expect_systems(systems: Sequence[LinearSystem], where: str) -> None:
+    """Judge what has to be a list of systems.
+
+    Raises
+    ------
+    ArgumentError
+        It is something else, empty or too long.
+    """
+    if isinstance(systems, LinearSystem) or not all(isinstance(one, LinearSystem) for one in systems):
+        raise ArgumentError(f"{where}: expected a list of LinearSystem, for example from linear_system")
+    if not 0 < len(systems) <= MOST_SYSTEMS:
+        raise ArgumentError(f"{where}: given {len(systems)} systems; expected 1 to {MOST_SYSTEMS}")
+
+
 def system_of(where: str, data: Mapping[str, Any]) -> LinearSystem:
     """Return the system that a file describes, or refuse it in one line.
 

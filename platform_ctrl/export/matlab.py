@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.json_systems import expect_systems
-from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, system_of
+from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, system_of
 from platform_ctrl.export.mat_elements import HEADER_LENGTH, structs
 from platform_ctrl.reading.mistakes import one_line
 from platform_ctrl.reading.source import MOST_OF_ANY, path_of
@@ -45,7 +44,7 @@ def write_mat(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> 
     Parameters
     ----------
     systems
-        As from `linear_system` or `job_systems`.
+        As from `linear_system`, `controller_systems` or `model_systems`.
     path
         Of the file; its folder is there.
 

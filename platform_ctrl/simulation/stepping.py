@@ -76,7 +76,7 @@ class Stepper:
 
     References
     ----------
-    See docs/fmu.md.
+    See docs/simulation.md.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Stepper:
 
         References
         ----------
-        See docs/fmu.md.
+        See docs/simulation.md.
         """
         samples = whole("samples", samples, 1, _MOST)
         n = len(self.scenario.platform.gimbals)
