@@ -19,6 +19,7 @@ from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
 from platform_ctrl.designer.plots import Plots
+from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.palette import colours
 from platform_ctrl.designer.plots.views import View, nice
 from platform_ctrl.designer.plots.words import Unit, quantity
@@ -154,6 +155,16 @@ def test_a_pair_of_branches_turns_where_it_leaves_the_real_axis(plots: Plots) ->
     # Every point that is drawn is a pole for its gain, the double pole at a gain of 100 among them.
     assert np.abs(s**2 + DAMPING * s + gain)[fine].max() < 1e-2
     assert np.abs(s[fine] + 10.0).min() < 0.05
+
+
+def test_an_infinitely_fast_pole_does_not_keep_the_others_from_turning() -> None:
+    gains = np.linspace(0.0, 400.0, 9)
+    poles = np.array([np.sort_complex(np.roots([1.0, DAMPING, k])) for k in gains]).astype(np.complex128)
+    branches = np.column_stack([poles, np.full(9, -np.inf)])
+    factors, rows = rounded(gains, branches)
+    assert len(factors) > 15
+    assert np.all(np.diff(factors) > 0.0)
+    assert np.abs(rows[:, :2] ** 2 + DAMPING * rows[:, :2] + factors[:, None]).max() < 1e-9
 
 
 def test_rays_have_their_damping(plots: Plots) -> None:

@@ -30,15 +30,17 @@ def rounded(gains: FloatArray, branches: ComplexArray) -> tuple[FloatArray, Comp
     (H,), complex (H, n)
         H ≥ G.
     """
-    if len(gains) < 2 or not np.isfinite(branches).all():
+    if len(gains) < 2 or branches.shape[1] < 2:
         return gains, branches
-    real = np.abs(branches.imag) <= _REAL * (np.abs(branches) + 1.0)
+    # A pole that is infinitely fast turns nowhere.
+    fine = np.isfinite(branches)
+    real = ~fine | (np.abs(branches.imag) <= _REAL * (np.abs(branches) + 1.0))
     turns = np.flatnonzero((real[1:] != real[:-1]).any(axis=1))
     share = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _POINTS + 1) / (_POINTS + 1))
     at, more_gains, more = [], [], []
     for k in turns:
         start, end = branches[k], branches[k + 1]
-        changed = np.flatnonzero(real[k] != real[k + 1])
+        changed = np.flatnonzero((real[k] != real[k + 1]) & fine[k] & fine[k + 1])
         where = share
         pairs = []
         for i in changed:
@@ -50,7 +52,8 @@ def rounded(gains: FloatArray, branches: ComplexArray) -> tuple[FloatArray, Comp
                 pairs.append((i, j, m0, m1, d0, d1))
                 # The turn itself is one of the points.
                 where = np.union1d(where, [d0 / (d0 - d1)] if d0 * d1 < 0.0 else [])
-        points = start + where[:, None] * (end - start)
+        with np.errstate(invalid="ignore"):
+            points = start + where[:, None] * (end - start)
         for i, j, m0, m1, d0, d1 in pairs:
             root = np.sqrt((d0 + where * (d1 - d0)).astype(np.complex128))
             # Which of the two goes up, or to the right, is as at the ends.

@@ -213,7 +213,7 @@ def _seen(values: FloatArray, wider: Sequence[FloatArray], limit: float | None) 
     if own is None:
         return None
     size = max(abs(own[0]), abs(own[1]))
-    if size < _ROUNDING and limit is None:
+    if limit is None and max(map(abs, extent([values, *wider]) or own)) < _ROUNDING:
         return -1e-6, 1e-6
     if limit is not None and size < _NOTHING * limit:
         # Rounding, or as good as nothing: against the limit it is a straight line.
