@@ -79,6 +79,7 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file = controller_file(controllers, out, job)
+        say(f"controllers: {file}")
         held = Held.given(baseline, update_baseline)
         extras = Extras.given(read, pdf, campaign)
         from platform_ctrl.check import checked
