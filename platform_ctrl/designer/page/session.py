@@ -101,6 +101,7 @@ class Session:
         self._outcome: Outcome | None = None
         self._idle: Any = None
         self._errands = Errands(self)
+        self._deaf = workbench.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
         """Return what the document holds, each under the name that the template knows."""
@@ -108,6 +109,7 @@ class Session:
 
     def close(self, session_context: object) -> None:
         """End what is going on and let go of everything; the page is gone."""
+        self._deaf()
         self._newest.close()
         self._errands.close()
         self.document = self._idle = self._outcome = self.picture = None
@@ -216,6 +218,10 @@ class Session:
 
     # What comes of it.
 
+    def _designed(self) -> None:
+        """Show the picture again with a design that was waited for; called in a thread."""
+        self.later(lambda: self._newest.add("again", Task(count=0, change=lambda settings: settings, gesture="ready")))
+
     def _work(self, tasks: list[Task]) -> None:
         """Work out a picture for all tasks together; runs in a thread."""
         settings, line, picture = self.settings, None, None
@@ -246,7 +252,8 @@ class Session:
             return
         line = self._line or out.line
         self._line = None
-        told: dict[str, Any] = {"line": {"text": line or "", "kind": "error" if line else "quiet"}}
+        notes = () if out.picture is None else out.picture.notes
+        told: dict[str, Any] = {"line": {"text": line or " ".join(notes), "kind": "error" if line else "quiet"}}
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
