@@ -16,7 +16,7 @@ from generated_c import Machine, classical_entry, compiled, compiler, entry, pid
 from platform_ctrl import simulation
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.errors import ArgumentError, InputError, UnscalableError
-from platform_ctrl.export.code import write_c
+from platform_ctrl.export import write_c
 from platform_ctrl.export.code.entries import entries_of
 from platform_ctrl.export.code.float_error import float_error, float_scheme
 from platform_ctrl.export.code.from_design import scheme_of, with_excess

@@ -15,7 +15,7 @@ from generated_c import Machine, classical_entry, compiled, entry
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.code import write_c
+from platform_ctrl.export import write_c
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
 from platform_ctrl.export.code.from_design import same_response, scheme_of, with_excess

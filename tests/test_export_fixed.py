@@ -23,13 +23,17 @@ from platform_ctrl import simulation
 from platform_ctrl.certificates.balls import balls
 from platform_ctrl.design.plants import loop_plants
 from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, SimulationError, UnscalableError
-from platform_ctrl.export.code import write_c
+from platform_ctrl.export import write_c
 from platform_ctrl.export.code.entries import entries_of
 from platform_ctrl.export.code.from_design import scheme_of, with_excess
 from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.code.windup import back_calculation
-from platform_ctrl.export.fixed import FixedPoint, Machine, Unit, fixed_point, header, input_ranges, source
+from platform_ctrl.export.fixed.emission import Unit, header, source
+from platform_ctrl.export.fixed.lowering import fixed_point
+from platform_ctrl.export.fixed.model import Machine
 from platform_ctrl.export.fixed.norms import gains
+from platform_ctrl.export.fixed.ranges import input_ranges
+from platform_ctrl.export.fixed.values import FixedPoint
 from platform_ctrl.job import manoeuvre_scenario
 
 NUMBERS = ("q31", "q15")

@@ -22,7 +22,7 @@ from fmpy.validation import validate_fmu
 
 from one_gyro_job import JOB
 from platform_ctrl.errors import ArgumentError, InputError, SimulationError
-from platform_ctrl.export.fmu import write_fmu
+from platform_ctrl.export import write_fmu
 from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
 from platform_ctrl.job import Job, manoeuvre_scenario
 from platform_ctrl.reading import read_job

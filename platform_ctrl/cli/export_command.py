@@ -304,11 +304,11 @@ def _judge_targets(job: Path, file: Path | None, files: dict[str, Path], folders
 
 
 def _write_c(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.check.given import opened
+    from platform_ctrl.check.given import opened, read_controllers
     from platform_ctrl.cli.staged import write_folder_record
-    from platform_ctrl.export.code import write_c
+    from platform_ctrl.export import write_c
 
-    assert work.controllers  # judged, before their entries are taken
+    read_controllers(cast(Path, work.file), work.job)  # judged as a file, before its entries are taken
     _, data = opened(cast(Path, work.file))
     versions = data.get("versions")
     words = ["platform-ctrl", "export", str(work.path), "--controllers", str(work.file), "--c", str(target)]
@@ -381,7 +381,7 @@ def _write_mjcf(work: _Work, at: Path, target: Path) -> None:
 
 
 def _write_fmu(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.export.fmu import write_fmu
+    from platform_ctrl.export import write_fmu
 
     write_fmu(work.job, work.controllers, at, manoeuvre=work.manoeuvre, result=work.file)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from platform_ctrl.export.code import Written, write_c
-from platform_ctrl.export.fmu import write_fmu
+from platform_ctrl.export.code.writing import Written, write_c
+from platform_ctrl.export.fmu.writing import write_fmu
 from platform_ctrl.export.job_systems import ResponseTable, controller_systems, job_responses, model_systems
 from platform_ctrl.export.json_systems import read_systems, write_controllers, write_systems
 from platform_ctrl.export.linear_system import LinearSystem, linear_system
 from platform_ctrl.export.matlab import read_mat, write_mat
-from platform_ctrl.export.mujoco import read_mjcf, write_mjcf
+from platform_ctrl.export.mujoco.reading import read_mjcf
+from platform_ctrl.export.mujoco.writing import write_mjcf
 from platform_ctrl.export.responses import response_data, write_responses
 
 __all__ = [

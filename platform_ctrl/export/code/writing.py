@@ -26,7 +26,7 @@ from platform_ctrl.writing import write_whole
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.export.fixed import FixedPoint
+    from platform_ctrl.export.fixed.values import FixedPoint
 
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
@@ -219,7 +219,8 @@ def _fixed(
     limits: Mapping[str, float] | None,
     accuracy: float,
 ) -> FixedPoint:
-    from platform_ctrl.export.fixed import fixed_point, input_ranges
+    from platform_ctrl.export.fixed.lowering import fixed_point
+    from platform_ctrl.export.fixed.ranges import input_ranges
 
     own = {name: limit for name, limit in (limits or {}).items() if name in scheme.states}
     found = input_ranges(scheme.inputs, job, ranges)
@@ -255,18 +256,21 @@ def _integer_texts(
     job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]
 ) -> dict[str, str]:
     # Ball arithmetic is loaded when it is needed.
-    from platform_ctrl.export import fixed
+    from platform_ctrl.export.fixed import emission, job_emission
 
     prefixes = Names(24)
     units = [
-        fixed.Unit(fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark,))
+        emission.Unit(fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark,))
         for one, remark in zip(made, remarks, strict=True)
     ]
     texts: dict[str, str] = {}
     for unit in units:
-        texts |= {f"{unit.prefix}.h": fixed.header(unit), f"{unit.prefix}.c": fixed.source(unit)}
+        texts |= {f"{unit.prefix}.h": emission.header(unit), f"{unit.prefix}.c": emission.source(unit)}
     whole = prefixes.new(job.name).lower()
-    return texts | {f"{whole}.h": fixed.job_header(whole, units), f"{whole}.c": fixed.job_source(whole, units)}
+    return texts | {
+        f"{whole}.h": job_emission.job_header(whole, units),
+        f"{whole}.c": job_emission.job_source(whole, units),
+    }
 
 
 def _integer_note(made: FixedPoint) -> str:
