@@ -79,7 +79,6 @@ def check(
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
         file = controller_file(controllers, out, job)
-        say(f"controllers: {file}")
         held = Held.given(baseline, update_baseline)
         extras = Extras.given(read, pdf, campaign)
         from platform_ctrl.check import checked
@@ -88,6 +87,7 @@ def check(
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
+        say(f"controllers: {file}")
         if campaign is not None:
             from platform_ctrl.cli.campaign_section import counted
 
