@@ -87,7 +87,6 @@ def check(
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
-        say(f"controllers: {file}")
         if campaign is not None:
             from platform_ctrl.cli.campaign_section import counted
 
@@ -95,6 +94,7 @@ def check(
         prepared(folder, extras.files)
         if junit is not None:
             writable("--junit", junit, [job, file, baseline, *(folder / name for name in extras.files)])
+        say(f"controllers: {file}")
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)
         command = ["check", str(job), "--controllers", str(file), "-o", str(folder)]
