@@ -123,10 +123,8 @@ def classical_controller(options: dict[str, float], channel: Channels, period: f
     period
         s.
     """
-    directions, torques = (
-        [_measured(k) for k in range(len(channel.basis))],
-        [_set(k) for k in range(len(channel.basis))],
-    )
+    count = range(len(channel.basis))
+    directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
     A, B, C, D = flattened(classical_stages(options, channel, period), directions, torques)
     basis: FloatArray = channel.basis
     return A, B @ basis, basis.T @ C, basis.T @ D @ basis

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.export.code.scheme import Row, Scheme
+from platform_ctrl.export.code.scheme import Scheme, acting_excess
 from platform_ctrl.frozen import value
 
 
@@ -49,12 +49,12 @@ def cost_of(scheme: Scheme) -> Cost:
     See docs/generated-code.md.
     """
     rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
-    limited = [name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if np.isfinite(limit)]
-    back = [Row(target=r.target, terms=tuple(t for t in r.terms if t.source in limited)) for r in scheme.excess]
+    limited = int(np.isfinite(scheme.torque_limits).sum())
+    back = acting_excess(scheme)
     cut = {term.source for row in back for term in row.terms}
     return Cost(
         multiplications=sum(abs(term.coefficient) != 1.0 for row in (*rows, *back) for term in row.terms),
         additions=sum(max(len(row.terms) - 1, 0) for row in rows) + sum(len(row.terms) for row in back) + len(cut),
         # Two for each number that has to be finite; two to limit and two to tell.
-        comparisons=2 * (len(scheme.inputs) + len(scheme.states) + len(scheme.outputs)) + 4 * len(limited),
+        comparisons=2 * (len(scheme.inputs) + len(scheme.states) + len(scheme.outputs)) + 4 * limited,
     )

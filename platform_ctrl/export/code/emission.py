@@ -10,7 +10,7 @@ import numpy as np
 from platform_ctrl.export.code.cost import Cost, cost_of
 from platform_ctrl.export.code.framing import declared, header_file, struct
 from platform_ctrl.export.code.identifiers import Names, comment
-from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term
+from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term, acting_excess
 from platform_ctrl.export.code.wording import WIDTH, acts, block, field, provenance, remark, signature
 from platform_ctrl.frozen import value
 
@@ -211,11 +211,7 @@ class _Source:
         """Add to the next states what the limits cut off; a state's next value gets another name."""
         constants: list[str] = []
         statements: list[str] = []
-        rows = [
-            Row(target=row.target, terms=tuple(term for term in row.terms if term.source in self.limits))
-            for row in self.scheme.excess
-        ]
-        rows = [row for row in rows if row.terms]
+        rows = acting_excess(self.scheme)
         for name in dict.fromkeys(term.source for row in rows for term in row.terms):
             over = self.reads[f"excess {name}"] = self.locals[f"excess {name}"]
             cut = self.locals[f"limited {name}"]

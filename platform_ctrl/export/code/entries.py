@@ -12,7 +12,6 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.arguments import short
 from platform_ctrl.check.given import read_controllers
 from platform_ctrl.check.records import SCHEMA
-from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
@@ -99,35 +98,6 @@ def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]
         )
         for record, K, E in zip(plain, judged, excess, strict=True)
     )
-
-
-def unit_of(job: Job, signal: str) -> str:
-    """Return the unit of a signal that controllers take in or set.
-
-    Parameters
-    ----------
-    job
-        Its plant names the signals.
-    signal
-        Name.
-
-    Returns
-    -------
-    str
-        ``rad``, ``rad/s`` or ``N m``.
-
-    Notes
-    -----
-    The arguments are not judged.
-
-    References
-    ----------
-    See docs/result-file.md.
-    """
-    if signal in {pickoff.name for pickoff in job.platform.pickoffs}:
-        return "rad"
-    sensors = {sensor.name for sensor in job.platform.sensors} | set(OMEGA_NAMES)
-    return "rad/s" if signal in sensors else "N m"
 
 
 def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:

@@ -195,7 +195,7 @@ def _state_magnitudes(scheme: Scheme, K: StateArrays, inputs: FloatArray) -> tup
     # Left vectors of what integrates, so that the rest is stable.
     P = np.eye(n)
     if V.shape[1]:
-        W = integrating(StateArrays(K.A.T, K.C.T, K.B.T, K.D.T, K.dt))[0].T
+        W = _left(K)
         P = P - V @ np.linalg.solve(W @ V, W)
     x, total = P @ K.B, np.zeros(K.B.shape)
     for _ in range(_LONGEST):
@@ -266,6 +266,11 @@ def _unseen(scheme: Scheme, K: StateArrays, lasting: FloatArray) -> FloatArray:
 def _constant_gain(K: StateArrays, k: int) -> FloatArray:
     """Return what a constant input adds to state `k` in a sample when all that forgets has settled."""
     V, _ = integrating(K)
-    W = integrating(StateArrays(K.A.T, K.C.T, K.B.T, K.D.T, K.dt))[0].T
+    W = _left(K)
     along: FloatArray = (V @ np.linalg.solve(W @ V, W @ K.B))[k]
     return along
+
+
+def _left(K: StateArrays) -> FloatArray:
+    """Return W with W A = Λ W of what integrates, (k, n)."""
+    return integrating(StateArrays(K.A.T, K.C.T, K.B.T, K.D.T, K.dt))[0].T

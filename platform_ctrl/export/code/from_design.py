@@ -15,11 +15,12 @@ from platform_ctrl.design.classical import classical_diagram
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.design.stabilisation import rate_estimate, servo_diagram
 from platform_ctrl.errors import NotCertifiedError, PlatformCtrlError
-from platform_ctrl.export.code.entries import Entry, unit_of
+from platform_ctrl.export.code.entries import Entry
 from platform_ctrl.export.code.modes import modal_sections, plain_sections
 from platform_ctrl.export.code.pid import pid_sections
 from platform_ctrl.export.code.scheme import Provenance, Row, Scheme, Section, arrays
 from platform_ctrl.export.code.sections import row, sections_of
+from platform_ctrl.export.linear_system import signal_units
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel, linearise
@@ -59,15 +60,16 @@ def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> S
     ----------
     See docs/generated-code.md.
     """
+    units = signal_units(job.platform)
     limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
 
     def scheme(sections: tuple[Section, ...], excess: tuple[Row, ...] = ()) -> Scheme:
         return Scheme(
             name=entry.loop,
             inputs=entry.inputs,
-            input_units=tuple(unit_of(job, name) for name in entry.inputs),
+            input_units=tuple(units[name] for name in entry.inputs),
             outputs=entry.outputs,
-            output_units=tuple(unit_of(job, name) for name in entry.outputs),
+            output_units=tuple(units[name] for name in entry.outputs),
             sections=sections,
             torque_limits=tuple(limits[name] for name in entry.outputs),
             excess=excess,

@@ -185,7 +185,7 @@ def plain_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
     """
     A, B, C, D, _ = entry.arrays
     balance = state_scaling(A, B, C)
-    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
+    A, B, C = scaled(A, B, C)
     names = [f"x{k + 1}" for k in range(len(A))]
     sources = [*entry.inputs, *names]
     sections: list[Section] = []

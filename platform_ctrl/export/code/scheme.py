@@ -273,3 +273,32 @@ def excess_gain(scheme: Scheme) -> FloatArray:
                 )
             out[states.index(row.target), outputs.index(term.source)] += term.coefficient
     return out
+
+
+def acting_excess(scheme: Scheme) -> tuple[Row, ...]:
+    """Return the rows of `Scheme.excess` without the outputs that have no limit, and without rows of these alone.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    tuple of Row
+        In their order.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    See docs/generated-code.md.
+    """
+    limited = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if math.isfinite(limit)}
+    rows = (
+        Row(target=row.target, terms=tuple(term for term in row.terms if term.source in limited))
+        for row in scheme.excess
+    )
+    return tuple(row for row in rows if row.terms)

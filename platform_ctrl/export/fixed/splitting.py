@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import InfeasibleError
-from platform_ctrl.export.code.scheme import Row, Scheme, arrays, excess_gain
+from platform_ctrl.export.code.scheme import Row, Scheme, acting_excess, arrays, excess_gain
 from platform_ctrl.export.fixed.exact import (
     Rows,
     Sum,
@@ -104,11 +104,7 @@ def taken_apart(scheme: Scheme) -> Parts:
                 "it as double or float",
                 scheme,
             )
-    bounded = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if np.isfinite(limit)}
-    excess = {
-        row.target: {name: coefficient for name, coefficient in _sum(row).items() if name in bounded}
-        for row in scheme.excess
-    }
+    excess = {row.target: _sum(row) for row in acting_excess(scheme)}
     differences = _as_differences(signals, following, excess, section)
     integrals = {name: _increment(name, following[name], signals, whole.shown) for name in leaks}
     stable = {name: row for name, row in following.items() if name not in leaks}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -314,10 +314,10 @@ class _Model:
                 )
         out["torquer"] = torquers
 
-    def _root_torquer(self, k: int, where: str, out: Tables) -> Iterator[Tables] | list[Tables]:
+    def _root_torquer(self, k: int, where: str, out: Tables) -> list[Tables]:
         gear = self.model.actuator_gear[k]
         turning = gear[3:] if self.model.jnt_type[self.root_joint] == FREE else gear[:3]
-        [axes] = [np.flatnonzero(turning)]
+        axes = np.flatnonzero(turning)
         if len(axes) != 1 or self.model.jnt_type[self.root_joint] not in (BALL, FREE):
             raise InputError(f"{where} turns the root about no axis of its own; expected one of three in gear")
         first = 3 if self.model.jnt_type[self.root_joint] == FREE else 0
