@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,14 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 PERIOD = 0.0005
 
 
-@pytest.fixture(scope="module")
-def job() -> Job:
+@cache
+def read_job_once() -> Job:
     return read_job(EXAMPLE)
+
+
+@pytest.fixture
+def job() -> Job:
+    return read_job_once()
 
 
 def controller(A: FloatArray, seed: int = 0, size: float = 1.0) -> Entry:
@@ -88,15 +94,6 @@ def test_whatever_is_written_out_is_the_same_controller(case: tuple[FloatArray, 
     windup = back_calculation(scheme)
     if not windup.notes:
         assert np.abs(np.linalg.eigvals(made.A - windup.gain @ made.C)).max() < 1.0 + 1e-9
-
-
-_JOBS: list[Job] = []
-
-
-def read_job_once() -> Job:
-    if not _JOBS:
-        _JOBS.append(read_job(EXAMPLE))
-    return _JOBS[0]
 
 
 def test_poles_apart_are_sections_of_one_or_two_states_and_a_chain_stays_together(job: Job) -> None:
