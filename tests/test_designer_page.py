@@ -101,8 +101,11 @@ def workbench(job: Path) -> Workbench:
 
 @pytest.fixture(scope="module")
 def server(workbench: Workbench) -> Iterator[PageServer]:
-    with served(workbench) as running:
-        yield running
+    with pytest.MonkeyPatch.context() as patch:
+        # Pages that were lost without a word are waited for a shorter time.
+        patch.setattr("platform_ctrl.designer.web.LINGER", 6_000)
+        with served(workbench) as running:
+            yield running
 
 
 @contextmanager
