@@ -133,6 +133,20 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     assert files(there) == before
 
 
+@pytest.mark.parametrize("option", ["--mat", "--mjcf", "--c"])
+def test_the_plant_that_the_job_reads_is_never_written_over(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", "gyro", "--like", "rate_gyro", "--out", str(tmp_path)]) == 0
+    before = files(tmp_path)
+    (tmp_path / "k.json").write_text("{}")
+    words = ["export", str(tmp_path / "gyro.toml"), "--controllers", str(tmp_path / "k.json")]
+    capsys.readouterr()
+    assert main([*words, option, str(tmp_path / "gyro_plant.toml")]) == 2
+    assert "something else" in capsys.readouterr().err
+    assert files(tmp_path) == before | {"k.json": b"{}"}
+
+
 def test_without_controllers_the_line_says_what_to_run(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (there / "out" / "result.json").unlink()
     assert "platform-ctrl design writes: run it first" in refused(capsys, "export", "job.toml", "--c", "c")

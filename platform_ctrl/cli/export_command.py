@@ -215,7 +215,7 @@ def export(
         needed = bool(folders) or mat is not None or fmu is not None
         wanted = needed or models is not None or controllers is not None
         file = _controllers(controllers, job, needed) if wanted else None
-        _judge_targets(job, file, files, folders)
+        _judge_targets([job, *_plant_file(job, read), *([file] if file else [])], files, folders)
         owned = {option: own_files(f"--{option}", path) for option, path in folders.items()}
         work = _Work(read, job, file, c_options, form, root, manoeuvre)
         made: dict[str, list[Path]] = {}
@@ -286,9 +286,14 @@ def _controllers(given: Path | None, job: Path, needed: bool) -> Path | None:
         return None
 
 
-def _judge_targets(job: Path, file: Path | None, files: dict[str, Path], folders: dict[str, Path]) -> None:
-    """Judge where everything is to be written, before the work."""
-    inputs = [job] if file is None else [job, file]
+def _plant_file(path: Path, job: Job) -> list[Path]:
+    """Return the plant file that a job names; none where its plant is shipped, or stands in the job."""
+    file = path.parent / job.plant
+    return [file] if file.is_file() else []
+
+
+def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str, Path]) -> None:
+    """Judge where everything is to be written, before the work; `inputs` are files that the command reads."""
     targets = files | folders
     for option, target in targets.items():
         others = [*inputs, *(other for name, other in targets.items() if name != option)]
