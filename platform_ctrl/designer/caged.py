@@ -19,37 +19,39 @@ from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.designer.curves import (
     channel_response,
     degrees,
-    degrees_beside,
     dense_grid,
-    gain_crossings,
     gain_locus,
-    gain_range,
     held_responses,
     round_up,
     sample_times,
 )
+from platform_ctrl.designer.parts import (
+    EDGE,
+    POINTS,
+    Band,
+    PictureParts,
+    around_in_time,
+    channel_margins,
+    frequency_parts,
+    settling,
+    step_size,
+)
 from platform_ctrl.designer.values import (
-    Bode,
     FrequencyGain,
     Locus,
     Margins,
-    Nichols,
     Overlay,
     Settings,
     TimeResponse,
 )
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
-from platform_ctrl.requirements import CheckResult
 from platform_ctrl.scenario import HalfCosine
 
 # Groups that a band shows: a part that fails is another story.
 _BAND = ("nominal", "spread", "Omega")
-_POINTS = 240
 # States of a closed loop up to which norms are worked out while a slider moves.
 _QUICK = 32
-# Sensitivities next to this frequency, against Nyquist's, belong to the edge of what is sampled.
-_EDGE = 0.999
 
 
 @value
@@ -76,25 +78,7 @@ class CagedLoop:
     controller: StateArrays
 
 
-@value
-class CagedParts:
-    """What a picture of a caging loop is made of."""
-
-    bode: Bode
-    nichols: Nichols
-    locus: Locus
-    step: TimeResponse
-    Omega_time: TimeResponse
-    Omega_frequency: FrequencyGain
-    margins: Margins
-    requirements: tuple[CheckResult, ...]
-    goals: tuple[CheckResult, ...]
-    stable: bool
-    all_stable: bool
-    notes: tuple[str, ...]
-
-
-def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
+def caged_parts(loop: CagedLoop, settings: Settings) -> PictureParts:
     """Return what is drawn for a caging loop."""
     spec, plants, K = loop.spec, loop.plants, loop.controller
     channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
@@ -111,11 +95,22 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> CagedParts:
     s = continuous_poles(shown.poles[0], plants.period)
     grid = _grid(loop.shown, s)
     response = shown_channel(loop.shown, K, grid, channel)
-    phase = degrees(response)
-    bode, nichols = _frequency_parts(loop, settings, channel, grid, response, phase, every, kept)
+    band = None
+    if every is not None:
+        responses = channel_response(every.S_input, channel)
+        band = Band(every.plants.labels, every.plants.frequency, responses)
+    bode, nichols = frequency_parts(
+        plants.torques[channel],
+        grid,
+        response,
+        math.pi / plants.period,
+        settings.plant,
+        band,
+        spec.limits.disk_margin,
+    )
     stable = bool(shown.decay[0] > 0.0)
     inside = plants.of(_BAND)
-    return CagedParts(
+    return PictureParts(
         bode=bode,
         nichols=nichols,
         locus=_locus(loop, s, every, exact),
@@ -157,7 +152,7 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
     nyquist = math.pi / plant.period
     own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
     low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    grid = dense_grid(np.concatenate([s, own]), low, _EDGE * nyquist)
+    grid = dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
     # The band's own frequencies among them: its phases are those of this curve and a difference.
     return np.union1d(grid, plant.frequency)
 
@@ -166,52 +161,6 @@ def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: in
     """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
     P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid)
     return channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
-
-
-def _frequency_parts(
-    loop: CagedLoop,
-    settings: Settings,
-    channel: int,
-    grid: FloatArray,
-    response: ComplexArray,
-    phase: FloatArray,
-    every: LoopFigures | None,
-    kept: np.ndarray,
-) -> tuple[Bode, Nichols]:
-    plants = loop.plants
-    magnitude = np.abs(response)
-    none = np.zeros(0)
-    w, low, high, phase_low, phase_high = none, none, none, none, none
-    labels: tuple[str, ...] = (settings.plant,)
-    phases, sizes, where = phase[None], magnitude[None], grid
-    if every is not None:
-        w = every.plants.frequency
-        at = np.searchsorted(grid, w)
-        responses = channel_response(every.S_input, channel)
-        sizes = np.abs(responses)
-        phases = degrees_beside(responses, response[at], phase[at])
-        low, high = np.minimum(sizes.min(axis=0), magnitude[at]), np.maximum(sizes.max(axis=0), magnitude[at])
-        phase_low, phase_high = np.minimum(phases.min(axis=0), phase[at]), np.maximum(phases.max(axis=0), phase[at])
-        first = [k for k, label in enumerate(every.plants.labels) if label == settings.plant][:1]
-        order = [*first, *(k for k in range(len(kept)) if k not in first)]
-        labels, sizes, phases, where = tuple(every.plants.labels[k] for k in order), sizes[order], phases[order], w
-    bode = Bode(
-        channel=plants.torques[channel],
-        frequency=grid,
-        response=response,
-        magnitude=magnitude,
-        phase=phase,
-        band_frequency=w,
-        magnitude_low=low,
-        magnitude_high=high,
-        phase_low=phase_low,
-        phase_high=phase_high,
-        crossovers=gain_crossings(grid, response)[0],
-        nyquist=math.pi / plants.period,
-    )
-    return bode, Nichols(
-        labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=loop.spec.limits.disk_margin
-    )
 
 
 def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
@@ -242,7 +191,7 @@ def _step(
     plants = loop.plants
     size = step_size(float(plants.torque_limit[channel]))
     duration = settling(s, shown.plants.nutation, plants.period, stable)
-    t, sampled_every = sample_times(duration, plants.period, _POINTS)
+    t, sampled_every = sample_times(duration, plants.period, POINTS)
     u = np.full(sampled_every * (len(t) - 1) + 1, size)
     m = shown.m
 
@@ -252,7 +201,7 @@ def _step(
 
     order = [*range(m, m + shown.p), *range(m)]
     own = responses(shown)[0][order]
-    low, high = _band(None if every is None else responses(every)[:, order], own)
+    low, high = around_in_time(None if every is None else responses(every)[:, order], own)
     return TimeResponse(
         title=f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
         t=t,
@@ -268,7 +217,7 @@ def _step(
 def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, axis: int) -> TimeResponse:
     plants = loop.plants
     title, duration, limit, rate = caged_rate(loop.job, axis, plants.nutation)
-    t, sampled_every = sample_times(duration, plants.period, _POINTS)
+    t, sampled_every = sample_times(duration, plants.period, POINTS)
     u = rate(np.arange(sampled_every * (len(t) - 1) + 1, dtype=np.float64) * plants.period)
     m, p = shown.m, shown.p
     largest = np.abs(u).max()
@@ -281,7 +230,7 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
 
     order = [*range(m, m + p), *range(m)]
     own = responses(shown)[0][order]
-    low, high = _band(None if every is None else responses(every)[:, order], own)
+    low, high = around_in_time(None if every is None else responses(every)[:, order], own)
     return TimeResponse(
         title=title,
         t=t,
@@ -293,12 +242,6 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
         drive=u[::sampled_every] / (largest if largest > 0.0 else 1.0),
         limit=limit,
     )
-
-
-def _band(every: FloatArray | None, own: FloatArray) -> tuple[FloatArray, FloatArray]:
-    if every is None:
-        return np.zeros((len(own), 0)), np.zeros((len(own), 0))
-    return np.minimum(every.min(axis=0), own), np.maximum(every.max(axis=0), own)
 
 
 def caged_rate(
@@ -375,22 +318,14 @@ def _margins(
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
     worst = int(inside[np.argmin(measures.disk_margin[inside])])
-    w, above = gain_crossings(grid, response)
-    down, up = gain_range(response) if stable else (math.nan, math.nan)
     found = min(
         bandwidth_of_response(shown.plants.frequency, S[0]) if stable else 0.0 for S in (shown.S_output, shown.S_input)
     )
-    # Phase that may be lost: how far above -180 degrees, taken upwards from there.
-    lead = np.radians(above % 360.0)
     return Margins(
         disk=shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0]),
         worst_disk=float(measures.disk_margin[worst]),
         worst_plant=plants.labels[worst],
-        gain_up=up,
-        gain_down=down,
-        phase=float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
-        delay=float((lead / w).min(initial=math.inf)) if stable else math.nan,
-        crossover=float(w[-1]) if len(w) else None,
+        **channel_margins(grid, response, stable)._asdict(),
         bandwidth=float(found),
         damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
     )
@@ -407,20 +342,3 @@ class _DiskMargin:
 
 
 DISK = _DiskMargin()
-
-
-def step_size(limit: float) -> float:
-    """Return the torque step that is shown, N m: about a tenth of what the torquer can do, 1 mN m without a limit."""
-    if not math.isfinite(limit):
-        return 1e-3
-    return round_up(0.05 * limit)
-
-
-def settling(s: ComplexArray, nutation: float, period: float, stable: bool) -> float:
-    """Return how long a step response is worth seeing, s: 1, 2 or 5 times a power of ten."""
-    shortest = max(40.0 * period, 2.0 * math.pi / nutation)
-    if not stable:
-        return round_up(10.0 * shortest)
-    decay = -s.real[np.isfinite(s)]
-    slowest = float(decay.min(initial=math.inf))
-    return round_up(float(np.clip(5.0 / slowest if slowest > 0.0 else math.inf, shortest, 400.0 * shortest)))

@@ -164,7 +164,7 @@ class Closing:
         start = self.start
         return (
             dict(settings.options[loop][design]) != dict(start.options[loop][design])
-            or settings.optional.get(loop, {}).get(design, ()) != start.optional.get(loop, {}).get(design, ())
+            or settings.parts_on(loop, design) != start.parts_on(loop, design)
             or settings.rate_hz != start.rate_hz
             or dict(settings.spins) != dict(start.spins)
         )
@@ -176,20 +176,14 @@ class Closing:
             return dict(options)
         quick = self.quick(spec)
         channel, period = quick.channels(settings.spins), 1.0 / settings.rate_hz
-        parts = settings.optional.get(spec.name, {}).get(design.name, ())
+        parts = settings.parts_on(spec.name, design.name)
         return starting_values(
             classical_numbers(options, parts, channel), channel, self._nutation(settings, spec), period
         )
 
     def key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
         """Return all that a design of a method depends on."""
-        return (
-            self.options_key(settings.options[spec.name][design.name]),
-            settings.rate_hz,
-            settings.delay,
-            tuple(sorted(settings.spins.items())),
-            tuple(map(float, self._range(settings))),
-        )
+        return (self.options_key(settings.options[spec.name][design.name]), self._plant_key(settings))
 
     @staticmethod
     def options_key(options: Mapping[str, float]) -> Hashable:
@@ -272,7 +266,7 @@ class Closing:
                 spec.name,
                 settings.closed[spec.name],
                 tuple(sorted(settings.options[spec.name][settings.closed[spec.name]].items())),
-                settings.optional.get(spec.name, {}).get(settings.closed[spec.name], ()),
+                settings.parts_on(spec.name, settings.closed[spec.name]),
             )
             for spec in self.read.loops
             if spec.kind == "caging"
@@ -360,13 +354,12 @@ class Closing:
             torquers: Sequence[str] = P.torques
         else:
             whole, _ = self.stabilised(settings)
-            _, at, _, torquers = whole.joined(whole.shown)
+            _, at, torquers = whole.joined(whole.shown)
             here = whole.controllers[[one.name for one in self.read.loops].index(spec.name)].name
             A, B, C, D, dt = whole.shown.arrays
             plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
 
-        def build(numbers: object) -> StateArrays:
-            assert isinstance(numbers, dict)
+        def build(numbers: Mapping[str, float]) -> StateArrays:
             mine = {**settings.options[spec.name], design.name: {**settings.options[spec.name][design.name], **numbers}}
             new = settings.but(options={**settings.options, spec.name: mine})
             if spec.kind == "caging":
@@ -389,7 +382,7 @@ class Closing:
         quick = self.quick(spec)
         options, period = settings.options[spec.name][design.name], 1.0 / settings.rate_hz
         if design.method == "classical":
-            parts = settings.optional.get(spec.name, {}).get(design.name, ())
+            parts = settings.parts_on(spec.name, design.name)
             return classical_arrays(
                 options, parts, quick.channels(settings.spins), self._nutation(settings, spec), period
             )[0], ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from platform_ctrl.analysis.arrays import StateArrays
@@ -50,9 +51,9 @@ def full_options(design: DesignSpec, channel: Channels, nutation: float, period:
     rate_hz = 1.0 / period
     more = {"lag_hz": 0.1 * starting_values(given, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
     if len(channel.momenta):
-        more |= {"notch_hz": min(nutation / 6.283185307179586, 0.35 * rate_hz), "notch_depth": 0.7, "notch_width": 0.3}
+        more |= {"notch_hz": min(nutation / math.tau, 0.35 * rate_hz), "notch_depth": 0.7, "notch_width": 0.3}
     if len(channel.spins):
-        spin = float(channel.spins.mean()) / 6.283185307179586
+        spin = float(channel.spins.mean()) / math.tau
         more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
     return starting_values(more | given, channel, nutation, period)
 

@@ -16,22 +16,28 @@ from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
-from platform_ctrl.designer.caged import CagedParts, settling, step_size
 from platform_ctrl.designer.curves import (
     arrays_of,
     channel_response,
-    degrees,
-    degrees_beside,
     dense_grid,
-    gain_crossings,
     gain_locus,
-    gain_range,
     held_responses,
     moved_by_gain,
     sample_times,
 )
 from platform_ctrl.designer.free_plants import ATTITUDE, FreePlants
-from platform_ctrl.designer.values import Bode, FrequencyGain, Locus, Margins, Nichols, Settings, TimeResponse
+from platform_ctrl.designer.parts import (
+    EDGE,
+    POINTS,
+    Band,
+    PictureParts,
+    around_in_time,
+    channel_margins,
+    frequency_parts,
+    settling,
+    step_size,
+)
+from platform_ctrl.designer.values import FrequencyGain, Locus, Margins, Settings, TimeResponse
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec
@@ -41,8 +47,6 @@ from platform_ctrl.requirements import CheckResult
 if TYPE_CHECKING:
     import control
 
-_POINTS = 240
-_EDGE = 0.999
 # Relative tolerance of the structured singular value on a grid.
 _MU = 1e-4
 
@@ -75,15 +79,15 @@ class StabilisedLoop:
     plants: FreePlants
     shown: FreePlants
 
-    def joined(self, plants: FreePlants) -> tuple[StateArrays, list[int], list[int], tuple[str, ...]]:
-        """Return all controllers as one, the plants' inputs and outputs that it uses, and its torquers."""
+    def joined(self, plants: FreePlants) -> tuple[StateArrays, list[int], tuple[str, ...]]:
+        """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
         used = {name for K in self.controllers for name in K.output_labels}
         torquers = [name for name in plants.torquers if name in used]
         K = joined_arrays(self.controllers, plants.sensors, torquers, plants.period)
-        return K, [plants.torquers.index(name) for name in torquers], list(range(len(plants.sensors))), tuple(torquers)
+        return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
-def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> CagedParts:
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> PictureParts:
     """Return what is drawn for the free platform.
 
     Raises
@@ -91,7 +95,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Ca
     DesignError
         No controller acts on the platform.
     """
-    K, at, _, torquers = loop.joined(loop.shown)
+    K, at, torquers = loop.joined(loop.shown)
     roots = [t.name for t in loop.job.platform.torquers if t.root_axis is not None and t.name in torquers]
     if not roots:
         raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; expected a servo")
@@ -107,32 +111,30 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Ca
     S = _sensitivity(P, K, grid)
     response = channel_response(S, channel)
     banded = bool(settings.band and len(loop.plants.labels) > 1)
-    bode, nichols, worst = _frequency_parts(loop, settings, K, at, channel, grid, response, name, banded)
+    band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
+    bode, nichols = frequency_parts(
+        name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
+    )
     poles = _set_poles(loop, K, at) if banded else s[None]
     step, low_frequency = _turning(loop, settings, K, at, grid, s, stable, banded)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
     results = requirements(loop, kept, (s, grid, S) if at_rest else None)
-    w, above = gain_crossings(grid, response)
-    down, up = gain_range(response) if stable else (math.nan, math.nan)
+    channel_own = channel_margins(grid, response, stable)
     own = float(_peak_margins(P, K, [channel], grid, S)[0]) if stable else 0.0
     inside = np.all(spectral_abscissa(poles) < 0.0) if banded else stable
-    reference = max(float(w[-1]) if len(w) else 1.0, 1.0)
-    return CagedParts(
+    reference = max(channel_own.crossover or 1.0, 1.0)
+    return PictureParts(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, settings, P, K, channel, s, poles, reference),
+        locus=_locus(loop, P, K, s, poles, reference),
         step=step,
         Omega_time=_rate_step(loop, settings, K, at, s, stable, banded),
         Omega_frequency=low_frequency,
         margins=Margins(
             disk=own,
-            worst_disk=min(own, worst[0]) if inside else 0.0,
-            worst_plant=worst[1] if worst[0] < own else settings.plant,
-            gain_up=up,
-            gain_down=down,
-            phase=float(np.abs(above).min(initial=math.inf)) if stable else math.nan,
-            delay=float((np.radians(above % 360.0) / w).min(initial=math.inf)) if stable else math.nan,
-            crossover=float(w[-1]) if len(w) else None,
+            worst_disk=min(own, worst) if inside else 0.0,
+            worst_plant=worst_plant if worst < own else settings.plant,
+            **channel_own._asdict(),
             bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
             damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
         ),
@@ -153,7 +155,7 @@ def requirements(
     a grid, and S there, where they are at hand.
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
-    K, at, _, torquers = loop.joined(loop.plants)
+    K, at, torquers = loop.joined(loop.plants)
     P = _used(loop.plants.arrays, 0, at)
     A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
     s = continuous_poles(pole_arrays(A), P.dt) if known is None else known[0]
@@ -219,7 +221,7 @@ def _grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
     own = continuous_poles(pole_arrays(P.A), P.dt)
     # Free poles at z = 1 are integrators, no resonances.
-    return dense_grid(np.concatenate([s, own]), low, _EDGE * nyquist)
+    return dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
 
 
 def _peak_margins(
@@ -260,55 +262,13 @@ def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexAr
     return 1.0 / upper, 1.0 / lower if lower > 0.0 else math.inf
 
 
-def _frequency_parts(
-    loop: StabilisedLoop,
-    settings: Settings,
-    K: StateArrays,
-    at: list[int],
-    channel: int,
-    grid: FloatArray,
-    response: ComplexArray,
-    name: str,
-    banded: bool,
-) -> tuple[Bode, Nichols, tuple[float, str]]:
-    magnitude, phase = np.abs(response), degrees(response)
-    none = np.zeros(0)
-    w, low, high, phase_low, phase_high = none, none, none, none, none
-    labels: tuple[str, ...] = (settings.plant,)
-    phases, sizes, where = phase[None], magnitude[None], grid
-    worst = (math.inf, settings.plant)
-    if banded:
-        w = loop.plants.frequency
-        at_grid = np.searchsorted(grid, w)
-        S = sensitivities(
-            -frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at]
-        )[0]
-        responses = channel_response(S, channel)
-        sizes = np.abs(responses)
-        phases = degrees_beside(responses, response[at_grid], phase[at_grid])
-        here, here_phase = magnitude[at_grid], phase[at_grid]
-        low, high = np.minimum(sizes.min(axis=0), here), np.maximum(sizes.max(axis=0), here)
-        phase_low, phase_high = np.minimum(phases.min(axis=0), here_phase), np.maximum(phases.max(axis=0), here_phase)
-        peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
-        k = int(np.argmax(peaks))
-        worst = (1.0 / float(peaks[k]), loop.plants.labels[k])
-        labels, where = loop.plants.labels, w
-    bode = Bode(
-        channel=name,
-        frequency=grid,
-        response=response,
-        magnitude=magnitude,
-        phase=phase,
-        band_frequency=w,
-        magnitude_low=low,
-        magnitude_high=high,
-        phase_low=phase_low,
-        phase_high=phase_high,
-        crossovers=gain_crossings(grid, response)[0],
-        nyquist=math.pi / loop.shown.period,
-    )
-    asked = loop.job.coupled.disk_margin
-    return bode, Nichols(labels=labels, phase=phases, magnitude=sizes, frequency=where, disk_margin=asked), worst
+def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> tuple[Band, float, str]:
+    """Return the loops of all plants broken at a channel, and the least of their margins there with its plant."""
+    w = loop.plants.frequency
+    S = sensitivities(-frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at])[0]
+    peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
+    k = int(np.argmax(peaks))
+    return Band(loop.plants.labels, w, channel_response(S, channel)), 1.0 / float(peaks[k]), loop.plants.labels[k]
 
 
 def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
@@ -317,23 +277,16 @@ def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexAr
 
 
 def _locus(
-    loop: StabilisedLoop,
-    settings: Settings,
-    P: StateArrays,
-    K: StateArrays,
-    channel: int,
-    s: ComplexArray,
-    poles: ComplexArray,
-    crossover: float,
+    loop: StabilisedLoop, P: StateArrays, K: StateArrays, s: ComplexArray, poles: ComplexArray, crossover: float
 ) -> Locus:
     """The servo's gain varies on all root axes; the caging loops stay closed as they are."""
     roots = {t.name for t in loop.job.platform.torquers if t.root_axis is not None}
-    names = loop.joined(loop.shown)[3]
+    names = loop.joined(loop.shown)[2]
     moving = np.array([name in roots for name in names])
     inner = StateArrays(K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt)
     # Both halves read the same states of the controller: close the inner rows first, then the rest as feedback.
-    A, B, C, D = closed_loop_arrays(*P[:4], *inner[:4])
-    n, m = len(P.A), P.B.shape[1]
+    A, B, _, _ = closed_loop_arrays(*P[:4], *inner[:4])
+    m = P.B.shape[1]
     feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
     if P.D.any():
         gains, branches = gain_locus(P, K, points=32)
@@ -341,7 +294,6 @@ def _locus(
         closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
         static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
         gains, branches = gain_locus(closed, static, points=32)
-    del n, C, D, channel, settings
     finite = np.isfinite(s)
     size = np.where(finite, np.abs(s), np.inf)
     nyquist = math.pi / P.dt
@@ -360,10 +312,8 @@ def _locus(
     )
 
 
-def _responses(
-    plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int, to_rate: bool
-) -> FloatArray:
-    """Return attitude (3), angles and torques after a torque on the platform (or a step of its rate) about `axis`."""
+def _responses(plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int) -> FloatArray:
+    """Return attitude (3), angles and torques after a torque on the platform about `axis`."""
     A, B, C, D, _ = plants.turned
     m, p = len(plants.torquers), len(plants.sensors)
     loops = closed_loop_arrays(A, B, C, D, *K[:4], torques=at, angles=list(range(p)))
@@ -371,7 +321,6 @@ def _responses(
     k = len(at)
     order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)]
     column = slice(m + axis - 1, m + axis)
-    del to_rate
     return held_responses(a, b[..., column], c[..., order, :], d[..., order, column], u, every)
 
 
@@ -388,13 +337,10 @@ def _turning(
     axis, period = settings.axis, loop.shown.period
     size, title, limit = _acting(loop, axis)
     slow = s[np.isfinite(s) & (np.abs(s) < math.pi / period)]
-    t, every = sample_times(settling(slow, 2e3 * period / period**2 / 40.0, period, stable), period, _POINTS)
+    t, every = sample_times(settling(slow, 50.0 / period, period, stable), period, POINTS)
     u = np.full(every * (len(t) - 1) + 1, size)
-    own = _responses(loop.shown, K, at, axis, u, every, False)[0]
-    low, high = np.zeros((len(own), 0)), np.zeros((len(own), 0))
-    if banded:
-        others = _responses(loop.plants, K, at, axis, u, every, False)
-        low, high = np.minimum(others.min(axis=0), own), np.maximum(others.max(axis=0), own)
+    own = _responses(loop.shown, K, at, axis, u, every)[0]
+    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
     torquers = [loop.shown.torquers[k] for k in at]
     rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
     step = TimeResponse(
@@ -457,17 +403,12 @@ def _rate_step(
 ) -> TimeResponse:
     """The attitude after an impulse of torque that would turn the free platform by 1 mrad/s about the axis."""
     axis, period = settings.axis, loop.shown.period
-    t, every = sample_times(settling(s, 50.0 / period, period, stable), period, _POINTS)
+    t, every = sample_times(settling(s, 50.0 / period, period, stable), period, POINTS)
     u = np.zeros(every * (len(t) - 1) + 1)
     u[0] = 1e-3 * float(loop.model.root_inertia[axis - 1, axis - 1]) / period
-    own = _responses(loop.shown, K, at, axis, u, every, True)[0]
-    low, high = np.zeros((len(own), 0)), np.zeros((len(own), 0))
-    if banded:
-        others = _responses(loop.plants, K, at, axis, u, every, True)
-        low, high = np.minimum(others.min(axis=0), own), np.maximum(others.max(axis=0), own)
-    p, k = len(loop.shown.sensors), len(at)
-    kept = [*range(3 + p)]
-    del k
+    own = _responses(loop.shown, K, at, axis, u, every)[0]
+    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
+    kept = slice(0, 3 + len(loop.shown.sensors))
     rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
     drive = np.zeros(len(t))
     drive[0] = 1.0

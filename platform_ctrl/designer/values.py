@@ -104,6 +104,29 @@ class Settings:
         """
         return dataclasses.replace(self, **changes)
 
+    def parts_on(self, loop: str, design: str) -> tuple[str, ...]:
+        """Return the optional parts of a design that are switched on.
+
+        Parameters
+        ----------
+        loop, design
+            Names.
+
+        Returns
+        -------
+        tuple of str
+            Empty where nothing is known of them.
+
+        Notes
+        -----
+        The arguments are not judged.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        return self.optional.get(loop, {}).get(design, ())
+
     def data(self) -> dict[str, Any]:
         """Return everything as JSON knows it; two settings are the same where these dicts are.
 

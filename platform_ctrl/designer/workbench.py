@@ -12,12 +12,13 @@ import numpy as np
 
 from platform_ctrl.arguments import known_name, short, whole
 from platform_ctrl.designer import background
-from platform_ctrl.designer.caged import CagedLoop, CagedParts, caged_overlay, caged_parts
+from platform_ctrl.designer.caged import CagedLoop, caged_overlay, caged_parts
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.designer.drafting import Drafting
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
+from platform_ctrl.designer.parts import PictureParts
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
 from platform_ctrl.designer.saving import Saved, controllers_beside, save
 from platform_ctrl.designer.stabilised import stabilised_parts
@@ -263,7 +264,7 @@ class Workbench:
         """
         spec, design = self._closing.design(settings)
         options = settings.options[spec.name][design.name]
-        parts = settings.optional.get(spec.name, {}).get(design.name, ())
+        parts = settings.parts_on(spec.name, design.name)
         start = self._start.options[spec.name][design.name]
         movable = MOVABLE.get(design.method, frozenset())
         own = option_knobs(design.method, options, start, settings.rate_hz, settings.fixed, movable)
@@ -296,7 +297,7 @@ class Workbench:
         See docs/designer.md.
         """
         spec, design = self._closing.design(settings)
-        on = settings.optional.get(spec.name, {}).get(design.name, ())
+        on = settings.parts_on(spec.name, design.name)
         known = settings.options[spec.name][design.name]
         return tuple(
             Part(name=name, label=PARTS[name][0], on=name in on, tip=PARTS[name][1])
@@ -332,7 +333,7 @@ class Workbench:
         """
         spec, design = self._closing.design(settings)
         known_name("part", part, tuple(one.name for one in self.parts(settings)))
-        now = set(settings.optional.get(spec.name, {}).get(design.name, ())) - {part}
+        now = set(settings.parts_on(spec.name, design.name)) - {part}
         mine = {**settings.optional.get(spec.name, {}), design.name: tuple(sorted(now | {part} if on else now))}
         return settings.but(optional={**settings.optional, spec.name: mine})
 
@@ -404,7 +405,7 @@ class Workbench:
             **{one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)},
         )
 
-    def _parts(self, settings: Settings) -> CagedParts:
+    def _parts(self, settings: Settings) -> PictureParts:
         spec, _ = self._closing.design(settings)
         if spec.kind != "caging":
             free, told = self._closing.stabilised(settings)
