@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from generated_c import Machine, classical_entry, compiled, entry
+from generated_c import Machine, classical_entry, compiled, compiler, entry
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.errors import ArgumentError, InputError
@@ -20,7 +21,7 @@ from platform_ctrl.export import write_c
 from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
 from platform_ctrl.export.code.from_design import same_response, scheme_of, with_excess
-from platform_ctrl.export.code.identifiers import comment, field_names, identifier
+from platform_ctrl.export.code.identifiers import FILES, Names, comment, field_names, identifier
 from platform_ctrl.export.code.scheme import Provenance, Row, Scheme, Section, Term, arrays, excess_gain
 from platform_ctrl.export.code.windup import back_calculation, integrating
 from platform_ctrl.frozen import FloatArray
@@ -188,8 +189,21 @@ def test_random_controllers_compiled_are_what_their_matrices_say(job: Job, tmp_p
 
 def hostile() -> Scheme:
     """A scheme whose names are meant to break out of identifiers and comments."""
-    inputs = ("int", "π/2", "a b", "a-b", "9 lives", "*/ #error x /*", "Q_commanded", "NULL", "x\\", "??/")
-    outputs = ("Q", "class", "last", "Zähler №5", "DBL_MAX")
+    inputs = (
+        "int",
+        "π/2",
+        "a b",
+        "a-b",
+        "9 lives",
+        "*/ #error x /*",
+        "Q_commanded",
+        "NULL",
+        "x\\",
+        "??/",
+        "excess Q",
+        "k Q from int",
+    )
+    outputs = ("Q", "class", "last", "limited Q", "DBL_MAX")
     terms = tuple(Term(coefficient=0.5 + k, source=name) for k, name in enumerate(inputs))
     held = tuple(Term(coefficient=0.5, source=name, name="*/") for name in ("while", "last state"))
     section = Section(
@@ -198,7 +212,7 @@ def hostile() -> Scheme:
         states=(Row(target="while", terms=held), Row(target="last state", terms=(*held, terms[0]))),
     )  # fmt: skip
     return Scheme(
-        name="*/ main() { } /* for \n while", inputs=inputs, input_units=("*/",) * 10, outputs=outputs,
+        name="*/ main() { } /* for \n while", inputs=inputs, input_units=("*/",) * 12, outputs=outputs,
         output_units=("N m",) * 5, sections=(section,), torque_limits=(0.5, np.inf, 2.0, np.inf, 1.0),
         excess=(Row(target="while", terms=(Term(coefficient=0.1, source="Q"),)),), period=0.001, delay=0.00025,
         provenance=Provenance(job="*/ x ??/", plant="\n#error", loop="π", design="/*", method="*/", command="a \\\n b"),
@@ -209,7 +223,7 @@ def hostile() -> Scheme:
 def test_hostile_names_become_identifiers_and_comments(name: str, tmp_path: Path) -> None:
     scheme = hostile()
     signals = field_names([*scheme.inputs, *scheme.outputs])
-    assert len({s.lower() for s in signals.values()}) == 15
+    assert len({s.lower() for s in signals.values()}) == 17
     files = []
     for number in ("double", "float"):
         unit = Unit(scheme=scheme, number=number, prefix=f"for_{number}", signals=signals)
@@ -219,6 +233,11 @@ def test_hostile_names_become_identifiers_and_comments(name: str, tmp_path: Path
             files[-1].write_text(text)
     library = compiled(files, tmp_path / "lib.so", name)
     if name == "gcc":
+        for flag in ("-ffast-math", "-ffinite-math-only"):
+            command = [compiler(), flag, "-fsyntax-only", str(files[1])]
+            told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            assert told.returncode != 0
+            assert "compile without" in told.stderr
         fields = [signals[n] for n in scheme.outputs]
         made = Machine(
             library,
@@ -227,8 +246,8 @@ def test_hostile_names_become_identifiers_and_comments(name: str, tmp_path: Path
             [*fields, *(f"{field}_commanded" for field in fields)],
             ctypes.c_double,
         )
-        out, status = made.step([1e-2] * 10)
-        total = 1e-2 * sum(0.5 + k for k in range(10))
+        out, status = made.step([1e-2] * 12)
+        total = 1e-2 * sum(0.5 + k for k in range(12))
         assert out == pytest.approx([total if total < 0.5 else 0.5] + [total] * 9)
         assert status == int(total > 0.5)
 
@@ -237,6 +256,11 @@ def test_identifiers_and_comments_are_safe() -> None:
     assert identifier("caging 4-5-7") == "caging_4_5_7"
     assert identifier("α9") == "alpha9"
     assert identifier("int") == "int_n"
+    assert identifier("int16_t") == "int16_t_n"
+    assert Names(24, FILES)["stdint"] == "stdint_2"
+    names = Names()
+    assert names["limited", "Q"] != names["limited Q"]
+    assert names["limited", "Q"] == names["limited", "Q"]
     assert identifier("5") == "n5"
     assert identifier("***") == "n"
     assert identifier("__x__") == "x"

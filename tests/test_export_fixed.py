@@ -26,6 +26,7 @@ from platform_ctrl.errors import ArgumentError, InfeasibleError, InputError, Sim
 from platform_ctrl.export import write_c
 from platform_ctrl.export.code.entries import entries_of
 from platform_ctrl.export.code.from_design import scheme_of, with_excess
+from platform_ctrl.export.code.identifiers import field_names
 from platform_ctrl.export.code.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.code.windup import back_calculation
 from platform_ctrl.export.fixed.emission import Unit, header, source
@@ -450,6 +451,43 @@ def test_whatever_is_lowered_keeps_its_bounds(number: str, case: tuple[Scheme, f
 def _integrals(made: Scheme) -> list[str]:
     rows = [row for section in made.sections for row in section.states]
     return [row.target for row in rows if any(t.source == row.target and t.coefficient == 1.0 for t in row.terms)]
+
+
+def test_names_that_the_code_itself_has_are_no_obstacle(tmp_path: Path) -> None:
+    names = ("int16_t", "within", "excess of Q", "noise of Q", "limited Q", "next x", "k Q from within", "shifted64")
+    taken = {name: 0.1 + 0.01 * k for k, name in enumerate(names)}
+    section = Section(
+        name="all",
+        kind="states",
+        signals=(Row(target="Q", terms=terms(x=1.0, **taken)),),
+        states=(Row(target="x", terms=terms(x=0.6, **taken)),),
+    )
+    made = Scheme(
+        name="names",
+        inputs=names,
+        input_units=("rad",) * len(names),
+        outputs=("Q",),
+        output_units=("N m",),
+        sections=(section,),
+        torque_limits=(0.5,),
+        excess=(Row(target="x", terms=terms(Q=0.1)),),
+        period=0.001,
+        delay=0.001,
+    )
+    fixed = fixed_point(made, dict.fromkeys(names, 1.0))
+    signals = field_names([*names, "Q"])
+    unit = Unit(fixed=fixed, prefix="names", signals=signals)
+    files = [tmp_path / "names.h", tmp_path / "names.c"]
+    files[0].write_text(header(unit))
+    files[1].write_text(source(unit))
+    compiled(files, tmp_path / "cpp.so", "g++")
+    library = compiled(files, tmp_path / "c.so")
+    machine = Machine(fixed)
+    # The command before its limit stands behind Q, as wide as it may be.
+    run = CompiledMachine(library, "names", [signals[name] for name in names], ["Q", "a", "b", "c"], ctypes.c_int32)
+    for _ in range(3):
+        out, _ = run.step([2**28 + 1] * len(names))
+        assert tuple(out[:1]) == machine.step([2**28 + 1] * len(names))
 
 
 def test_beyond_its_range_an_input_counts_as_the_end_of_the_range(programmes: dict[str, FixedPoint]) -> None:

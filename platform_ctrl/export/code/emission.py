@@ -200,11 +200,11 @@ class _Source:
         constants, statements = [], []
         for name, what in zip(self.scheme.outputs, self.scheme.output_units, strict=True):
             if name in self.limits:
-                bound = self.locals[f"limit {name}"]
+                bound = self.locals["limit", name]
                 number = literal(self.limits[name], self.kind)
                 constants.append(f"{_INNER}static const {self.kind} {bound} = {number}; /* {comment(what)} */")
                 cut = f"{self.unit.prefix}_limited({self.reads[name]}, {bound})"
-                statements.append(f"{_INNER}const {self.kind} {self.locals[f'limited {name}']} = {cut};")
+                statements.append(f"{_INNER}const {self.kind} {self.locals['limited', name]} = {cut};")
         return constants, statements
 
     def _excess(self) -> tuple[list[str], list[str]]:
@@ -213,19 +213,19 @@ class _Source:
         statements: list[str] = []
         rows = acting_excess(self.scheme)
         for name in dict.fromkeys(term.source for row in rows for term in row.terms):
-            over = self.reads[f"excess {name}"] = self.locals[f"excess {name}"]
-            cut = self.locals[f"limited {name}"]
+            over = self.reads[f"excess\n{name}"] = self.locals["excess", name]
+            cut = self.locals["limited", name]
             statements.append(f"{_INNER}const {self.kind} {over} = {cut} - {self.reads[name]};")
         for row in rows:
-            terms = tuple(Term(coefficient=t.coefficient, source=f"excess {t.source}") for t in row.terms)
+            terms = tuple(Term(coefficient=t.coefficient, source=f"excess\n{t.source}") for t in row.terms)
             back = Row(target=row.target, terms=terms)
-            before, after = self._next(row.target), f"unwound {row.target}"
+            before, after = self._next(row.target), ("unwound", row.target)
             statements += self._sum(self.locals[after], back, "", constants, before)
-            self.locals.rename(f"next {row.target}", after)
+            self.locals.rename(("next", row.target), after)
         return constants, statements
 
     def _next(self, state: str) -> str:
-        return self.locals[f"next {state}"]
+        return self.locals["next", state]
 
     def _sum(self, target: str, row: Row, label: str, constants: list[str], first: str = "") -> list[str]:
         """Return the statement that makes `target` the sum of a row, on one line or a product a line."""
@@ -263,7 +263,7 @@ class _Source:
             "",
             "#include <float.h>",
             "",
-            "#ifdef __FAST_MATH__",
+            "#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))",
             '#error "numbers that are not finite could not be told from others: compile without -ffast-math"',
             "#endif",
             "",
@@ -324,11 +324,11 @@ class _Source:
         ]
         for name in s.outputs:
             last, command = f"{_INNER}    state->last.{self.unit.signals[name]}", self.reads[name]
-            given = self.locals[f"limited {name}"] if name in self.limits else command
+            given = self.locals["limited", name] if name in self.limits else command
             lines += [f"{last} = {given};", f"{last}_commanded = {command};"]
         lines += [f"{_INNER}    state->{self.states[name]} = {self._next(name)};" for name in s.states]
         for name in self.limits:
-            command, bound = self.reads[name], self.locals[f"limit {name}"]
+            command, bound = self.reads[name], self.locals["limit", name]
             lines += [
                 f"{_INNER}    if (({command} > {bound}) || ({command} < -{bound})) {{",
                 f"{_INNER}        status = {p.upper()}_LIMITED;",

@@ -22,6 +22,14 @@ _WORDS = """
     in out state status last
 """
 _RESERVED = frozenset(_WORDS.split())
+# Headers of the standard libraries, which a file of that name would hide, and what Windows keeps for devices.
+_FILES = """
+    assert ccomplex complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg
+    stdatomic stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+    malloc memory poll pthread sched strings unistd new version aux con nul prn com1 com2 com3 com4 com5 com6 com7
+    com8 com9 lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9
+"""
+FILES = tuple(_FILES.split())
 # What generated code appends to a signal's name.
 _ENDINGS = ("_commanded", "_status")
 
@@ -41,12 +49,12 @@ class Names:
         self._longest = longest
         # Compared without case: identifiers become file names and macros too.
         self._used = {name.lower() for name in taken}
-        self._known: dict[str, str] = {}
+        self._known: dict[str | tuple[str, ...], str] = {}
 
-    def __getitem__(self, name: str) -> str:
-        """Return the identifier of `name`."""
+    def __getitem__(self, name: str | tuple[str, ...]) -> str:
+        """Return the identifier of `name`; what is made from one is given in words, and is no other's name."""
         if name not in self._known:
-            self._known[name] = self.new(name)
+            self._known[name] = self.new(name if isinstance(name, str) else " ".join(name))
         return self._known[name]
 
     def new(self, name: str) -> str:
@@ -59,7 +67,7 @@ class Names:
         self._used.add(out.lower())
         return out
 
-    def rename(self, name: str, as_name: str) -> None:
+    def rename(self, name: str | tuple[str, ...], as_name: str | tuple[str, ...]) -> None:
         """Let `name` give the identifier of another name from now on."""
         self._known[name] = self[as_name]
 
@@ -119,8 +127,8 @@ def identifier(name: str, longest: int = 48) -> str:
         out = head if len(head) > longest // 2 and last else out[:longest].rstrip("_")
     if not out or out[0].isdigit():
         out = f"n{out}"[:longest]
-    # Macros are written in capitals.
-    if out in _RESERVED or out.lower() in _RESERVED or ("_" in out and out.isupper()):
+    # Macros are written in capitals, types of systems end in _t.
+    if out in _RESERVED or out.lower() in _RESERVED or ("_" in out and out.isupper()) or out.lower().endswith("_t"):
         out = f"{out[: longest - 2]}_n"
     return out
 

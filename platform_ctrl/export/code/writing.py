@@ -15,7 +15,7 @@ from platform_ctrl.export.code.emission import Unit, header, source
 from platform_ctrl.export.code.entries import Entry, entries_of
 from platform_ctrl.export.code.float_error import TOLD, float_error
 from platform_ctrl.export.code.from_design import scheme_of, with_excess
-from platform_ctrl.export.code.identifiers import Names, field_names
+from platform_ctrl.export.code.identifiers import FILES, Names, field_names
 from platform_ctrl.export.code.job_emission import job_header, job_source
 from platform_ctrl.export.code.scheme import Provenance, Scheme, excess_gain
 from platform_ctrl.export.code.windup import Windup, back_calculation, proved
@@ -234,7 +234,7 @@ def _floating_texts(
     signals: dict[str, str],
     number: Literal["double", "float"],
 ) -> tuple[dict[str, str], list[str]]:
-    prefixes = Names(24)
+    prefixes = Names(24, FILES)
     texts: dict[str, str] = {}
     notes: list[str] = []
     units = []
@@ -258,7 +258,7 @@ def _integer_texts(
     # Ball arithmetic is loaded when it is needed.
     from platform_ctrl.export.fixed import emission, job_emission
 
-    prefixes = Names(24)
+    prefixes = Names(24, FILES)
     units = [
         emission.Unit(fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark,))
         for one, remark in zip(made, remarks, strict=True)

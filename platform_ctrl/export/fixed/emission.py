@@ -139,7 +139,7 @@ class _Source:
         self.locals = Names(56, (*own, "within", "shifted32", "shifted64"))
         self.constants: list[str] = []
         # Which product a name of its own belongs to: another one of that name is named by its ends.
-        self.owners: dict[str, str] = {}
+        self.owners: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.reads: dict[str, str] = {}
         self.limited = [name for name in self.scheme.outputs if self.formats[name].saturates]
         self.needed = _needed(fixed)
@@ -242,7 +242,7 @@ class _Source:
             return []
         lines = ["", "    /* Limits of the torquers */"]
         for name in self.limited:
-            local, form = self.locals[f"limited {name}"], self.formats[name]
+            local, form = self.locals["limited", name], self.formats[name]
             kind = integer(form.bits)
             lines.append(f"    const {kind} {local} = ({kind})within({self.reads[name]}, {literal(form.largest, 64)});")
         cut = [name for name in self.limited if excess_of(name) in self.sources]
@@ -250,7 +250,7 @@ class _Source:
             lines += ["", *remark("Anti-windup: what the limits cut off goes back into the states", "    ")]
         for name in cut:
             local = self.locals[excess_of(name)]
-            over = f"(int64_t){self.locals[f'limited {name}']} - {self.reads[name]}"
+            over = f"(int64_t){self.locals['limited', name]} - {self.reads[name]}"
             if name in self.fixed.excess_limits:
                 over = f"within({over}, {literal(self.fixed.excess_limits[name], 64)})"
             lines.append(f"    const int64_t {local} = {over};")
@@ -262,7 +262,7 @@ class _Source:
             return []
         lines = ["", *remark(f"{number}. {section.name}: next states", "    ")]
         for row in section.states:
-            local = self.locals[f"next {row.target}"]
+            local = self.locals["next", row.target]
             if row.target in self.shifts:
                 largest = self.formats[row.target].largest << row.shift
                 first = f"state->{self.states[row.target]}"
@@ -274,22 +274,22 @@ class _Source:
 
     def _stored(self) -> list[str]:
         lines = [""]
-        lines += [f"    state->{own} = {self.locals[f'next {name}']};" for name, own in self.states.items()]
+        lines += [f"    state->{own} = {self.locals['next', name]};" for name, own in self.states.items()]
         if not self.states:
             lines.append("    state->none = 0;")
         upper = self.prefix.upper()
         clipped = [(self.locals[name], f"in->{self.signals[name]}") for name in self.scheme.inputs]
-        cut = [(self.locals[f"limited {name}"], self.reads[name]) for name in self.limited]
+        cut = [(self.locals["limited", name], self.reads[name]) for name in self.limited]
         lines += self._flag([f"({a} != {b})" for a, b in cut], f"{upper}_LIMITED")
         lines += self._flag([f"({a} != {b})" for a, b in clipped], f"{upper}_CLIPPED")
         ends = []
         for name, shift in self.shifts.items():
             largest = literal(self.formats[name].largest << shift, 64)
-            local = self.locals[f"next {name}"]
+            local = self.locals["next", name]
             ends += [f"({local} == {largest})", f"({local} == -{largest})"]
         lines += self._flag(ends, f"{upper}_STOPPED")
         for name in self.scheme.outputs:
-            given = self.locals[f"limited {name}"] if name in self.limited else self.reads[name]
+            given = self.locals["limited", name] if name in self.limited else self.reads[name]
             lines.append(f"    out->{self.signals[name]} = {given};")
         return [
             *lines,
@@ -320,8 +320,8 @@ class _Source:
         if product.coefficient == 1:
             return f"({kind}){taken}"
         name = self.named.get((row.target, product.source), "")
-        plain = f"k {row.target} from {product.source}"
-        own = f"k {section.name} {name}"
+        plain = ("k", row.target, "from", product.source)
+        own = ("k", section.name, name)
         key = own if name and self.owners.setdefault(own, plain) == plain else plain
         label = self.locals[key]
         number = literal(product.coefficient, row.accumulator)
@@ -331,7 +331,7 @@ class _Source:
         return f"{label} * {taken}"
 
     def _fraction(self, name: str) -> int:
-        return self.formats[name.removeprefix("excess of ")].fraction
+        return self.formats[name.removeprefix(excess_of(""))].fraction
 
 
 def _head(unit: Unit) -> list[str]:

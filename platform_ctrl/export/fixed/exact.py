@@ -71,7 +71,8 @@ def _matrix(sums: Sequence[Sum], names: Sequence[str]) -> Balls:
 
 def noise_of(signal: str) -> str:
     """Return the name of a signal's disturbance."""
-    return f"noise of {signal}"
+    # No name has two lines.
+    return f"noise of\n{signal}"
 
 
 class Rows(NamedTuple):

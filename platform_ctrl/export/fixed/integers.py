@@ -57,7 +57,7 @@ def within() -> list[str]:
         "    } else if (count < -largest) {",
         "        result = -largest;",
         "    } else {",
-        "        result = count;",
+        "        /* within */",
         "    }",
         "    return result;",
         "}",

@@ -73,7 +73,8 @@ class Parts:
 
 def excess_of(output: str) -> str:
     """Return the name under which an output's excess is a source."""
-    return f"excess of {output}"
+    # No name has two lines, so that this is none of a signal.
+    return f"excess of\n{output}"
 
 
 def taken_apart(scheme: Scheme) -> Parts:
