@@ -19,10 +19,10 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.check.coupled import coupled_check
 from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
-from platform_ctrl.design.plants import LinearPlants, loop_plants
+from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.history import History
-from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
+from platform_ctrl.designer.quick_plants import QuickPlants
 from platform_ctrl.designer.values import Picture, Settings
 from platform_ctrl.designer.workbench import Workbench
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError

@@ -19,9 +19,8 @@ from platform_ctrl.reading import read_platform, shipped_models
 
 pytest.importorskip("bokeh")
 
-from platform_ctrl.designer.tree3d import TreeView
 from platform_ctrl.designer.tree3d.scene import scene
-from platform_ctrl.designer.tree3d.view import SAMPLES, columns
+from platform_ctrl.designer.tree3d.view import SAMPLES, TreeView, columns
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -73,7 +69,7 @@ def serve(
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.cli.terminal import progress
+    from platform_ctrl.cli.terminal import interruptible, progress
     from platform_ctrl.designer.hosts import Hosts
 
     def workbench() -> object:
@@ -107,37 +103,10 @@ def serve(
         if shown:
             _open(server.address)
 
-    with _noted() as heed, warnings.catch_warnings():
+    # The third Ctrl-C is raised at once, should the server not come to ask.
+    with interruptible(noted=2) as heed, warnings.catch_warnings():
         warnings.filterwarnings("ignore", module="bokeh")  # about nonsense that others send
         server.run(ready, heed)
-
-
-@contextmanager
-def _noted() -> Iterator[Callable[[], None]]:
-    """Yield what raises `KeyboardInterrupt` if there was one: raised wherever the server is, it would leave a mess.
-
-    Should the server not come to ask, the third Ctrl-C is raised at once.
-    """
-    seen: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        if len(seen) > 2:
-            raise KeyboardInterrupt
-
-    def heed() -> None:
-        if seen:
-            raise KeyboardInterrupt
-
-    default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not default or threading.current_thread() is not threading.main_thread():
-        yield heed  # the signal is ignored or somebody else's, or belongs to another thread
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield heed
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _warned(server: PageServer) -> str:

@@ -109,13 +109,17 @@ def _lines(first: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def interruptible() -> Iterator[Callable[[], None]]:
-    """Yield what raises `KeyboardInterrupt` if there was one: raised in a callback of a library it may get lost."""
-    seen = []
+def interruptible(noted: int = 0) -> Iterator[Callable[[], None]]:
+    """Yield what raises `KeyboardInterrupt` if there was one: raised in a callback of a library it may get lost.
+
+    The first `noted` ones are not raised where they come, but only there: amid a library they would leave a mess.
+    """
+    seen: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
         seen.append(number)
-        raise KeyboardInterrupt
+        if len(seen) > noted:
+            raise KeyboardInterrupt
 
     def heed() -> None:
         if seen:

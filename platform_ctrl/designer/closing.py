@@ -15,6 +15,7 @@ from platform_ctrl.arguments import known_name
 from platform_ctrl.check.coupled import sensed_rates
 from platform_ctrl.description import Platform
 from platform_ctrl.design.classical import starting_values
+from platform_ctrl.design.plants import with_spins
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.caged import CagedLoop
@@ -27,7 +28,7 @@ from platform_ctrl.designer.controllers import (
 )
 from platform_ctrl.designer.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.designer.pulling import Reins
-from platform_ctrl.designer.quick_plants import QuickPlants, with_spins
+from platform_ctrl.designer.quick_plants import QuickPlants
 from platform_ctrl.designer.saving import SavedController
 from platform_ctrl.designer.stabilised import StabilisedLoop
 from platform_ctrl.designer.store import Store, given_designs
@@ -134,6 +135,10 @@ class Closing:
             if spec.name not in self._quick:
                 self._quick[spec.name] = QuickPlants(self.read, spec.gimbals)
             return self._quick[spec.name]
+
+    def loading_axis(self, spec: LoopSpec, axis: int) -> int:
+        """Return the axis of Omega to look at: `axis` unless a rate about it does nothing to this loop."""
+        return self.quick(spec).loading_axis(axis) if spec.kind == "caging" else axis
 
     def job(self, settings: Settings) -> Job:
         """Return the job that the settings stand for."""
@@ -432,6 +437,7 @@ class Closing:
             closed[spec.name] = spec.use if spec.use in live or not live else live[0]
         first = self.read.loops[0]
         return Settings(
+            axis=self.loading_axis(first, 1),
             mode="caged" if first.kind == "caging" else "stabilised",
             loop=first.name,
             design=closed[first.name],

@@ -31,21 +31,8 @@ def caged_influence(loop: CagedLoop, knobs: Sequence[Knob], loop_with: Callable[
     asked = [one for one in asked_of(loop.spec) if one.hard]
     whole = measure(loop.plants, loop.controller, asked)
     view = _view(whole, asked)
-    before = _ratios(loop, view, asked)
-    change = np.full((len(asked), len(knobs)), np.nan)
-    for k, knob in enumerate(knobs):
-        try:
-            after = _ratios(loop_with(knob), view, asked)
-        except PlatformCtrlError:
-            continue
-        with np.errstate(invalid="ignore"):
-            change[:, k] = after - before
-    return Influence(
-        knobs=tuple(knob.name for knob in knobs),
-        requirements=tuple(one.name for one in asked),
-        ratios=before,
-        change=change,
-    )
+    names = tuple(one.name for one in asked)
+    return _influence(knobs, names, _ratios(loop, view, asked), lambda knob: _ratios(loop_with(knob), view, asked))
 
 
 def stabilised_influence(
@@ -57,21 +44,27 @@ def stabilised_influence(
         return requirements(closing.stabilised(now.but(band=False))[0], closing.kept(now))
 
     first = results(settings)
-    before = np.array([one.ratio for one in first])
-    change = np.full((len(first), len(knobs)), np.nan)
+    return _influence(
+        knobs,
+        tuple(one.name for one in first),
+        np.array([one.ratio for one in first]),
+        lambda knob: np.array([one.ratio for one in results(settings_with(knob))]),
+    )
+
+
+def _influence(
+    knobs: Sequence[Knob], requirements: tuple[str, ...], before: FloatArray, after: Callable[[Knob], FloatArray]
+) -> Influence:
+    """Return the changes of ratios; nan where a knob, moved, makes no loop at all."""
+    change = np.full((len(before), len(knobs)), np.nan)
     for k, knob in enumerate(knobs):
         try:
-            after = np.array([one.ratio for one in results(settings_with(knob))])
+            moved = after(knob)
         except PlatformCtrlError:
             continue
         with np.errstate(invalid="ignore"):
-            change[:, k] = after - before
-    return Influence(
-        knobs=tuple(knob.name for knob in knobs),
-        requirements=tuple(one.name for one in first),
-        ratios=before,
-        change=change,
-    )
+            change[:, k] = moved - before
+    return Influence(knobs=tuple(knob.name for knob in knobs), requirements=requirements, ratios=before, change=change)
 
 
 def _view(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]:

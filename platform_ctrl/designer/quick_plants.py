@@ -25,6 +25,7 @@ from platform_ctrl.design.plants import (
     reference_frequency,
     rows_of,
     sampled_plants,
+    with_spins,
 )
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.frozen import FloatArray, value
@@ -32,16 +33,8 @@ from platform_ctrl.job import Job, Sampling
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.state_space import whole_subsystems
 
-
-def with_spins(platform: Platform, spins: Mapping[str, float]) -> Platform:
-    """Return the platform with other spins of its rotors, rad/s; those that are not named stay."""
-    rotors = tuple(
-        dataclasses.replace(r, angular_momentum=r.axial_inertia * spins[r.name])
-        if r.name in spins and spins[r.name] != r.spin
-        else r
-        for r in platform.rotors
-    )
-    return dataclasses.replace(platform, rotors=rotors)
+# Share of the strongest axis below which a rate about an axis does nothing to a loop.
+_LOAD = 1e-6
 
 
 @value
@@ -104,6 +97,11 @@ class QuickPlants:
     def spun(self, spins: Mapping[str, float]) -> LinearModel:
         """Return the linear model of the whole platform at rest at these spins."""
         return self._spun.get(self._key(spins), lambda: linearise(with_spins(self.job.platform, spins)))
+
+    def loading_axis(self, axis: int) -> int:
+        """Return the axis about which a platform rate loads these gimbals: `axis` where it does, else that of most."""
+        load = np.linalg.norm(self.model.G_Omega[self.rows], axis=0)
+        return axis if load[axis - 1] > _LOAD * load.max() or not load.any() else 1 + int(np.argmax(load))
 
     def linear(self, spins: Mapping[str, float], Omega: FloatArray) -> LinearPlants:
         """Return the plants before they are sampled."""

@@ -28,6 +28,7 @@ from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 
 from platform_ctrl import __version__
 from platform_ctrl.check.given import read_controllers
+from platform_ctrl.design.plants import with_spins
 from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
 from platform_ctrl.export.fmu.library_exit import let_go_once
 from platform_ctrl.export.fmu.signals import (
@@ -391,12 +392,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             raise InputError(f"manoeuvre: given {chosen}; expected 1 to {len(names)}")
         platform = job.platform
         spins = [given[one.name] for one in self._parameters if one.name.startswith("spin.")]
-        if spins != [rotor.spin for rotor in platform.rotors]:
-            rotors = tuple(
-                rotor if spin == rotor.spin else replaced(rotor, {"angular_momentum": spin * rotor.axial_inertia})
-                for rotor, spin in zip(platform.rotors, spins, strict=True)
-            )
-            platform = replaced(platform, {"rotors": rotors})
+        platform = with_spins(platform, dict(zip((rotor.name for rotor in platform.rotors), spins, strict=True)))
         initial = [given[one.name] for one in self._parameters if one.name.startswith("initial.")]
         n = len(platform.gimbals)
         q, rate, Omega, attitude = (np.array(part) for part in np.split(initial, np.cumsum([n, n, 3])))
