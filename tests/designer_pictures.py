@@ -78,6 +78,8 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             limit=limit,
         )
 
+    # Another design's step goes on for as long as it takes: over times of its own.
+    other = dataclasses.replace(time("other", None), t=2.0 * t[:81], values=step(1.5)[:, :81], drive=t[:81])
     over = tuple(
         Overlay(
             design=name,
@@ -86,8 +88,8 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             magnitude=1.5 * size[0],
             phase=phase[0],
             poles=poles(1.5 * gain),
-            step=step(1.5),
-            Omega_step=step(1.5),
+            step=other,
+            Omega_step=other,
             Omega_gain=0.7 * from_rate,
         )
         for name in overlays

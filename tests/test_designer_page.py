@@ -279,6 +279,12 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
         size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
         assert size == [width, height]
         assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel h2, #requirements") == []
+    # Smaller windows scroll downwards alone, and a zoomed one is as a smaller one.
+    for width, height in ((1280, 720), (1024, 768), (960, 600)):
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        assert page.evaluate(cut, "button, .knob label, #figures div, #requirements") == []
+    page.set_viewport_size({"width": 1440, "height": 900})
     # What the graphics driver says of its own speed is no complaint.
     assert [one for one in only.complaints if "GL Driver" not in one] == []
 

@@ -267,6 +267,11 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench)
     # Over the classical one, and still there at other settings, with a line that says so.
     over = bench.picture(bench.chosen(settings, design="by hand").but(overlays=("lqg",)))
     [overlay] = over.bode.overlays
+    plots = pytest.importorskip("platform_ctrl.designer.plots").Plots()
+    plots.show(over)
+    drawn = plots.sources["step_overlays"].data
+    assert set(drawn["name"]) == {"lqg"}
+    np.testing.assert_allclose(drawn["xs"][0][-1], overlay.step.t[-1])
     np.testing.assert_allclose(
         np.interp(picture.bode.frequency, over.bode.frequency, overlay.magnitude), picture.bode.magnitude, rtol=0.05
     )

@@ -22,7 +22,7 @@ from platform_ctrl.designer.parts import PictureParts
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
 from platform_ctrl.designer.saving import Saved, controllers_beside, save
 from platform_ctrl.designer.stabilised import stabilised_parts
-from platform_ctrl.designer.tasks import Designing, ServoTuning, Tuning
+from platform_ctrl.designer.tasks import Designing, Flying, ServoTuning, Tuning
 from platform_ctrl.designer.values import Influence, Knob, Offer, Overlay, Part, Picture, Settings
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
@@ -72,15 +72,17 @@ class Workbench:
         self._closing = Closing(self.read, None if controllers is None else Path(controllers))
         self._start = self._closing.start
         self._drafting = Drafting()
+        self._flier = background.Resident()
 
     def close(self) -> None:
-        """End the designs that are being made; nobody asks any more.
+        """End the designs that are being made, and the process that flies; nobody asks any more.
 
         References
         ----------
         See docs/designer.md.
         """
         self._drafting.end()
+        self._flier.end()
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called, in a thread, whenever a design that pictures were waiting for is there or failed.
@@ -187,6 +189,7 @@ class Workbench:
             design=design,
             closed={**settings.closed, name: design},
             channel=settings.channel if settings.channel in channels else channels[0],
+            axis=settings.axis if name == settings.loop else self._closing.loading_axis(spec, settings.axis),
             plant=settings.plant if name == settings.loop else "nominal",
             overlays=tuple(o for o in settings.overlays if o in names and o != design),
         )
@@ -758,8 +761,15 @@ class Workbench:
         )
         return dataclasses.replace(written, notes=notes)
 
-    def run(self, settings: Settings, manoeuvre: str) -> Trajectory:
+    @property
+    def flown(self) -> bool:
+        """Whether a manoeuvre has been flown already: the first takes longer, until its equations are compiled."""
+        return self._flier.there
+
+    def run(self, settings: Settings, manoeuvre: str, cancelled: Cancelled = _never) -> Trajectory:
         """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
+
+        It is flown in a process of its own, which stays for the next one until `close`.
 
         Parameters
         ----------
@@ -767,6 +777,8 @@ class Workbench:
             As the page is set.
         manoeuvre
             Its name.
+        cancelled
+            Asked ten times a second; the process is ended as soon as it says yes.
 
         Returns
         -------
@@ -775,6 +787,8 @@ class Workbench:
 
         Raises
         ------
+        Abandoned
+            It was cancelled.
         ArgumentError
             There is no such manoeuvre.
         DesignError
@@ -784,11 +798,15 @@ class Workbench:
         ----------
         See docs/simulation.md.
         """
-        from platform_ctrl.check.simulated import fly
-
-        names = tuple(one.name for one in self.read.manoeuvres)
-        chosen = self.read.manoeuvres[known_name("manoeuvre", manoeuvre, names)]
-        return fly(self.job(settings), chosen, self._closing.all_controllers(settings)[0]).trajectory
+        known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
+        saved = self._closing.saved_controllers(settings)
+        question = Flying(
+            job=self.job(settings),
+            manoeuvre=manoeuvre,
+            controllers=tuple((o.controller, o.inputs, o.outputs, f"{o.loop}, {o.design}") for o in saved),
+        )
+        flown: Trajectory = self._flier.worked_out(question, _silent, cancelled)
+        return flown
 
     def _caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""

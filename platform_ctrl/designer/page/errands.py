@@ -65,7 +65,6 @@ class Errands:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._cancelled: threading.Event | None = None
-        self._influence_of: dict[str, Any] | None = None
         self._measuring = False
 
     def close(self) -> None:
@@ -146,6 +145,9 @@ class Errands:
                 session.answer(busy=None)
                 if cancelled.is_set():
                     session.say("Tuning was cancelled; nothing was moved.")
+                    return
+                if new.options == settings.options:
+                    session.say("Tuning found nothing better than where the sliders stand; nothing was moved.")
                     return
                 session.change("tune", lambda _: new)
 

@@ -17,8 +17,6 @@ from platform_ctrl.designer.plots.step import StepPanel
 from platform_ctrl.designer.plots.views import View, decades
 from platform_ctrl.designer.values import Picture
 
-__all__ = ["Plots"]
-
 
 class Plots:
     """All plots of a page; they belong to one document.
@@ -53,6 +51,7 @@ class Plots:
         self._step = StepPanel(self._theme, self._sources)
         self._rate = RatePanel(self._theme, self._sources, frequency)
         self._panels = (self._bode, self._nichols, self._locus, self._step, self._rate)
+        self._views = [frequency, *(view for one in self._panels for view in one.panel.views)]
         self.sources = self._sources.by_name
         self.layout: dict[str, LayoutDOM] = {one.panel.name: one.panel.layout for one in self._panels}
 
@@ -79,6 +78,10 @@ class Plots:
         ----------
         See docs/designer.md.
         """
+        about = _about(picture)
+        if self._picture is not None and _about(self._picture) != about:
+            for view in self._views:
+                view.anew()
         self._picture = picture
         with self._held():
             for one in self._panels:
@@ -153,3 +156,9 @@ class Plots:
             yield
         finally:
             document.unhold()
+
+
+def _about(picture: Picture) -> tuple[object, ...]:
+    """Return what a picture is of; the same while sliders move."""
+    settings = picture.settings
+    return settings.loop, settings.design, settings.channel, settings.axis, settings.overlays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,7 +37,7 @@ class OverlayCurves:
 
     def show(self, overlays: Sequence[Overlay], frequency: FloatArray) -> None:
         """Follow the overlays of a picture; `frequency` in rad/s."""
-        f = column(frequency / 6.283185307179586)
+        f = column(frequency / math.tau)
         self._sources.put(
             "overlays",
             xs=[f] * len(overlays),

@@ -130,7 +130,7 @@ class Panel:
     def __init__(self, name: str, title: str, theme: Theme) -> None:
         self.name, self._title, self.theme = name, title, theme
         self.figures: list[Any] = []
-        self._views: list[View] = []
+        self.views: list[View] = []
         colour = theme.sheet(
             ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
         )
@@ -159,7 +159,7 @@ class Panel:
 
     def reset(self) -> None:
         """Show everything again."""
-        for view in self._views:
+        for view in self.views:
             view.reset()
 
     def button(self, label: str, name: str) -> Button:
@@ -196,8 +196,8 @@ class Panel:
         out.add_tools(pan, wheel, ResetTool())
         out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
         for view in (x, y):
-            if view not in self._views:
-                self._views.append(view)
+            if view not in self.views:
+                self.views.append(view)
         # Two clicks show everything again, as the button does.
         out.on_event(DoubleTap, lambda event: self.reset())
         self._style(out)

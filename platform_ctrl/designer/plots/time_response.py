@@ -143,8 +143,9 @@ class _Trace:
         band = response.low.size > 0 and response.low.shape == response.high.shape == response.values.shape
         low, high = (response.low[rows][:, at], response.high[rows][:, at]) if band else (values, values)
         limit = limit if limit is not None and 0.0 < limit < math.inf else None
-        others = [_fitting(one, own, response.values.shape) for one in picture.bode.overlays]
-        wider = [low, high, *(one[rows][:, at] for one in others if one is not None)]
+        others = [(j, _fitting(one, own, response)) for j, one in enumerate(picture.bode.overlays)]
+        fitting = [(j, one) for j, one in others if one is not None and rows]
+        wider = [low, high, *(one.values[rows] for _, one in fitting)]
         if not picture.stable:
             # What grows without bound is looked at where it begins; the set's band says nothing any more.
             band, wider = False, []
@@ -168,14 +169,19 @@ class _Trace:
         )
         areas = [_area(t, column(a, scale), column(b, scale)) for a, b in zip(low, high, strict=True)] if band else []
         put(f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)])
-        drawn = [(j, k, one[i, at]) for j, one in enumerate(others) if one is not None for k, i in enumerate(rows)]
+        drawn = [
+            (j, k, column(one.t[some]), one.values[i, some])
+            for j, one in fitting
+            for some in [thinned(len(one.t), _POINTS)]
+            for k, i in enumerate(rows)
+        ]
         put(
             f"{self._name}_overlays",
-            xs=[t] * len(drawn),
-            ys=[column(y, scale) for _, _, y in drawn],
-            name=[picture.bode.overlays[j].design for j, _, _ in drawn],
-            colour=[colours[k] for _, k, _ in drawn],
-            dash=[list(dashes(1 + j)) for j, _, _ in drawn],
+            xs=[x for _, _, x, _ in drawn],
+            ys=[column(y, scale) for _, _, _, y in drawn],
+            name=[picture.bode.overlays[j].design for j, _, _, _ in drawn],
+            colour=[colours[k] for _, k, _, _ in drawn],
+            dash=[list(dashes(1 + j)) for j, _, _, _ in drawn],
         )
         # What stands all the time needs no curve.
         acts = len(response.drive) == len(response.t) and not self._last and len(np.unique(response.drive[1:])) > 1
@@ -198,9 +204,9 @@ class _Trace:
             self.keys.append((f"limit {quantity(limit, plain)}", "limit", (), 1.5))
 
 
-def _fitting(overlay: Overlay, own: str, shape: tuple[int, ...]) -> FloatArray | None:
-    out: FloatArray = getattr(overlay, own)
-    return out if out.shape == shape else None
+def _fitting(overlay: Overlay, own: str, response: TimeResponse) -> TimeResponse | None:
+    out: TimeResponse = getattr(overlay, own)
+    return out if out.signals == response.signals and out.units == response.units else None
 
 
 def _whole(low: float, high: float) -> tuple[float, float]:

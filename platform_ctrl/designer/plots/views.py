@@ -94,6 +94,10 @@ class View:
         self._begun = True
         self.show(*bounds)
 
+    def anew(self) -> None:
+        """Have the next data fitted closely: they are of something else than those before."""
+        self._begun = False
+
     def show(self, low: float, high: float) -> None:
         """Rest at `low` to `high`; where the user has zoomed, only after a reset."""
         if (low, high) == self.rest:
