@@ -304,6 +304,14 @@ def test_integrals_that_no_limited_output_shows_alone_are_told(job: Job) -> None
     assert np.allclose(one.arrays.A @ V, V @ own)
 
 
+@pytest.mark.parametrize("size", [1e300, 1.0, 1e-300])
+def test_responses_of_any_size_are_told_apart(size: float) -> None:
+    one = np.ones((1, 1))
+    K = StateArrays(A=0.5 * one, B=one, C=size * one, D=size * one, dt=0.001)
+    assert same_response(K, K)
+    assert not same_response(K._replace(D=1.001 * size * one), K)
+
+
 def test_schemes_that_make_no_sense_are_refused(job: Job) -> None:
     scheme = scheme_of(job, controller(np.diag([0.5]), 1))
     unknown = Section(name="x", kind="mix", signals=(Row(target="y", terms=(Term(coefficient=1.0, source="z"),)),))
