@@ -21,12 +21,13 @@ from platform_ctrl.check.coupled import coupled_check
 from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.designer.bounded import Bounded
+from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.history import History
 from platform_ctrl.designer.quick_plants import QuickPlants
 from platform_ctrl.designer.values import Picture, Settings
 from platform_ctrl.designer.workbench import Workbench
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
-from platform_ctrl.job import Spread
+from platform_ctrl.job import Job, LoopSpec, Spread
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.reading import read_job
 
@@ -53,11 +54,11 @@ def picture(bench: Workbench, settings: Settings) -> Picture:
     return bench.picture(settings)
 
 
-def _closed(bench: Workbench, settings: Settings):  # type: ignore[no-untyped-def]
+def _closed(bench: Workbench, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, StateArrays]:
     """The loop as the package's own design route builds it from the settings' job."""
     job = bench.job(settings)
     spec = next(one for one in job.loops if one.name == settings.loop)
-    loop = bench._closing.caged(settings)[0]
+    loop = Closing(bench.read, None).caged(settings)[0]
     plants = loop_plants(job, spec.gimbals)
     return job, spec, plants, loop.controller
 
@@ -221,7 +222,7 @@ def test_all_loops_together_are_judged_as_check_does(bench: Workbench) -> None:
     assert settings.mode == "stabilised"
     picture = bench.picture(settings)
     job = bench.job(settings)
-    controllers = bench._closing.all_controllers(settings)[0]
+    controllers = Closing(bench.read, None).all_controllers(settings)[0]
     expected = coupled_check(job, linearise(job.platform), controllers)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]
     np.testing.assert_allclose(
