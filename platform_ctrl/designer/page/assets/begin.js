@@ -1,5 +1,5 @@
 // Waits for BokehJS, takes the model that carries questions and answers, and asks for the first picture.
-import { ask, byId, connect, hear, traffic } from "./wire.js";
+import { ask, connect, hear, traffic } from "./wire.js";
 import { themeChanged } from "./choices.js";
 import "./sliders.js";
 import "./table.js";

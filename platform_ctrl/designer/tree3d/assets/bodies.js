@@ -8,7 +8,7 @@ const UP = new Vector3(0, 1, 0);
 const vector = (point) => new Vector3(...point);
 
 // Colours by theme: those of the report's view of the axes.
-export const COLOURS = {
+const COLOURS = {
   light: {
     levels: ["#46515f", "#6a5acd", "#7a7a00", "#cc79a7", "#8a93a0"], rotor: "#0072b2", mark: "#dfe7f1", root: "#b9c0ca",
     plate: "#e4e7ec", bearing: "#5c6675", torquer: "#d55e00", ink: "#1b2430",
