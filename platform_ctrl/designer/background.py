@@ -9,6 +9,7 @@ import queue
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -55,12 +56,116 @@ def worked_out(question: object, progress: Progress, cancelled: Cancelled) -> An
             raise Abandoned("cancelled")
     process = None
     try:
-        process = _started()
-        return _answer(process, question, progress, cancelled)
+        process = _Process()
+        return process.worked_out(question, progress, cancelled)
     finally:
         _AT_A_TIME.release()
         if process is not None:
-            _end(process)
+            process.end()
+
+
+class Resident:
+    """A process that stays for the next question: what it has loaded and compiled is there. One question at a time."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._held: list[_Process] = []
+        self._ended = False
+        weakref.finalize(self, _drop, self._held)
+
+    @property
+    def there(self) -> bool:
+        """Whether the process was started already."""
+        return bool(self._held)
+
+    def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
+        """Return the answer to a question, as the function `worked_out` does; the process ends if it is cancelled.
+
+        Raises
+        ------
+        Abandoned
+            It was cancelled, or nobody is to ask any more.
+        PlatformCtrlError
+            What the task raised.
+        """
+
+        def unwanted() -> bool:
+            return self._ended or cancelled()
+
+        while not self._lock.acquire(timeout=_POLL):
+            if unwanted():
+                raise Abandoned("cancelled")
+        try:
+            if self._held and self._held[0].gone:
+                _drop(self._held)
+            if unwanted():
+                raise Abandoned("cancelled")
+            if not self._held:
+                self._held.append(_Process())
+            try:
+                return self._held[0].worked_out(question, progress, unwanted)
+            except Abandoned:
+                _drop(self._held)
+                raise
+        finally:
+            self._lock.release()
+
+    def end(self) -> None:
+        """End the process; nobody asks any more."""
+        self._ended = True
+        with self._lock:  # who asks leaves at the next look
+            _drop(self._held)
+
+
+def _drop(held: list[_Process]) -> None:
+    while held:
+        held.pop().end()
+
+
+class _Process:
+    """A process that answers questions, one after another."""
+
+    def __init__(self) -> None:
+        self._process = _started()
+        self._told: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._write(sys.path)
+        threading.Thread(target=_listen, args=(self._process, self._told), daemon=True).start()
+
+    @property
+    def gone(self) -> bool:
+        return self._process.poll() is not None
+
+    def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
+        threading.Thread(target=self._write, args=(question,), daemon=True).start()
+        while True:
+            if cancelled():
+                raise Abandoned("cancelled")
+            try:
+                kind, content = self._told.get(timeout=_POLL)
+            except queue.Empty:
+                continue
+            if kind == "told":
+                progress(content)
+            elif kind == "done":
+                return content
+            elif kind == "failed":
+                raise content
+            else:
+                raise DesignError("the process that worked it out died; expected an answer, try again")
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError, ValueError):
+                if pipe is not None:
+                    pipe.close()
+
+    def _write(self, content: object) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):  # the listener sees that the process died
+            self._process.stdin.write(pickle.dumps(content))
+            self._process.stdin.flush()
 
 
 def _started() -> subprocess.Popen[bytes]:
@@ -78,34 +183,6 @@ def _started() -> subprocess.Popen[bytes]:
     )
 
 
-def _answer(process: subprocess.Popen[bytes], question: object, progress: Progress, cancelled: Cancelled) -> Any:
-    told: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-    threading.Thread(target=_ask, args=(process, question), daemon=True).start()
-    threading.Thread(target=_listen, args=(process, told), daemon=True).start()
-    while True:
-        if cancelled():
-            raise Abandoned("cancelled")
-        try:
-            kind, content = told.get(timeout=_POLL)
-        except queue.Empty:
-            continue
-        if kind == "told":
-            progress(content)
-        elif kind == "done":
-            return content
-        elif kind == "failed":
-            raise content
-        else:
-            raise DesignError("the process that worked it out died; expected an answer, try again")
-
-
-def _ask(process: subprocess.Popen[bytes], question: object) -> None:
-    assert process.stdin is not None
-    with contextlib.suppress(OSError, ValueError):  # the listener sees that the process died
-        process.stdin.write(pickle.dumps(sys.path) + pickle.dumps(question))
-        process.stdin.flush()
-
-
 def _listen(process: subprocess.Popen[bytes], told: queue.SimpleQueue[tuple[str, Any]]) -> None:
     assert process.stdout is not None
     try:
@@ -113,12 +190,3 @@ def _listen(process: subprocess.Popen[bytes], told: queue.SimpleQueue[tuple[str,
             told.put(pickle.load(process.stdout))
     except (OSError, EOFError, ValueError, pickle.UnpicklingError):
         told.put(("died", None))
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-    process.wait()
-    for pipe in (process.stdin, process.stdout):
-        with contextlib.suppress(OSError, ValueError):
-            if pipe is not None:
-                pipe.close()

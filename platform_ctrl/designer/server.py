@@ -71,6 +71,16 @@ class Building:
         self.heed()
         return self._made
 
+    def close(self) -> None:
+        """Close the workbench, if it is there: what it works out in other processes ends.
+
+        References
+        ----------
+        See docs/designer.md.
+        """
+        if self._made is not None:
+            getattr(self._made, "close", lambda: None)()
+
     def heed(self) -> None:
         """Raise what `make` raised, if it did.
 
@@ -192,6 +202,8 @@ class PageServer:
             try:
                 loop.run_until_complete(self._answer(ready, heed))
             finally:
+                if isinstance(self._workbench, Building):
+                    self._workbench.close()  # nobody else has it; one that is given may be used further
                 for task in asyncio.all_tasks(loop):
                     task.cancel()
                 loop.run_until_complete(asyncio.sleep(0))

@@ -1,18 +1,23 @@
-"""What is worked out in a process of its own: the rest of the knobs tuned, a design by its method."""
+"""What is worked out in a process of its own: knobs tuned, a design by its method, a manoeuvre flown."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import pickle
+import queue
 import sys
 import threading
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
+
+if TYPE_CHECKING:
+    from platform_ctrl.simulation import Trajectory
 
 Say = Callable[[str], None]
 
@@ -212,8 +217,36 @@ class Designing:
         )
 
 
+@value
+class Flying:
+    """A manoeuvre that is to be flown on the non-linear plant.
+
+    Attributes
+    ----------
+    job
+        With the settings' plant and sampling.
+    manoeuvre
+        Name.
+    controllers
+        Controller, inputs, outputs and name of every loop, in the job's order.
+    """
+
+    job: Job
+    manoeuvre: str
+    controllers: tuple[tuple[StateArrays, tuple[str, ...], tuple[str, ...], str], ...]
+
+    def worked_out(self, say: Say) -> Trajectory:
+        """Return the run."""
+        from platform_ctrl.analysis.arrays import state_space
+        from platform_ctrl.check.simulated import fly
+
+        controllers = [state_space(K, inputs, outputs, name=name) for K, inputs, outputs, name in self.controllers]
+        manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
+        return fly(self.job, manoeuvre, controllers).trajectory
+
+
 def answer() -> None:
-    """Read one question from standard input, work it out, and write lines and the answer to standard output."""
+    """Read questions from standard input, one after another, and write lines and answers to standard output."""
     # Solvers may print: what they say is not part of the answer.
     pipe = os.fdopen(os.dup(1), "wb")
     silent = os.open(os.devnull, os.O_WRONLY)
@@ -223,19 +256,25 @@ def answer() -> None:
         pipe.write(pickle.dumps((kind, content)))
         pipe.flush()
 
-    question = pickle.load(sys.stdin.buffer)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(questions,), daemon=True).start()
     try:
-        tell("done", question.worked_out(lambda line: tell("told", line)))
-    except PlatformCtrlError as error:
-        # What was being solved may not be for a pipe.
-        plain = DesignError(str(error)) if isinstance(error, DesignError) else error
-        tell("failed", plain)
+        while True:
+            question = questions.get()
+            try:
+                tell("done", question.worked_out(lambda line: tell("told", line)))
+            except PlatformCtrlError as error:
+                # What was being solved may not be for a pipe.
+                plain = DesignError(str(error)) if isinstance(error, DesignError) else error
+                tell("failed", plain)
+    finally:
+        os._exit(1)  # at once: the thread that reads holds the lock of what it reads from
 
 
-def _end_with_parent() -> None:
-    """End this process when the other end of its input is gone: nobody waits for the answer any more."""
-    # Not through Python's own buffer, whose lock would be missed when this process ends by itself.
-    while os.read(0, 4096):
-        pass
-    os._exit(0)
+def _read(questions: queue.SimpleQueue[Any]) -> None:
+    """Take questions, and end this process when the other end of its input is gone: nobody waits any more."""
+    try:
+        while True:
+            questions.put(pickle.load(sys.stdin.buffer))
+    finally:
+        os._exit(0)

@@ -12,20 +12,20 @@ import numpy as np
 
 from platform_ctrl.arguments import known_name, short, whole
 from platform_ctrl.designer import background
-from platform_ctrl.designer.caged import CagedLoop, caged_overlay, caged_parts
+from platform_ctrl.designer.caged import caged_parts
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
-from platform_ctrl.designer.drafting import Drafting
+from platform_ctrl.designer.designs import Designs, never, silent
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
 from platform_ctrl.designer.parts import PictureParts
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
 from platform_ctrl.designer.saving import Saved, controllers_beside, save
 from platform_ctrl.designer.stabilised import stabilised_parts
-from platform_ctrl.designer.tasks import Designing, Flying, ServoTuning, Tuning
+from platform_ctrl.designer.tasks import Flying, ServoTuning, Tuning
 from platform_ctrl.designer.values import Influence, Knob, Offer, Overlay, Part, Picture, Settings
-from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
-from platform_ctrl.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.job import Job
 from platform_ctrl.reading import read_job
 
 if TYPE_CHECKING:
@@ -33,14 +33,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str], None]
 Cancelled = Callable[[], bool]
-
-
-def _never() -> bool:
-    return False
-
-
-def _silent(line: str) -> None:
-    del line
 
 
 class Workbench:
@@ -71,7 +63,7 @@ class Workbench:
             controllers = controllers_beside(self.path)
         self._closing = Closing(self.read, None if controllers is None else Path(controllers))
         self._start = self._closing.start
-        self._drafting = Drafting()
+        self._designs = Designs(self._closing)
         self._flier = background.Resident()
 
     def close(self) -> None:
@@ -81,7 +73,7 @@ class Workbench:
         ----------
         See docs/designer.md.
         """
-        self._drafting.end()
+        self._designs.end()
         self._flier.end()
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
@@ -101,7 +93,7 @@ class Workbench:
         ----------
         See docs/designer.md.
         """
-        return self._drafting.listen(listener)
+        return self._designs.listen(listener)
 
     @property
     def title(self) -> str:
@@ -413,9 +405,9 @@ class Workbench:
         if spec.kind != "caging":
             free, told = self._closing.stabilised(settings)
             return dataclasses.replace(stabilised_parts(free, settings, self._closing.kept(settings)), notes=told)
-        loop, told = self._caged(settings)
+        loop, told = self._designs.caged(settings)
         parts = caged_parts(loop, settings)
-        overlays, more = self._overlays(settings, spec, parts.bode.frequency)
+        overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
         return dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more))
 
     def overlay(self, settings: Settings, design: str) -> Overlay:
@@ -447,7 +439,7 @@ class Workbench:
         if spec.kind != "caging":
             raise DesignError(f"{spec.name}: only caging loops show designs over one another")
         frequency = self.picture(settings.but(overlays=())).bode.frequency
-        return self._overlay(settings, spec, design, frequency)[0]
+        return self._designs.overlay(settings, spec, design, frequency)[0]
 
     def designed(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design of the loop is there for just these settings; those that knobs build always are.
@@ -473,17 +465,14 @@ class Workbench:
         ----------
         See docs/designer.md.
         """
-        spec, own = self._closing.design(settings if design is None else settings.but(design=design))
-        return self._closing.live(own) or self._closing.store.has(
-            spec.name, own.name, self._closing.key(settings, spec, own)
-        )
+        return self._designs.there(settings, design)
 
     def redesigned(
         self,
         settings: Settings,
         design: str | None = None,
-        progress: Progress = _silent,
-        cancelled: Cancelled = _never,
+        progress: Progress = silent,
+        cancelled: Cancelled = never,
     ) -> Settings:
         """Have a design made by its method, in a process of its own; later pictures show it.
 
@@ -514,11 +503,7 @@ class Workbench:
         ----------
         See docs/loop-design.md.
         """
-        if not self.designed(settings, design):
-            spec, own = self._closing.design(settings if design is None else settings.but(design=design))
-            question = Designing(job=self.job(settings), loop=spec.name, design=own.name)
-            made = background.worked_out(question, progress, cancelled)
-            self._closing.store.put(spec.name, own.name, self._closing.key(settings, spec, own), made)
+        self._designs.make(settings, design, progress, cancelled)
         return settings
 
     def pulled_pole(self, settings: Settings, pole: complex, target: complex) -> Settings:
@@ -590,7 +575,7 @@ class Workbench:
             reins, plant, channel = self._closing.reins(settings, self.knobs(settings))
             return with_options(settings, crossover_pulled(reins, plant, channel, now, float(frequency)))
 
-    def tuned(self, settings: Settings, progress: Progress = _silent, cancelled: Cancelled = _never) -> Settings:
+    def tuned(self, settings: Settings, progress: Progress = silent, cancelled: Cancelled = never) -> Settings:
         """Return the settings with all knobs of the design that are not fixed tuned until its limits are met.
 
         Parameters
@@ -766,7 +751,7 @@ class Workbench:
         """Whether a manoeuvre has been flown already: the first takes longer, until its equations are compiled."""
         return self._flier.there
 
-    def run(self, settings: Settings, manoeuvre: str, cancelled: Cancelled = _never) -> Trajectory:
+    def run(self, settings: Settings, manoeuvre: str, cancelled: Cancelled = never) -> Trajectory:
         """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
 
         It is flown in a process of its own, which stays for the next one until `close`.
@@ -805,47 +790,5 @@ class Workbench:
             manoeuvre=manoeuvre,
             controllers=tuple((o.controller, o.inputs, o.outputs, f"{o.loop}, {o.design}") for o in saved),
         )
-        flown: Trajectory = self._flier.worked_out(question, _silent, cancelled)
+        flown: Trajectory = self._flier.worked_out(question, silent, cancelled)
         return flown
-
-    def _caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
-        """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
-        spec, design = self._closing.design(settings)
-        if self._closing.live(design) or self.designed(settings):
-            return self._closing.caged(settings)
-
-        def wanted() -> str:
-            def make(unwanted: Cancelled) -> None:
-                self.redesigned(settings, cancelled=unwanted)
-
-            return self._drafting.want(spec.name, design.name, self._closing.key(settings, spec, design), make)
-
-        if not self._closing.store.any(spec.name, design.name):
-            raise DesignError(f"{spec.name}, {wanted()}")
-        loop, told = self._closing.caged(settings)
-        own = settings.options[spec.name][design.name]
-        if again and not self._closing.store.made_of(spec.name, design.name, self._closing.options_key(own)):
-            return loop, (wanted(),)
-        return loop, told
-
-    def _overlays(
-        self, settings: Settings, spec: LoopSpec, frequency: np.ndarray
-    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
-        out, notes = [], []
-        for name in dict.fromkeys(settings.overlays):
-            if name == settings.design or name not in {d.name for d in spec.designs}:
-                continue
-            try:
-                found, note = self._overlay(settings, spec, name, frequency)
-            except PlatformCtrlError as error:
-                notes.append(str(error))
-                continue
-            out.append(found)
-            notes += [note] if note else []
-        return tuple(out), tuple(notes)
-
-    def _overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: np.ndarray) -> tuple[Overlay, str]:
-        other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        loop, told = self._caged(settings.but(design=name), again=False)
-        with np.errstate(all="ignore"):
-            return caged_overlay(loop, settings, other.method, frequency), " ".join(told)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Seconds between two tellings of how far a long task is.
 TOLD = 0.15
+# Milliseconds after which a simulation says what takes it so long.
+LONG = 1000
 _log = logging.getLogger(__name__)
 
 
@@ -65,11 +67,13 @@ class Errands:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._cancelled: threading.Event | None = None
+        self._flight_cancelled: threading.Event | None = None
         self._measuring = False
 
     def close(self) -> None:
         """End what is going on; nothing is told any more."""
         self.cancel_tuning()
+        self._cancel_flying()
 
     def told(self) -> dict[str, Any]:
         """Return what the page has to know for saving and running."""
@@ -118,12 +122,16 @@ class Errands:
 
     def _ask_cancel(self, ask: Ask) -> None:
         self.cancel_tuning()
+        self._cancel_flying()
         self._session.answer(ask.count)
 
     def _ask_tune(self, ask: Ask) -> None:
         session = self._session
         if self._cancelled is not None:
             session.say("Tuning is going on already.", count=ask.count)
+            return
+        if self._flight_cancelled is not None:
+            session.say("A manoeuvre is being simulated; Esc ends that.", count=ask.count)
             return
         self._cancelled = cancelled = threading.Event()
         settings, last = session.settings, [0.0]
@@ -175,8 +183,8 @@ class Errands:
         session.answer(ask.count)
 
         def saved() -> Callable[[], None]:
-            session.workbench.saved(settings, path, overwrite=overwrite)
-            text = f"Saved: {path}"
+            written = session.workbench.saved(settings, path, overwrite=overwrite)
+            text = ". ".join((f"Saved: {path}", *written.notes))
             told = {"kind": "good", "text": text, "command": check_line(path)}
             return lambda: session.answer(saved=told, line={"text": text, "kind": "good"})
 
@@ -186,21 +194,51 @@ class Errands:
         session = self._session
         manoeuvre = ask.more["manoeuvre"]
         known_name("manoeuvre", manoeuvre, session.offer.manoeuvres)
-        settings = session.settings
-        session.answer(ask.count, busy={"text": "Simulating", "share": None, "cancel": False})
+        if self._flight_cancelled is not None or self._cancelled is not None:
+            what = "A manoeuvre is being simulated already" if self._cancelled is None else "Tuning is going on"
+            session.say(f"{what}; Esc ends that.", count=ask.count)
+            return
+        self._flight_cancelled = cancelled = threading.Event()
+        settings, first = session.settings, not session.workbench.flown
+        busy: dict[str, Any] = {"text": "Simulating", "share": None, "cancel": True}
+        session.answer(ask.count, busy=busy)
+
+        def takes_long() -> None:
+            if self._flight_cancelled is cancelled:
+                words = f"Simulating {manoeuvre}"
+                if first:
+                    words += ": the first run loads its equations, or compiles them once on this machine"
+                session.answer(busy=busy | {"text": words})
+
+        session.soon(takes_long, LONG)
 
         def flown() -> Callable[[], None]:
-            trajectory = session.workbench.run(settings, manoeuvre)
+            trajectory = session.workbench.run(settings, manoeuvre, cancelled.is_set)
             platform = session.workbench.job(settings).platform
 
             def show() -> None:
+                self._flight_cancelled = None
+                if cancelled.is_set():
+                    session.answer(busy=None)
+                    return
                 session.tree.stage(platform)
                 session.tree.show(trajectory)
                 session.answer(busy=None, flown=manoeuvre)
 
             return show
 
-        self._do(flown, lambda line: session.answer(busy=None, line={"text": line, "kind": "error"}))
+        def failed(line: str) -> None:
+            self._flight_cancelled = None
+            told = {"text": line, "kind": "error"}
+            if cancelled.is_set():
+                told = {"text": "The simulation was cancelled.", "kind": "quiet"}
+            session.answer(busy=None, line=told)
+
+        self._do(flown, failed)
+
+    def _cancel_flying(self) -> None:
+        if self._flight_cancelled is not None:
+            self._flight_cancelled.set()
 
     def _folder(self) -> Path:
         path = self._session.workbench.path

@@ -120,6 +120,12 @@ class Session:
         if document is not None:
             document.add_next_tick_callback(lambda: None if self.document is None else act())
 
+    def soon(self, act: Callable[[], None], wait: int) -> None:
+        """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
+        document = self.document
+        if document is not None:
+            document.add_timeout_callback(lambda: None if self.document is None else act(), wait)
+
     def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
         """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
         self.answer(count, line={"text": text, "kind": kind})
