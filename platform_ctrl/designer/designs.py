@@ -1,0 +1,130 @@
+"""Designs that their methods make, beside those that knobs build: which are there, and which are being made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.arguments import known_name
+from platform_ctrl.designer import background
+from platform_ctrl.designer.caged import CagedLoop, caged_overlay
+from platform_ctrl.designer.closing import Closing
+from platform_ctrl.designer.drafting import Drafting
+from platform_ctrl.designer.tasks import Designing
+from platform_ctrl.designer.values import Overlay, Settings
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.job import DesignSpec, LoopSpec
+
+
+def never() -> bool:
+    """Say no: nobody cancels."""
+    return False
+
+
+def silent(line: str) -> None:
+    """Hear a line and tell nobody."""
+    del line
+
+
+class Designs:
+    """The designs of a job's caging loops; safe in several threads.
+
+    Parameters
+    ----------
+    closing
+        The loops.
+    """
+
+    def __init__(self, closing: Closing) -> None:
+        self._closing = closing
+        self._drafting = Drafting()
+
+    def end(self) -> None:
+        """Give up what is being made."""
+        self._drafting.end()
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called in a thread after each design that pictures wait for, and return what ends that."""
+        return self._drafting.listen(listener)
+
+    def there(self, settings: Settings, design: str | None = None) -> bool:
+        """Return whether a design, or the one that is worked on, is there for just these settings."""
+        closing = self._closing
+        spec, own = closing.design(settings if design is None else settings.but(design=design))
+        return closing.live(own) or closing.store.has(spec.name, own.name, closing.key(settings, spec, own))
+
+    def make(
+        self,
+        settings: Settings,
+        design: str | None,
+        progress: background.Progress = silent,
+        cancelled: background.Cancelled = never,
+    ) -> None:
+        """Have a design made in a process of its own, unless it is there.
+
+        Raises
+        ------
+        Abandoned
+            It was cancelled.
+        DesignError
+            The method found no controller.
+        """
+        if self.there(settings, design):
+            return
+        closing = self._closing
+        spec, own = closing.design(settings if design is None else settings.but(design=design))
+        question = Designing(job=closing.job(settings), loop=spec.name, design=own.name)
+        made = background.worked_out(question, progress, cancelled)
+        closing.store.put(spec.name, own.name, closing.key(settings, spec, own), made)
+
+    def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
+        spec, design = self._closing.design(settings)
+        if self._closing.live(design) or self.there(settings):
+            return self._closing.caged(settings)
+
+        def wanted() -> str:
+            def make(unwanted: background.Cancelled) -> None:
+                self.make(settings, None, cancelled=unwanted)
+
+            return self._drafting.want(spec.name, design.name, self._closing.key(settings, spec, design), make)
+
+        if not self._closing.store.any(spec.name, design.name):
+            raise DesignError(f"{spec.name}, {wanted()}")
+        loop, told = self._closing.caged(settings)
+        own = settings.options[spec.name][design.name]
+        if again and not self._closing.store.made_of(spec.name, design.name, self._closing.options_key(own)):
+            return loop, (wanted(),)
+        return loop, told
+
+    def overlays(
+        self, settings: Settings, spec: LoopSpec, frequency: FloatArray
+    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
+        """Return what lies over a picture, and lines about what does not, or is not quite up to date."""
+        out, notes = [], []
+        for name in dict.fromkeys(settings.overlays):
+            if name == settings.design or name not in {d.name for d in spec.designs}:
+                continue
+            try:
+                found, note = self.overlay(settings, spec, name, frequency)
+            except PlatformCtrlError as error:
+                notes.append(str(error))
+                continue
+            out.append(found)
+            notes += [note] if note else []
+        return tuple(out), tuple(notes)
+
+    def overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
+        """Return one design of the loop as an overlay at `frequency` (F,), rad/s, and a line about it.
+
+        Raises
+        ------
+        DesignError
+            It is not designed yet.
+        """
+        other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        loop, told = self.caged(settings.but(design=name), again=False)
+        with np.errstate(all="ignore"):
+            return caged_overlay(loop, settings, other.method, frequency), " ".join(told)
