@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 import tomllib
@@ -125,6 +126,16 @@ def test_the_description_is_valid_and_names_every_signal_with_its_unit(gyro, uni
     assert float(described.coSimulation.fixedInternalStepSize) == job.sampling.period
     assert float(found["spin.'11'"].start) == next(r.spin for r in job.platform.rotors if r.name == "11")
     assert described.defaultExperiment.stepSize == str(job.sampling.period)
+
+
+def test_names_of_other_alphabets_are_valid_too(gyro, unit, tmp_path):
+    job, controllers = gyro
+    rotors = [dataclasses.replace(rotor, name=f"Läufer {rotor.name}") for rotor in job.platform.rotors]
+    named = dataclasses.replace(job, platform=dataclasses.replace(job.platform, rotors=tuple(rotors)))
+    other = write_fmu(named, controllers, tmp_path / "named.fmu")
+    assert validate_fmu(str(other)) == []
+    conventions = [fmpy.read_model_description(one).variableNamingConvention for one in (unit, other)]
+    assert conventions == ["structured", "flat"]
 
 
 def test_the_file_holds_what_it_is_made_of_and_is_the_same_every_time(gyro, unit, tmp_path):

@@ -242,6 +242,9 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             if unit.get("name") in _SHOWN:
                 name, factor = _SHOWN[str(unit.get("name"))]
                 SubElement(unit, "DisplayUnit", {"name": name, "factor": repr(factor)})
+        if not all(str(one.get("name")).isascii() for one in root.iterfind("ModelVariables/*")):
+            # Structured names are ASCII, even in quotes.
+            root.set("variableNamingConvention", "flat")
         starts = {one.name: one.start for one in (*self._parameters, *self._inputs)}
         for variable in root.iter("Float64"):
             if variable.get("name") in starts:
