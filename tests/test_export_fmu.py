@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 import tomllib
@@ -130,8 +129,8 @@ def test_the_description_is_valid_and_names_every_signal_with_its_unit(gyro, uni
 
 def test_names_of_other_alphabets_are_valid_too(gyro, unit, tmp_path):
     job, controllers = gyro
-    rotors = [dataclasses.replace(rotor, name=f"Läufer {rotor.name}") for rotor in job.platform.rotors]
-    named = dataclasses.replace(job, platform=dataclasses.replace(job.platform, rotors=tuple(rotors)))
+    rotors = [replace(rotor, name=f"Läufer {rotor.name}") for rotor in job.platform.rotors]
+    named = replace(job, platform=replace(job.platform, rotors=tuple(rotors)))
     other = write_fmu(named, controllers, tmp_path / "named.fmu")
     assert validate_fmu(str(other)) == []
     conventions = [fmpy.read_model_description(one).variableNamingConvention for one in (unit, other)]
