@@ -29,7 +29,8 @@ from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 from platform_ctrl import __version__
 from platform_ctrl.check.given import read_controllers
 from platform_ctrl.design.plants import with_spins
-from platform_ctrl.errors import InputError, PlatformCtrlError, SimulationError
+from platform_ctrl.errors import InputError, SimulationError
+from platform_ctrl.export.fmu.guards import guarded_getter, guarded_setter, told
 from platform_ctrl.export.fmu.library_exit import let_go_once
 from platform_ctrl.export.fmu.signals import (
     UNITS,
@@ -66,42 +67,6 @@ class _Choice(Enumeration):  # type: ignore[misc]
 
 
 _KINDS = {"Float64": Float64, "Int64": Int64, "Boolean": Boolean, "Enumeration": _Choice}
-
-
-# What a getter that fails returns in place of each number.
-_NOTHING: dict[str, Any] = {
-    "float64": math.nan,
-    "int32": 0,
-    "int64": 0,
-    "uint64": 0,
-    "boolean": False,
-    "string": "",
-}
-
-
-def _told(error: BaseException) -> str:
-    return str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
-
-
-def _guarded_setter(kind: str) -> Callable[[PlatformSlave, list[int], list[Any]], None]:
-    def put(self: PlatformSlave, references: list[int], numbers: list[Any]) -> None:
-        try:
-            getattr(Fmi3Slave, f"set_{kind}")(self, references, numbers)
-        except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"values that cannot be set: {_told(error)}")
-
-    return put
-
-
-def _guarded_getter(kind: str) -> Callable[[PlatformSlave, list[int]], list[Any]]:
-    def get(self: PlatformSlave, references: list[int]) -> list[Any]:
-        try:
-            return list(getattr(Fmi3Slave, f"get_{kind}")(self, references))
-        except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"values that cannot be had: {_told(error)}")
-            return [_NOTHING[kind]] * len(references)
-
-    return get
 
 
 class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
@@ -153,12 +118,12 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self.log(text, Fmi3Status.warning)
         self._describe()
 
-    set_float64, get_float64 = _guarded_setter("float64"), _guarded_getter("float64")
-    set_int32, get_int32 = _guarded_setter("int32"), _guarded_getter("int32")
-    set_int64, get_int64 = _guarded_setter("int64"), _guarded_getter("int64")
-    set_uint64, get_uint64 = _guarded_setter("uint64"), _guarded_getter("uint64")
-    set_boolean, get_boolean = _guarded_setter("boolean"), _guarded_getter("boolean")
-    set_string, get_string = _guarded_setter("string"), _guarded_getter("string")
+    set_float64, get_float64 = guarded_setter("float64"), guarded_getter("float64")
+    set_int32, get_int32 = guarded_setter("int32"), guarded_getter("int32")
+    set_int64, get_int64 = guarded_setter("int64"), guarded_getter("int64")
+    set_uint64, get_uint64 = guarded_setter("uint64"), guarded_getter("uint64")
+    set_boolean, get_boolean = guarded_setter("boolean"), guarded_getter("boolean")
+    set_string, get_string = guarded_setter("string"), guarded_getter("string")
 
     def _describe(self) -> None:
         """Register variables, units and all else that modelDescription.xml tells."""
@@ -276,7 +241,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         try:
             status = self._step(float(current_time), float(step_size))
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(_told(error))
+            self.fail(told(error))
             status = Fmi3Status.error
         return Fmi3StepResult(status=status)
 
@@ -361,7 +326,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             try:
                 self._stepper = self._at_start()
             except (Exception, KeyboardInterrupt) as error:
-                self.fail(_told(error))
+                self.fail(told(error))
         return self._stepper
 
     def _output(self, k: int) -> float | int:
@@ -444,4 +409,4 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._begun, self._ended, self._stale = state["flags"]
             self._failure = state["failure"]
         except (Exception, KeyboardInterrupt) as error:
-            self.fail(f"the state cannot be set: {_told(error)}")
+            self.fail(f"the state cannot be set: {told(error)}")

@@ -1,0 +1,51 @@
+"""FMI's getters and setters without exceptions: one that left would take the instance from under the importer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from pythonfmu3 import Fmi3Slave
+
+from platform_ctrl.errors import PlatformCtrlError
+
+# What a getter that fails returns in place of each number.
+_NOTHING: dict[str, Any] = {
+    "float64": math.nan,
+    "int32": 0,
+    "int64": 0,
+    "uint64": 0,
+    "boolean": False,
+    "string": "",
+}
+
+
+def told(error: BaseException) -> str:
+    """Return a line about an error."""
+    return str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
+
+
+def guarded_setter(kind: str) -> Callable[[Any, list[int], list[Any]], None]:
+    """Return the library's setter of a kind; what it raises goes to the instance's `fail`."""
+
+    def put(self: Any, references: list[int], numbers: list[Any]) -> None:
+        try:
+            getattr(Fmi3Slave, f"set_{kind}")(self, references, numbers)
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be set: {told(error)}")
+
+    return put
+
+
+def guarded_getter(kind: str) -> Callable[[Any, list[int]], list[Any]]:
+    """Return the library's getter of a kind; where it raises, numbers that say nothing."""
+
+    def get(self: Any, references: list[int]) -> list[Any]:
+        try:
+            return list(getattr(Fmi3Slave, f"get_{kind}")(self, references))
+        except (Exception, KeyboardInterrupt) as error:
+            self.fail(f"values that cannot be had: {told(error)}")
+            return [_NOTHING[kind]] * len(references)
+
+    return get
