@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from browser import Screen, chromium, screen, served
@@ -27,6 +28,7 @@ from platform_ctrl.designer.page.saving import check_line, target
 from platform_ctrl.designer.page.session import Session
 from platform_ctrl.designer.workbench import Workbench
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from questions import Sleeping
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -67,6 +69,17 @@ method = "classical"
 crossover_hz = 30
 integral_hz = 2
 
+[[loop.design]]
+name = "H-infinity"
+method = "hinf"
+bandwidth_hz = 20
+
+[[loop.design]]
+name = "out of reach"
+method = "hinf"
+bandwidth_hz = 20
+disturbance = 1e9
+
 [[manoeuvre]]
 name = "0.5 rad/s about axis 1"
 mode = "caged"
@@ -83,6 +96,18 @@ LOOP = """() => {
     if (model.name === "loop") return Array.from(model.data.gain);
   }
 }"""
+OVERLAYS = """() => {
+  const out = {};
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (/overlay/.test(model.name ?? "") && model.data?.name?.length) out[model.name] = Array.from(model.data.name);
+  }
+  return out;
+}"""
+BANDS = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "band") return model.data.gain_low.length;
+  }
+}"""
 
 browser = pytest.fixture(scope="module")(chromium)
 
@@ -95,8 +120,10 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def workbench(job: Path) -> Workbench:
-    return Workbench(job)
+def workbench(job: Path) -> Iterator[Workbench]:
+    made = Workbench(job)
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="module")
@@ -260,6 +287,77 @@ def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     assert command == f"platform-ctrl check '{saved}'"
     assert "A comment that is to stay." in saved.read_text(encoding="utf-8")
     assert main(["check", str(saved), "-o", str(job.with_name("out"))]) == 0
+
+
+def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_is_there(page: Page) -> None:
+    page.keyboard.press("c")
+    for design in ("slower", "H-infinity", "out of reach"):
+        page.locator("#overlays label", has_text=design).get_by_role("checkbox").check()
+    for design in ("H-infinity", "out of reach"):
+        assert "is being designed" in line(page, f"{design}: is being designed")
+    until(page, lambda: "is being designed" in (page.locator("#compare-line").text_content() or ""))
+    page.keyboard.press("Escape")
+    until(page, lambda: "is being designed" not in (page.locator("#line").text_content() or ""), 60.0)
+    assert "the solver" in line(page, "out of reach: ")
+    overlays = page.evaluate(OVERLAYS)
+    assert set(overlays) >= {"overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"}
+    assert all(set(names) == {"slower", "H-infinity"} for names in overlays.values())
+    # The band of the design that is worked on stays.
+    assert page.locator("#band").is_checked()
+    assert page.evaluate(BANDS) > 0
+
+
+def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
+    page: Page, workbench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manoeuvre = workbench.offer().manoeuvres[0]
+    with monkeypatch.context() as patch:
+        patch.setattr("platform_ctrl.designer.workbench.Flying", lambda **_: Sleeping())
+        page.keyboard.press("s")
+        until(page, lambda: f"{manoeuvre}: the first run" in (page.locator("#busy").text_content() or ""))
+        typed(page, "crossover_hz", "41")
+        shows(page, "crossover_hz", "41")
+        assert page.locator("#busy").is_visible()
+        page.locator("h1").click()
+        page.keyboard.press("Escape")
+        line(page, "was cancelled")
+        assert not page.locator("#busy").is_visible()
+        assert not workbench.flown
+
+    page.locator("#fly").click()
+    tree = page.locator("gimbal-tree")
+    until(page, lambda: tree.evaluate("one => one.run?.there"), 90.0)
+    assert workbench.flown
+    settings = workbench.moved(workbench.start(), "crossover_hz", 41.0)
+    run = workbench.run(settings, manoeuvre)
+    assert np.ptp(run.q[:, -1]) > 1e-5
+    turned = []
+    for time_shown in (0.011, 0.037):
+        seen = tree.evaluate(
+            "(one, t) => { one.controls.platform.checked = false; one.seek(t); return one.state(); }", time_shown
+        )
+        q = np.array([np.interp(time_shown, run.t, column) for column in run.q.T])
+        np.testing.assert_allclose(np.array(seen["turned"][: len(q)]) / seen["factor"], q, rtol=1e-6, atol=1e-12)
+        attitude = [np.interp(time_shown, run.t, column) for column in run.attitude.T]
+        root = seen["rotations"][workbench.read.platform.root_name]
+        np.testing.assert_allclose(np.abs(np.dot(root, attitude)), 1.0, rtol=1e-6)
+        turned.append(seen["turned"])
+    assert np.max(np.abs(np.subtract(*turned))) > 1e-2  # so much larger that it is seen
+
+
+def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "gyros.toml"
+    path.write_text(JOB.replace('use = "classical"', 'use = "H-infinity"'), encoding="utf-8")
+    session = Session(Workbench(path), Document(), "")
+    session.later = lambda act: act()  # type: ignore[method-assign]
+    session._asked("asked", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
+    end = time.monotonic() + 20.0
+    while "saved" not in json.loads(session.wire.told) and time.monotonic() < end:
+        time.sleep(0.01)
+    told = json.loads(session.wire.told)
+    assert told["saved"]["text"].startswith(f"Saved: {path.with_name('new.toml')}. ")
+    assert "classical is closed in place of H-infinity, which is not designed" in told["saved"]["text"]
+    assert told["line"]["text"] == told["saved"]["text"]
 
 
 def test_what_each_slider_does_is_told_once_it_rests_and_hovering_shows_its_column(page: Page) -> None:

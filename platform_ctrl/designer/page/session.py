@@ -23,7 +23,8 @@ from platform_ctrl.frozen import value
 if TYPE_CHECKING:
     from bokeh.document import Document
 
-    from platform_ctrl.designer.values import Picture, Settings
+    from platform_ctrl.designer.pictures import Picture
+    from platform_ctrl.designer.values import Settings
     from platform_ctrl.designer.workbench import Workbench
 
 # Milliseconds without a change after which the influence of the sliders is worked out.
@@ -240,14 +241,17 @@ class Session:
             picture = self.workbench.picture(settings)
         except Exception as error:
             line = words_of(error)
-        last = tasks[-1]
+        # A design that is there now is no step of its own in what a hand does.
+        gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
         count = max(task.count for task in tasks)
         with self._lock:
             if picture is not None:
                 # What the next tasks start from, before it is shown.
                 self.settings = settings
             scheduled = self._outcome is not None
-            self._outcome = Outcome(settings=settings, picture=picture, line=line, count=count, gesture=last.gesture)
+            if self._outcome is not None and gesture == "ready":
+                gesture = self._outcome.gesture
+            self._outcome = Outcome(settings=settings, picture=picture, line=line, count=count, gesture=gesture)
         if not scheduled:
             self.later(self._show)
 
@@ -259,7 +263,7 @@ class Session:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
-        told: dict[str, Any] = {"line": {"text": line or " ".join(notes), "kind": "error" if line else "quiet"}}
+        told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": "error" if line else "quiet"}}
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
@@ -272,7 +276,9 @@ class Session:
         self.answer(out.count, **told)
 
     def _remember(self, settings: Settings, gesture: object) -> None:
-        if gesture == self._gesture and gesture not in ("ready", "history"):
+        if gesture == "ready":
+            return
+        if gesture == self._gesture and gesture != "history":
             self.history.replace(settings)
         elif gesture != "history":
             self.history.put(settings)

@@ -118,6 +118,8 @@ on("line", (given) => {
   write(line, given?.text ?? "");
   if (line.title !== line.textContent) line.title = line.textContent;
   dress(line, given?.kind ?? "");
+  // The dialog stands before the line.
+  write(byId("compare-line"), line.textContent);
 });
 on("busy", (given) => {
   byId("busy").hidden = given === null;

@@ -1,0 +1,41 @@
+"""Questions for a process beside the designer: what it is to work out has to be importable there."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import value
+
+Say = Callable[[str], None]
+
+
+@value
+class Sleeping:
+    """An answer that never comes."""
+
+    def worked_out(self, say: Say) -> None:
+        say("asleep")
+        time.sleep(600.0)
+
+
+@value
+class Who:
+    """Which process answers; with `wrong` it refuses."""
+
+    wrong: bool = False
+
+    def worked_out(self, say: Say) -> int:
+        if self.wrong:
+            raise ArgumentError("given nonsense; expected sense")
+        return os.getpid()
+
+
+@value
+class Dying:
+    """The process that is asked dies."""
+
+    def worked_out(self, say: Say) -> None:
+        os._exit(3)
