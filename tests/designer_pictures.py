@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.designer.values import (
+from platform_ctrl.designer.pictures import (
     Bode,
     FrequencyGain,
     Locus,
@@ -15,9 +15,9 @@ from platform_ctrl.designer.values import (
     Nichols,
     Overlay,
     Picture,
-    Settings,
     TimeResponse,
 )
+from platform_ctrl.designer.values import Settings
 from platform_ctrl.requirements import CheckResult
 
 DAMPING = 20.0

@@ -23,8 +23,9 @@ from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.history import History
+from platform_ctrl.designer.pictures import Picture
 from platform_ctrl.designer.quick_plants import QuickPlants
-from platform_ctrl.designer.values import Picture, Settings
+from platform_ctrl.designer.values import Settings
 from platform_ctrl.designer.workbench import Workbench
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job import Job, LoopSpec, Spread

@@ -18,12 +18,12 @@ from bokeh.models import BoxAnnotation, Label, Model, Range1d
 from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
+from platform_ctrl.designer.pictures import Picture
 from platform_ctrl.designer.plots import Plots
 from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.palette import colours
 from platform_ctrl.designer.plots.views import View, nice
 from platform_ctrl.designer.plots.words import Unit, quantity
-from platform_ctrl.designer.values import Picture
 
 HZ = 1.0 / (2.0 * np.pi)
 

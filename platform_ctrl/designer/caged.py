@@ -36,14 +36,8 @@ from platform_ctrl.designer.parts import (
     settling,
     step_size,
 )
-from platform_ctrl.designer.values import (
-    FrequencyGain,
-    Locus,
-    Margins,
-    Overlay,
-    Settings,
-    TimeResponse,
-)
+from platform_ctrl.designer.pictures import FrequencyGain, Locus, Margins, Overlay, TimeResponse
+from platform_ctrl.designer.values import Settings
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.scenario import HalfCosine

@@ -11,8 +11,9 @@ from platform_ctrl.designer import background
 from platform_ctrl.designer.caged import CagedLoop, caged_overlay
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.drafting import Drafting
+from platform_ctrl.designer.pictures import Overlay
 from platform_ctrl.designer.tasks import Designing
-from platform_ctrl.designer.values import Overlay, Settings
+from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import DesignSpec, LoopSpec

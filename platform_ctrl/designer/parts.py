@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.designer.curves import degrees, degrees_beside, gain_crossings, gain_range, round_up
-from platform_ctrl.designer.values import Bode, FrequencyGain, Locus, Margins, Nichols, TimeResponse
+from platform_ctrl.designer.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, TimeResponse
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import CheckResult
 

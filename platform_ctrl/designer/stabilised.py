@@ -37,7 +37,8 @@ from platform_ctrl.designer.parts import (
     settling,
     step_size,
 )
-from platform_ctrl.designer.values import FrequencyGain, Locus, Margins, Settings, TimeResponse
+from platform_ctrl.designer.pictures import FrequencyGain, Locus, Margins, TimeResponse
+from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec

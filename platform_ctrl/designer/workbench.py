@@ -19,11 +19,12 @@ from platform_ctrl.designer.designs import Designs, never, silent
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
 from platform_ctrl.designer.parts import PictureParts
+from platform_ctrl.designer.pictures import Influence, Overlay, Picture
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
 from platform_ctrl.designer.saving import Saved, controllers_beside, save
 from platform_ctrl.designer.stabilised import stabilised_parts
 from platform_ctrl.designer.tasks import Flying, ServoTuning, Tuning
-from platform_ctrl.designer.values import Influence, Knob, Offer, Overlay, Part, Picture, Settings
+from platform_ctrl.designer.values import Knob, Offer, Part, Settings
 from platform_ctrl.errors import ArgumentError, DesignError
 from platform_ctrl.job import Job
 from platform_ctrl.reading import read_job

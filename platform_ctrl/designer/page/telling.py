@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from platform_ctrl.designer.values import Influence, Knob, Margins, Offer, Picture, Settings
+from platform_ctrl.designer.pictures import Influence, Margins, Picture
+from platform_ctrl.designer.values import Knob, Offer, Settings
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 from platform_ctrl.requirements import CheckResult
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from bokeh.models import LayoutDOM
 
+from platform_ctrl.designer.pictures import Picture
 from platform_ctrl.designer.plots.bode import BodePanel
 from platform_ctrl.designer.plots.locus import LocusPanel
 from platform_ctrl.designer.plots.nichols import NicholsPanel
@@ -15,7 +16,6 @@ from platform_ctrl.designer.plots.rate_response import RatePanel
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.step import StepPanel
 from platform_ctrl.designer.plots.views import View, decades
-from platform_ctrl.designer.values import Picture
 
 
 class Plots:

@@ -9,13 +9,13 @@ import numpy as np
 from bokeh.models import AdaptiveTicker, ColumnDataSource
 from bokeh.models.annotations.geometry import Span
 
+from platform_ctrl.designer.pictures import Bode, Picture
 from platform_ctrl.designer.plots.columns import column, decibels, extent, finite
 from platform_ctrl.designer.plots.crossover_handle import CrossoverHandle
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View, stepped
-from platform_ctrl.designer.values import Bode, Picture
 from platform_ctrl.frozen import FloatArray
 
 HZ = 1.0 / (2.0 * math.pi)

@@ -9,6 +9,7 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models.annotations.geometry import Span
 
+from platform_ctrl.designer.pictures import Locus, Picture
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.columns import column, strung, thinned
@@ -17,7 +18,6 @@ from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.pole_handles import PoleHandles
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View
-from platform_ctrl.designer.values import Locus, Picture
 from platform_ctrl.frozen import FloatArray
 
 DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)

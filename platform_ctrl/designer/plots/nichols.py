@@ -8,12 +8,12 @@ import numpy as np
 from bokeh.models import AdaptiveTicker
 from bokeh.models.annotations.geometry import Span
 
+from platform_ctrl.designer.pictures import Nichols, Picture
 from platform_ctrl.designer.plots.columns import Column, column, decibels, extent, strung, thinned
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View, stepped
-from platform_ctrl.designer.values import Nichols, Picture
 from platform_ctrl.frozen import FloatArray
 
 # Points of a thin line, plants that are drawn, points of a region's rim.

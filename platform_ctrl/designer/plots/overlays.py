@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from platform_ctrl.designer.pictures import Overlay
 from platform_ctrl.designer.plots.columns import column, decibels
 from platform_ctrl.designer.plots.palette import dashes, series
 from platform_ctrl.designer.plots.panel import Key, Theme
 from platform_ctrl.designer.plots.sources import Sources
-from platform_ctrl.designer.values import Overlay
 from platform_ctrl.frozen import FloatArray
 
 _WIDTH = 1.5

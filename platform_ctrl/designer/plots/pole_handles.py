@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from bokeh.models.annotations.geometry import BoxAnnotation
 
+from platform_ctrl.designer.pictures import Locus
 from platform_ctrl.designer.plots.columns import column
 from platform_ctrl.designer.plots.panel import Theme
 from platform_ctrl.designer.plots.pulling import Pulling
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.widths import inner_height, inner_width
-from platform_ctrl.designer.values import Locus
 
 # Rings that there are, and half their size, pixels.
 NUMBER, _HALF = 12, 9.0

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from bokeh.models.annotations.geometry import BoxAnnotation
 
+from platform_ctrl.designer.pictures import Picture
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, extent, finite
 from platform_ctrl.designer.plots.overlays import overlay_keys
@@ -16,7 +17,6 @@ from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.time_response import TimePanel
 from platform_ctrl.designer.plots.views import View
 from platform_ctrl.designer.plots.words import Unit, quantity
-from platform_ctrl.designer.values import Picture
 
 # Below this share of the peak nothing is shown at rest.
 _LEAST = 1e-5

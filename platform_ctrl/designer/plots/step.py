@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from platform_ctrl.designer.pictures import Picture
 from platform_ctrl.designer.plots.panel import Panel, Theme
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.time_response import TimePanel
-from platform_ctrl.designer.values import Picture
 
 
 class StepPanel:

@@ -10,13 +10,13 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.models.annotations.geometry import BoxAnnotation
 
+from platform_ctrl.designer.pictures import Overlay, Picture, TimeResponse
 from platform_ctrl.designer.plots.columns import Column, column, extent, finite, thinned
 from platform_ctrl.designer.plots.palette import dashes, series
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View
 from platform_ctrl.designer.plots.words import Unit, quantity
-from platform_ctrl.designer.values import Overlay, Picture, TimeResponse
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.greek import greek
 
