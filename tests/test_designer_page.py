@@ -352,9 +352,9 @@ def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
     session.later = lambda act: act()  # type: ignore[method-assign]
     session._asked("asked", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
     end = time.monotonic() + 20.0
-    while "saved" not in json.loads(session.wire.told) and time.monotonic() < end:
+    while "saved" not in json.loads(str(session.wire.told)) and time.monotonic() < end:
         time.sleep(0.01)
-    told = json.loads(session.wire.told)
+    told = json.loads(str(session.wire.told))
     assert told["saved"]["text"].startswith(f"Saved: {path.with_name('new.toml')}. ")
     assert "classical is closed in place of H-infinity, which is not designed" in told["saved"]["text"]
     assert told["line"]["text"] == told["saved"]["text"]

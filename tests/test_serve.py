@@ -21,7 +21,7 @@ from platform_ctrl.errors import InputError
 pytest.importorskip("bokeh")
 
 from platform_ctrl.designer import web
-from platform_ctrl.designer.server import PageServer
+from platform_ctrl.designer.server import Building, PageServer
 
 
 def a_slider(workbench: object, document: Any) -> None:
@@ -334,6 +334,21 @@ def test_a_closed_page_ends_its_session_at_once() -> None:
         while server.sessions:
             assert time.monotonic() < late
             time.sleep(0.01)
+
+
+def test_a_workbench_made_for_the_server_is_closed_with_it_and_one_that_was_given_is_not() -> None:
+    class Shared:
+        closed = 0
+
+        def close(self) -> None:
+            self.closed += 1
+
+    built, given = Shared(), Shared()
+    building = Building(lambda: built)
+    assert building.result() is built
+    with served(building, make=a_slider), served(given, make=a_slider):
+        assert built.closed == 0
+    assert (built.closed, given.closed) == (1, 0)
 
 
 def test_a_page_that_cannot_be_made_says_so_in_a_line(capfd: pytest.CaptureFixture[str]) -> None:
