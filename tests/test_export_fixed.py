@@ -385,6 +385,8 @@ def test_the_generated_job_commands_what_the_simulated_controllers_do(tmp_path: 
         assert set(status) == {0}
         torque = out * (limits / (2.0**30 if number == "q31" else 2.0**14))
         assert np.all(np.abs(torque - command).max(axis=0) <= allowed * limits)
+        # What is told of anti-windup is told of real numbers.
+        assert "So in real arithmetic" in " ".join(done.files[0].read_text().replace("\n *", " ").split())
 
 
 @st.composite

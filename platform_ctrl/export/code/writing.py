@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 AnyNumber = Literal["double", "float", "q31", "q15"]
 AntiWindup = Literal["back-calculation", "proved", "none"]
 
+# What is told of anti-windup is of the controller before it is put into integers.
+_ROUNDED = " So in real arithmetic: rounding, and the ends of integrals and excess below, come on top."
 _NUMBERS = ("double", "float", "q31", "q15")
 _ANTI_WINDUP = ("back-calculation", "proved", "none")
 
@@ -260,7 +262,9 @@ def _integer_texts(
 
     prefixes = Names(24, FILES)
     units = [
-        emission.Unit(fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark,))
+        emission.Unit(
+            fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark + _ROUNDED,)
+        )
         for one, remark in zip(made, remarks, strict=True)
     ]
     texts: dict[str, str] = {}
