@@ -43,6 +43,8 @@ def page(workbench: Workbench, document: Document) -> None:
             document.add_root(root)
     document.on_session_destroyed(session.close)
     document.title = session.title
+    # A lost page says so itself, and is loaded again with its state: what the server knew of it may be gone.
+    document.config.update(reconnect_session=False, notify_connection_status=False)
     document.template = _template()
     document.template_variables.update(panels=PANELS)
 

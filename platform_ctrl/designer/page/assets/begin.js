@@ -1,6 +1,7 @@
 // Waits for BokehJS, takes the model that carries questions and answers, and asks for the first picture.
 import { ask, connect, hear, traffic } from "./wire.js";
 import { themeChanged } from "./choices.js";
+import { watch } from "./connection.js";
 import "./sliders.js";
 import "./table.js";
 import "./acts.js";
@@ -24,6 +25,7 @@ const begin = (bokeh) => {
     if (told.bar) document.body.classList.remove("starting");
     window.dispatchEvent(new CustomEvent("told", { detail: traffic() }));
   });
+  watch(bokeh);
   themeChanged();
   ask("ready");
 };

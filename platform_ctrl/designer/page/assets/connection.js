@@ -1,0 +1,45 @@
+// What the page does while the server does not answer: it says so, and comes back with its state when the server does.
+import { hear, traffic } from "./wire.js";
+
+const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
+const LOST = "The connection to the server is lost. The page comes back as it stands here as soon as the server answers.";
+const SLOW = "The server has not answered yet; the page goes on when it does.";
+
+const say = (text, kind) => hear({ line: { text, kind } });
+
+const back = async () => {
+  try {
+    const answer = await fetch("/favicon.ico", { cache: "no-store" });
+    // The address holds the state.
+    if (answer.ok) { window.location.reload(); return; }
+  } catch { /* Still away. */ }
+  setTimeout(back, AGAIN);
+};
+
+const watchAnswers = () => {
+  let answered = -1, since = performance.now(), said = false;
+  setInterval(() => {
+    const now = traffic();
+    if (now.answered !== answered || now.answered >= now.asked) {
+      answered = now.answered;
+      since = performance.now();
+      said = false;
+    } else if (!said && performance.now() - since > PATIENCE) {
+      said = true;
+      say(SLOW, "quiet");
+    }
+  }, LOOK);
+};
+
+export const watch = (bokeh) => {
+  let lost = false;
+  bokeh.on_event("connection_lost", () => {
+    if (lost) return;
+    lost = true;
+    document.body.classList.add("lost");
+    document.querySelector("#busy").hidden = true;
+    say(LOST, "error");
+    setTimeout(back, AGAIN);
+  });
+  watchAnswers();
+};
