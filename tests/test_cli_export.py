@@ -133,6 +133,22 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     assert files(there) == before
 
 
+@pytest.mark.parametrize(
+    ("option", "of"),
+    [
+        ("--number=q31", "c"),
+        ("--range=a=1", "c"),
+        ("--form=polar", "csv"),
+        ("--root=fixed", "mjcf"),
+        ("--manoeuvre=x", "fmu"),
+    ],
+)
+def test_an_option_of_what_is_not_written_is_refused(
+    option: str, of: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"expected --{of} beside it" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
+
+
 @pytest.mark.parametrize("option", ["--mat", "--mjcf", "--c"])
 def test_the_plant_that_the_job_reads_is_never_written_over(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

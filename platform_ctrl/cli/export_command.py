@@ -194,6 +194,17 @@ def export(
     folders: dict[str, Path] = {o: p for o, p in (("c", c), ("csv", csv)) if p}
     if not files and not folders:
         raise InputError("nothing to write; expected one of --c, --mat, --models, --csv, --mjcf, --fmu (see --help)")
+    for option, is_given, of in (
+        ("--number", number != "double", "c"),
+        ("--anti-windup", anti_windup != "back-calculation", "c"),
+        ("--range", bool(ranges), "c"),
+        ("--integral-limit", bool(limits), "c"),
+        ("--form", form != "complex", "csv"),
+        ("--root", root != "free", "mjcf"),
+        ("--manoeuvre", manoeuvre is not None, "fmu"),
+    ):
+        if is_given and of not in files | folders:
+            raise InputError(f"{option}: says how --{of} is written; expected --{of} beside it")
     for option, given, known in (
         ("--number", number, NUMBERS),
         ("--anti-windup", anti_windup, ANTI_WINDUP),
