@@ -89,6 +89,16 @@ rise = 0.01
 hold = 0.02
 duration = 0.05
 limits = { angle = 0.1 }
+
+[[manoeuvre]]
+name = "0.5 rad/s about axis 2"
+mode = "caged"
+axis = 2
+rate = 0.5
+rise = 0.01
+hold = 0.02
+duration = 0.05
+limits = { angle = 0.1 }
 """
 CROSSOVER = '#knobs [data-knob="crossover_hz"]'
 LOOP = """() => {
@@ -310,7 +320,9 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_i
 def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
     page: Page, workbench: Workbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    manoeuvre = workbench.offer().manoeuvres[0]
+    manoeuvre = workbench.offer().manoeuvres[1]
+    page.locator("#manoeuvre").select_option(manoeuvre)
+    page.locator("h1").click()
     with monkeypatch.context() as patch:
         patch.setattr("platform_ctrl.designer.workbench.Flying", lambda **_: Sleeping())
         page.keyboard.press("s")

@@ -66,7 +66,8 @@ on("state", (given) => {
   for (const button of byId("mode").children) button.disabled = !given.choices.mode.includes(button.dataset.mode);
   for (const [id, name] of Object.entries(SELECTS)) fill(byId(id), given.choices[name], given[name]);
   byId("band").checked = given.band;
-  fill(byId("manoeuvre"), given.choices.manoeuvre, given.manoeuvre);
+  // What was chosen to be flown is the page's own.
+  fill(byId("manoeuvre"), given.choices.manoeuvre, byId("manoeuvre").value || given.manoeuvre);
   byId("fly").disabled = given.choices.manoeuvre.length === 0;
   byId("undo").disabled = !given.undo;
   byId("redo").disabled = !given.redo;
