@@ -131,6 +131,17 @@ def test_wrong_input_is_one_line_before_any_work(there: Path, capsys: pytest.Cap
     assert Path("job.toml").read_text() == before
 
 
+@pytest.mark.parametrize("command", ["check", "design"])
+def test_junit_never_lands_on_the_plant_of_the_job(
+    command: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plant = (Path(__file__).parent.parent / "models" / "three_gyro_platform.toml").read_bytes()
+    Path("plant.toml").write_bytes(plant)
+    Path("job.toml").write_text(JOB.replace('"three_gyro_platform"', '"plant.toml"'), encoding="utf-8")
+    assert "for something else" in refused(capsys, command, "job.toml", "--quiet", "--junit", "plant.toml")
+    assert Path("plant.toml").read_bytes() == plant
+
+
 def test_a_baseline_is_a_file_of_controllers_too(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "job.toml", "--controllers", "gyro.json", "--baseline", "gyro.json", "-q"]) == 0
     out, err = capsys.readouterr()

@@ -20,6 +20,7 @@ from platform_ctrl.cli.inputs import (
     Quiet,
     controller_file,
     job_of,
+    plant_file,
     prepared,
 )
 from platform_ctrl.cli.job_outcome import Extras, delivered
@@ -93,7 +94,8 @@ def check(
             counted(read, closed, campaign)  # before the work on what would be refused
         prepared(folder, extras.files)
         if junit is not None:
-            writable("--junit", junit, [job, file, baseline, *(folder / name for name in extras.files)])
+            inputs = [job, *plant_file(job, read), file, baseline]
+            writable("--junit", junit, [*inputs, *(folder / name for name in extras.files)])
         say(f"controllers: {file}")
         result = checked(read, outcomes_from(read, closed, others), say)
         notes = unconfirmed(file, result)

@@ -28,6 +28,7 @@ from platform_ctrl.cli.inputs import (
     Pdf,
     Quiet,
     job_of,
+    plant_file,
     prepared,
 )
 from platform_ctrl.cli.job_outcome import Extras, delivered
@@ -136,7 +137,7 @@ def design(
         extras = Extras.given(read, pdf, campaign)
         prepared(out, extras.files)
         if junit is not None:
-            writable("--junit", junit, [job, *(out / name for name in extras.files)])
+            writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
         from platform_ctrl.check import checked
         from platform_ctrl.design import loops
         from platform_ctrl.simulation.warming import warm_up

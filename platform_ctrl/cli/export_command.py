@@ -15,7 +15,7 @@ import typer
 
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.held_baseline import writable
-from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, controller_file, job_of
+from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def export(
         needed = bool(folders) or mat is not None or fmu is not None
         wanted = needed or models is not None or controllers is not None
         file = _controllers(controllers, job, needed) if wanted else None
-        _judge_targets([job, *_plant_file(job, read), *([file] if file else [])], files, folders)
+        _judge_targets([job, *plant_file(job, read), *([file] if file else [])], files, folders)
         owned = {option: own_files(f"--{option}", path) for option, path in folders.items()}
         work = _Work(read, job, file, c_options, form, root, manoeuvre)
         made: dict[str, list[Path]] = {}
@@ -295,12 +295,6 @@ def _controllers(given: Path | None, job: Path, needed: bool) -> Path | None:
         if needed:
             raise
         return None
-
-
-def _plant_file(path: Path, job: Job) -> list[Path]:
-    """Return the plant file that a job names; none where its plant is shipped, or stands in the job."""
-    file = path.parent / job.plant
-    return [file] if file.is_file() else []
 
 
 def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str, Path]) -> None:

@@ -137,6 +137,12 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
     return file
 
 
+def plant_file(path: Path, job: Job) -> list[Path]:
+    """Return the plant file that a job file names; none where its plant is shipped, or stands in the job."""
+    file = path.parent / job.plant
+    return [file] if file.is_file() else []
+
+
 def prepared(folder: Path, files: Sequence[str] = ()) -> None:
     """Make the folder and try to write there: before the work, not after it.
 
