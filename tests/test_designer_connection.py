@@ -13,7 +13,9 @@ from one_gyro_job import JOB
 pytest.importorskip("bokeh")
 pytest.importorskip("tomlkit")
 
+from platform_ctrl.designer.page.saving import target
 from platform_ctrl.designer.workbench import Workbench
+from platform_ctrl.errors import DesignError, InputError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -50,3 +52,28 @@ def test_a_page_whose_server_ends_says_so_and_comes_back_as_it_stood_with_the_se
         until(page, "!document.body.matches('.starting, .lost') && window.designer.settled()")
         assert number.input_value() == other
         page.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("x" * 81, "81 characters"),
+        (".hidden", "no dot at its beginning"),
+        ("Con.old", "keeps it for a device"),
+        ("../out", "expected letters"),
+        ("..", "expected letters"),
+    ],
+)
+def test_a_name_that_is_refused_is_told_why(tmp_path: Path, name: str, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        target(tmp_path, name)
+
+
+def test_a_sample_rate_that_another_loop_does_not_bear_is_refused_in_its_name(tmp_path: Path) -> None:
+    job = tmp_path / "gyros.toml"
+    other = '[[loop]]\nname = "other"\nkind = "caging"\ngimbals = ["4", "5", "7"]\nuse = "classical"\n'
+    other += 'design = [{ name = "classical", method = "classical", notch_hz = 200 }]\n'
+    job.write_text(JOB + other, encoding="utf-8")
+    workbench = Workbench(job)
+    with pytest.raises(DesignError, match="other, classical: notch_hz = 200"):
+        workbench.picture(workbench.moved(workbench.start(), "rate_hz", 300.0))

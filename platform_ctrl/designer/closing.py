@@ -182,9 +182,12 @@ class Closing:
         quick = self.quick(spec)
         channel, period = quick.channels(settings.spins), 1.0 / settings.rate_hz
         parts = settings.parts_on(spec.name, design.name)
-        return starting_values(
-            classical_numbers(options, parts, channel), channel, self._nutation(settings, spec), period
-        )
+        given, nutation = classical_numbers(options, parts, channel), self._nutation(settings, spec)
+        try:
+            return starting_values(given, channel, nutation, period)
+        except DesignError as error:
+            # It may be another loop than the one that is worked on.
+            raise DesignError(f"{spec.name}, {error}") from None
 
     def key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
         """Return all that a design of a method depends on."""

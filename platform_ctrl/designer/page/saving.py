@@ -10,7 +10,8 @@ from platform_ctrl.arguments import short
 from platform_ctrl.errors import InputError
 
 # A name and no path; nothing that a system keeps to itself.
-_NAME = re.compile(r"(?!\.)[\w .,()+=@-]{1,80}(?<![ .])")
+_NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
+_LONGEST = 80
 _RESERVED = re.compile(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?")
 
 
@@ -39,8 +40,14 @@ def target(folder: Path, name: str) -> Path:
     See docs/designer.md.
     """
     stem = name.strip().removesuffix(".toml")
-    if _NAME.fullmatch(stem) is None or _RESERVED.fullmatch(stem) is not None:
+    if len(stem) > _LONGEST:
+        raise InputError(f"name: {len(stem)} characters; expected at most {_LONGEST}")
+    if _RESERVED.fullmatch(stem) is not None:
+        raise InputError(f"name: given {short(name)}; expected another: Windows keeps it for a device")
+    if _NAME.fullmatch(stem) is None:
         raise InputError(f"name: given {short(name)}; expected letters, digits, blanks, . , ( ) + = @ - or _")
+    if stem.startswith("."):
+        raise InputError(f"name: given {short(name)}; expected no dot at its beginning: such files are hidden")
     return folder / f"{stem}.toml"
 
 

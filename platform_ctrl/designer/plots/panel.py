@@ -44,8 +44,8 @@ _LEFT, _RIGHT, _TOP = 54, 12, 7
 _HEADING = f"""
 .line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
   font-variant-numeric: tabular-nums; }}
-.title {{ font-weight: 650; }}
-.detail {{ overflow: hidden; text-overflow: ellipsis; }}
+.bk-clearfix {{ display: block; max-width: 100%; }} .title {{ font-weight: 650; flex: none; }}
+.detail {{ min-width: 0; overflow: hidden; text-overflow: ellipsis; }}
 .keys {{ font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
 .keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
 .keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
