@@ -3,6 +3,9 @@
 let send = null;
 let asked = 0, answered = 0, gesture = 0;
 const waiting = new Map();
+// What is meant for where the sliders have come to: it waits until they are there.
+const AFTER_MOVES = new Set(["undo", "redo", "tune", "save", "fly"]);
+const later = [];
 const listeners = new Map();
 
 export const byId = (id) => document.getElementById(id);
@@ -30,6 +33,10 @@ export const icon = (name) => {
 
 export const ask = (what, more = {}) => {
   if (send === null) return;
+  if (AFTER_MOVES.has(what) && (answered < asked || waiting.size > 0)) {
+    later.push([what, more]);
+    return;
+  }
   asked += 1;
   send({ n: asked, what, ...more });
 };
@@ -54,7 +61,7 @@ export const put = (knob, value) => {
 export const newGesture = () => { gesture += 1; };
 export const pending = (knob) => waiting.has(knob);
 export const settled = (n) => n >= asked;
-export const traffic = () => ({ asked, answered, waiting: waiting.size });
+export const traffic = () => ({ asked, answered, waiting: waiting.size + later.length });
 export const connect = (given) => { send = given; };
 
 export const on = (part, listen) => {
@@ -69,6 +76,7 @@ export const hear = (told) => {
   if (typeof told.n === "number" && told.n >= answered) {
     answered = told.n;
     sendWaiting();
+    if (answered >= asked && later.length > 0) ask(...later.shift());
   }
 };
 
