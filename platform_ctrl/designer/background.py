@@ -128,7 +128,7 @@ class _Process:
     def __init__(self) -> None:
         self._process = _started()
         self._told: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._write(sys.path)
+        self._write(pickle.dumps(sys.path))
         threading.Thread(target=_listen, args=(self._process, self._told), daemon=True).start()
 
     @property
@@ -136,7 +136,8 @@ class _Process:
         return self._process.poll() is not None
 
     def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
-        threading.Thread(target=self._write, args=(question,), daemon=True).start()
+        # Pickled here: what cannot be is told to who asks.
+        threading.Thread(target=self._write, args=(pickle.dumps(question),), daemon=True).start()
         while True:
             if cancelled():
                 raise Abandoned("cancelled")
@@ -161,10 +162,10 @@ class _Process:
                 if pipe is not None:
                     pipe.close()
 
-    def _write(self, content: object) -> None:
+    def _write(self, content: bytes) -> None:
         assert self._process.stdin is not None
         with contextlib.suppress(OSError, ValueError):  # the listener sees that the process died
-            self._process.stdin.write(pickle.dumps(content))
+            self._process.stdin.write(content)
             self._process.stdin.flush()
 
 
@@ -188,5 +189,5 @@ def _listen(process: subprocess.Popen[bytes], told: queue.SimpleQueue[tuple[str,
     try:
         while True:
             told.put(pickle.load(process.stdout))
-    except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+    except Exception:  # whatever a broken pickle raises: who waits is to know
         told.put(("died", None))
