@@ -128,12 +128,14 @@ class _Process:
     def __init__(self) -> None:
         self._process = _started()
         self._told: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._died = False
         self._write(pickle.dumps(sys.path))
         threading.Thread(target=_listen, args=(self._process, self._told), daemon=True).start()
 
     @property
     def gone(self) -> bool:
-        return self._process.poll() is not None
+        # One that closed its pipe may not have ended yet, and tells that it died only once.
+        return self._died or self._process.poll() is not None
 
     def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
         # Pickled here: what cannot be is told to who asks.
@@ -152,6 +154,7 @@ class _Process:
             elif kind == "failed":
                 raise content
             else:
+                self._died = True
                 raise DesignError("the process that worked it out died; expected an answer, try again")
 
     def end(self) -> None:
