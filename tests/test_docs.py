@@ -107,7 +107,9 @@ def test_commands_that_a_page_only_shows_have_the_options_that_they_are_shown_wi
         if name == "COMMAND":
             continue
         command = program.commands[name]  # type: ignore[attr-defined]
-        command.make_parser(typer.Context(command)).parse_args(given)
+        # A command keeps the help options of the first context that it sees.
+        within = typer.Context(command, **program.context_settings)
+        command.make_parser(within).parse_args(given)
 
 
 @PAGE

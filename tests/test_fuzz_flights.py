@@ -81,13 +81,13 @@ def test_the_job_to_begin_with_flies() -> None:
         assert flown(EVERY_PLANT_KEY.data, EVERY_JOB_KEY.data, "--manoeuvre", number) == 0
 
 
-@cases(700)
+@cases(350)
 @given(st.sampled_from(IN_PLANT), st.sampled_from(NUMBERS), st.sampled_from(["1", "2"]))
 def test_a_plant_with_any_number_flies_or_is_refused(place: Place, number: float, manoeuvre: str) -> None:
     flown(put(EVERY_PLANT_KEY.data, place, number), EVERY_JOB_KEY.data, "--manoeuvre", manoeuvre)
 
 
-@cases(500)
+@cases(250)
 @given(st.sampled_from(IN_JOB), st.sampled_from(NUMBERS), st.sampled_from(["1", "2"]))
 @example(("manoeuvre", 0, "rate"), 1e12, "1")
 def test_a_job_with_any_number_flies_or_is_refused(place: Place, number: float, manoeuvre: str) -> None:
@@ -97,7 +97,7 @@ def test_a_job_with_any_number_flies_or_is_refused(place: Place, number: float, 
     flown(EVERY_PLANT_KEY.data, job, "--manoeuvre", manoeuvre)
 
 
-@cases(200)
+@cases(100)
 @given(chances)
 def test_many_numbers_at_once(how: random.Random) -> None:
     plant, job = EVERY_PLANT_KEY.data, EVERY_JOB_KEY.data
@@ -108,7 +108,7 @@ def test_many_numbers_at_once(how: random.Random) -> None:
     flown(plant, job, "--manoeuvre", how.choice("12"))
 
 
-@cases(300)
+@cases(150)
 @given(st.sampled_from([place for place in IN_JOB if place[0] == "campaign"]), st.sampled_from(NUMBERS))
 @example(("campaign", "step"), 1e9)
 @example(("campaign", "vary", 1, "deviation"), 1e9)

@@ -71,7 +71,7 @@ def test_the_files_to_begin_with_have_every_key() -> None:
         assert [path for path in rules(page) if path not in there and path[:2] != ("loop", "soft")] == []
 
 
-@cases(1000)
+@cases(860)
 @given(st.sampled_from(JOBS), chances)
 def test_mangled_bytes_are_refused_or_read(job: Seed, how: random.Random) -> None:
     mutant = mangled(job.text.encode(), how)
@@ -86,7 +86,7 @@ def test_mangled_bytes_are_refused_or_read(job: Seed, how: random.Random) -> Non
         assert accepted or means != job.data or "hundreds of parts" in error
 
 
-@cases(1000)
+@cases(860)
 @given(st.sampled_from(PLACES), st.sampled_from(NEVER_RIGHT))
 def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], item: object) -> None:
     job, place = where
@@ -95,7 +95,7 @@ def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], ite
     assert "is not TOML" in error if item == [None] else key_of(place) in error
 
 
-@cases(1400)
+@cases(1200)
 @given(st.sampled_from(PLACES), st.sampled_from(SOMETIMES_RIGHT))
 def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: object) -> None:
     job, place = where
@@ -106,7 +106,7 @@ def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: obj
         assert key_of(place) in error
 
 
-@cases(600)
+@cases(520)
 @given(st.sampled_from(KEYS), st.sampled_from(MISHAPS))
 def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> None:
     job, place = where
@@ -121,7 +121,7 @@ def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> No
         assert key in error or key.swapcase() in error
 
 
-@cases(400)
+@cases(340)
 @given(st.sampled_from(JOBS), chances)
 def test_the_same_in_other_words_is_the_same_job(job: Seed, how: random.Random) -> None:
     text = written(job.data, how)

@@ -72,7 +72,7 @@ def test_a_plant_that_is_right_is_read(plant: Seed) -> None:
     assert read(written(plant.data))[0]
 
 
-@cases(2000)
+@cases(1720)
 @given(st.sampled_from(PLANTS), chances)
 def test_mangled_bytes_are_refused_or_read(plant: Seed, how: random.Random) -> None:
     mutant = mangled(plant.text.encode(), how)
@@ -87,7 +87,7 @@ def test_mangled_bytes_are_refused_or_read(plant: Seed, how: random.Random) -> N
         assert accepted or means != plant.data or "hundreds of parts" in error
 
 
-@cases(2000)
+@cases(1720)
 @given(st.sampled_from(PLACES), st.sampled_from(NEVER_RIGHT))
 def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], item: object) -> None:
     plant, place = where
@@ -101,7 +101,7 @@ def test_what_no_key_takes_is_refused_by_its_name(where: tuple[Seed, Place], ite
         assert key_of(place) in error
 
 
-@cases(2000)
+@cases(1720)
 @given(st.sampled_from(PLACES), st.sampled_from(SOMETIMES_RIGHT))
 def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: object) -> None:
     plant, place = where
@@ -112,7 +112,7 @@ def test_a_value_is_judged_as_the_page_says(where: tuple[Seed, Place], item: obj
         assert key_of(place) in error
 
 
-@cases(600)
+@cases(520)
 @given(st.sampled_from(KEYS), st.sampled_from(MISHAPS))
 def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> None:
     plant, place = where
@@ -127,7 +127,7 @@ def test_keys_are_known_and_needed(where: tuple[Seed, Place], mishap: str) -> No
         assert key in error or key.swapcase() in error
 
 
-@cases(800)
+@cases(690)
 @given(st.sampled_from(PLANTS), chances)
 def test_the_same_in_other_words_is_the_same_plant(plant: Seed, how: random.Random) -> None:
     text = written(plant.data, how)

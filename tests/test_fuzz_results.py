@@ -52,7 +52,7 @@ def test_the_controllers_to_begin_with_are_read() -> None:
     assert read(TEXT)[0]
 
 
-@cases(400)
+@cases(200)
 @given(chances)
 def test_mangled_bytes_are_refused_or_read(how: random.Random) -> None:
     mutant = mangled(TEXT.encode(), how)
@@ -66,7 +66,7 @@ def test_mangled_bytes_are_refused_or_read(how: random.Random) -> None:
         assert "JSON" in error or "cannot be read" in error
 
 
-@cases(700)
+@cases(350)
 @given(st.sampled_from(PLACES), st.sampled_from(JSON_VALUES))
 @example(("controllers", 0, "A", 0, 0), 1e308)
 def test_any_value_is_read_or_refused_by_its_name(place: Place, item: object) -> None:
