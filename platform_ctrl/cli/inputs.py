@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
 RESULT = "result.json"
-# What the designer saves beside JOB.toml.
-BESIDE = ".controllers.json"
 REPORT = "report.html"
 PDF = "report.pdf"
 
@@ -41,7 +39,7 @@ Controllers = Annotated[
         "--controllers",
         metavar="FILE",
         help=f"Controllers: a {RESULT}, or a JSON file with its keys schema and controllers alone. Default: JOB with "
-        f"{BESIDE} in place of .toml where that file stands, else {DESIGNED / RESULT}.",
+        f".controllers.json in place of .toml where that file stands, else {DESIGNED / RESULT}.",
         show_default=False,
         autocompletion=completion.controller_files,
     ),
@@ -125,9 +123,12 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
     """
     if given is not None:
         return given
-    beside = None if job is None else job.with_name(job.stem + BESIDE)
-    if beside is not None and beside.is_file():
-        return beside
+    if job is not None:
+        from platform_ctrl.designer.saving import controllers_beside
+
+        beside = controllers_beside(job)
+        if beside.is_file():
+            return beside
     file = folder / RESULT if folder is not None and os.path.exists(folder / RESULT) else DESIGNED / RESULT
     if not file.exists():
         raise InputError(
