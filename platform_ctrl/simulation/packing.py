@@ -173,9 +173,9 @@ def _skeleton(parts: _Parts) -> Skeleton:
 
 def _frame(axis: FloatArray) -> FloatArray:
     """Rotation from a body's axes in the file to those of the kernel, whose z is the joint's axis."""
-    along = np.flatnonzero(axis == 1.0)
-    if len(along):
-        return np.asarray(np.roll(np.eye(3), -1 - int(along[0]), axis=0))
+    # An axis that is 1e-9 rad off has a 1 too.
+    if axis.max() == 1.0 and np.count_nonzero(axis) == 1:
+        return np.asarray(np.roll(np.eye(3), -1 - int(axis.argmax()), axis=0))
     across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     across /= np.linalg.norm(across)
     return np.array([across, np.cross(axis, across), axis])
