@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
@@ -145,6 +146,34 @@ class LoopFigures:
         """Sensitivity at the plants' input, (N, F, m, m): I + K S_output P, one inverse serves both."""
         return np.asarray(np.eye(self.m) + self.K @ self.S_output @ self.plants.response, dtype=np.complex128)
 
+    def only(self, chosen: Sequence[int]) -> LoopFigures:
+        """Return the figures of some of the plants (indices): what is worked out here is taken over, none of it twice.
+
+        Parameters
+        ----------
+        chosen
+            Indices of plants.
+
+        Returns
+        -------
+        LoopFigures
+            Of `plants.only(chosen)`.
+
+        Notes
+        -----
+        The argument is not judged: an index out of range is an `IndexError`.
+
+        References
+        ----------
+        As the class.
+        """
+        index = np.asarray(chosen, dtype=np.intp)
+        out = LoopFigures(self.plants.only(chosen), self.controller)
+        out.K, out.poles, out.decay = self.K, self.poles[index], self.decay[index]
+        out.S_output, out.S_input = self.S_output[index], self.S_input[index]
+        out.arrays, out.own_arrays = _some(self.arrays, index), _some(self.own_arrays, index)
+        return out
+
     def figure(self, asked: Asked) -> FloatArray:
         """Return a figure of every plant (N,), peaks on the grid; of the controller alone (1,)."""
         if asked.kind in PEAKS:
@@ -216,6 +245,11 @@ class LoopFigures:
         share = self.plants.Omega / self.plants.torque_limit[:, None]
         rows = [part(rate, slice(j, j + 1)) for j in range(m)]
         return [one._replace(B=one.B * s, D=one.D * s) for one, s in zip(rows, share, strict=True)]
+
+
+def _some(stack: StateArrays, index: NDArray[np.intp]) -> StateArrays:
+    A, B, C, D, dt = stack
+    return StateArrays(A[index], B[index], C[index], D[index], dt)
 
 
 def largest(matrices: ComplexArray) -> FloatArray:

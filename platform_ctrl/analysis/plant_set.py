@@ -207,7 +207,11 @@ def plant_set(
     grid = tuning_grid(nutation, plants.dt)
     others: list[Group] = ["spread" for _ in labels[1:]]
     B_Omega = np.zeros((*plants.A.shape[:-1], 3)) if B_Omega is None else B_Omega
-    D_Omega = np.zeros((*plants.D.shape[:-1], 3))
+    # Both together: what is worked out for each plant, and each of its angles, is then worked out once.
+    m = plants.B.shape[-1]
+    B = np.concatenate([plants.B, B_Omega], axis=-1)
+    D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
+    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid)
     return PlantSet(
         A=plants.A,
         B=plants.B,
@@ -224,6 +228,6 @@ def plant_set(
         nutation=nutation,
         noise=noise,
         frequency=grid,
-        response=frequency_response_arrays(*plants, grid),
-        Omega_response=frequency_response_arrays(plants.A, B_Omega, plants.C, D_Omega, plants.dt, grid),
+        response=np.ascontiguousarray(response[..., :m]),
+        Omega_response=np.ascontiguousarray(response[..., m:]),
     )

@@ -16,6 +16,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.loop import asked_of, judged
+from platform_ctrl.designer.beside import both
 from platform_ctrl.designer.curves import (
     channel_response,
     degrees,
@@ -72,6 +73,20 @@ class CagedLoop:
     controller: StateArrays
 
 
+@value
+class _Curves:
+    """What is drawn of the plant shown and of the band, and the grid (F,), rad/s, on which it is."""
+
+    grid: FloatArray
+    response: ComplexArray
+    stable: bool
+    locus: Locus
+    step: TimeResponse
+    Omega_time: TimeResponse
+    Omega_frequency: FrequencyGain
+    band: Band | None
+
+
 def caged_parts(loop: CagedLoop, settings: Settings) -> PictureParts:
     """Return what is drawn for a caging loop."""
     spec, plants, K = loop.spec, loop.plants, loop.controller
@@ -79,43 +94,56 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> PictureParts:
     shown = LoopFigures(loop.shown, K)
     exact = plants.A.shape[-1] + len(K.A) <= _QUICK
     whole = LoopFigures(plants, K)
-    asked = asked_of(spec)
-    measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
-    requirements, goals = judged(spec, loop.design, plants, measures)
     banded = bool(settings.band and len(plants.labels) > 1)
-    kept = np.flatnonzero(plants.of(_BAND)) if banded else np.array([0])
-    same = len(kept) == len(plants.labels)
-    every = (whole if same else LoopFigures(plants.only(kept.tolist()), K)) if banded else None
-    s = continuous_poles(shown.poles[0], plants.period)
-    grid = _grid(loop.shown, s)
-    response = shown_channel(loop.shown, K, grid, channel)
-    band = None
-    if every is not None:
-        responses = channel_response(every.S_input, channel)
-        band = Band(every.plants.labels, every.plants.frequency, responses)
+
+    def verdict() -> tuple[LoopMeasures, float]:
+        asked = asked_of(spec)
+        measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
+        return measures, _disk(loop, measures, shown, exact)
+
+    def curves() -> _Curves:
+        s = continuous_poles(shown.poles[0], plants.period)
+        grid = _grid(loop.shown, s)
+        response = shown_channel(loop.shown, K, grid, channel)
+        stable = bool(shown.decay[0] > 0.0)
+        kept = np.flatnonzero(plants.of(_BAND)).tolist()
+        every = (whole if len(kept) == len(plants.labels) else whole.only(kept)) if banded else None
+        return _Curves(
+            grid=grid,
+            response=response,
+            stable=stable,
+            locus=_locus(loop, s, every, exact),
+            step=_step(loop, shown, every, channel, s, stable),
+            Omega_time=_manoeuvre(loop, shown, every, settings.axis),
+            Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
+            band=None
+            if every is None
+            else Band(every.plants.labels, every.plants.frequency, channel_response(every.S_input, channel)),
+        )
+
+    (measures, disk), drawn = both(verdict, curves)
+    requirements, goals = judged(spec, loop.design, plants, measures)
     bode, nichols = frequency_parts(
         plants.torques[channel],
-        grid,
-        response,
+        drawn.grid,
+        drawn.response,
         math.pi / plants.period,
         settings.plant,
-        band,
+        drawn.band,
         spec.limits.disk_margin,
     )
-    stable = bool(shown.decay[0] > 0.0)
-    inside = plants.of(_BAND)
     return PictureParts(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, s, every, exact),
-        step=_step(loop, shown, every, channel, s, stable),
-        Omega_time=_manoeuvre(loop, shown, every, settings.axis),
-        Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
-        margins=_margins(loop, measures, shown, grid, response, stable, exact),
+        locus=drawn.locus,
+        step=drawn.step,
+        Omega_time=drawn.Omega_time,
+        Omega_frequency=drawn.Omega_frequency,
+        margins=_margins(loop, measures, shown, drawn, disk),
         requirements=requirements,
         goals=goals,
-        stable=stable,
-        all_stable=bool(np.all(measures.decay[inside] > 0.0)),
+        stable=drawn.stable,
+        all_stable=bool(np.all(measures.decay[plants.of(_BAND)] > 0.0)),
         notes=() if exact else ("peaks are taken on a grid: the loop is too large for norms while a slider moves",),
     )
 
@@ -300,26 +328,27 @@ def _Omega_gain(
     )
 
 
-def _margins(
-    loop: CagedLoop,
-    measures: LoopMeasures,
-    shown: LoopFigures,
-    grid: FloatArray,
-    response: ComplexArray,
-    stable: bool,
-    exact: bool,
-) -> Margins:
+def _disk(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, exact: bool) -> float:
+    """Return the disk margin of the plant shown."""
+    if all(np.array_equal(getattr(loop.shown, of)[0], getattr(loop.plants, of)[0]) for of in ("A", "B", "C", "D")):
+        # The nominal plant's is measured in any case.
+        return float(measures.disk_margin[0])
+    return shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0])
+
+
+def _margins(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, drawn: _Curves, disk: float) -> Margins:
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
     worst = int(inside[np.argmin(measures.disk_margin[inside])])
     found = min(
-        bandwidth_of_response(shown.plants.frequency, S[0]) if stable else 0.0 for S in (shown.S_output, shown.S_input)
+        bandwidth_of_response(shown.plants.frequency, S[0]) if drawn.stable else 0.0
+        for S in (shown.S_output, shown.S_input)
     )
     return Margins(
-        disk=shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0]),
+        disk=disk,
         worst_disk=float(measures.disk_margin[worst]),
         worst_plant=plants.labels[worst],
-        **channel_margins(grid, response, stable)._asdict(),
+        **channel_margins(drawn.grid, drawn.response, drawn.stable)._asdict(),
         bandwidth=float(found),
         damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
     )

@@ -16,6 +16,7 @@ from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
+from platform_ctrl.designer.beside import both
 from platform_ctrl.designer.curves import (
     arrays_of,
     channel_response,
@@ -112,24 +113,36 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pi
     S = _sensitivity(P, K, grid)
     response = channel_response(S, channel)
     banded = bool(settings.band and len(loop.plants.labels) > 1)
-    band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
+    poles = _set_poles(loop, K, at) if banded else s[None]
+    channel_own = channel_margins(grid, response, stable)
+    reference = max(channel_own.crossover or 1.0, 1.0)
+    at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
+
+    def verdict() -> tuple[tuple[CheckResult, ...], float, Locus]:
+        return (
+            requirements(loop, kept, (s, grid, S) if at_rest else None),
+            float(_peak_margins(P, K, [channel], grid, S)[0]) if stable else 0.0,
+            _locus(loop, P, K, s, poles, reference),
+        )
+
+    def curves() -> tuple[tuple[Band | None, float, str], tuple[TimeResponse, FrequencyGain], TimeResponse]:
+        return (
+            _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant),
+            _turning(loop, settings, K, at, grid, s, stable, banded),
+            _rate_step(loop, settings, K, at, s, stable, banded),
+        )
+
+    (results, own, locus), ((band, worst, worst_plant), (step, low_frequency), rate_step) = both(verdict, curves)
     bode, nichols = frequency_parts(
         name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
     )
-    poles = _set_poles(loop, K, at) if banded else s[None]
-    step, low_frequency = _turning(loop, settings, K, at, grid, s, stable, banded)
-    at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
-    results = requirements(loop, kept, (s, grid, S) if at_rest else None)
-    channel_own = channel_margins(grid, response, stable)
-    own = float(_peak_margins(P, K, [channel], grid, S)[0]) if stable else 0.0
     inside = np.all(spectral_abscissa(poles) < 0.0) if banded else stable
-    reference = max(channel_own.crossover or 1.0, 1.0)
     return PictureParts(
         bode=bode,
         nichols=nichols,
-        locus=_locus(loop, P, K, s, poles, reference),
+        locus=locus,
         step=step,
-        Omega_time=_rate_step(loop, settings, K, at, s, stable, banded),
+        Omega_time=rate_step,
         Omega_frequency=low_frequency,
         margins=Margins(
             disk=own,

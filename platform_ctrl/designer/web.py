@@ -8,21 +8,25 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from importlib import resources
 from typing import Any
 
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
+from bokeh.core.serialization import Serializer
 from bokeh.document import Document
 from bokeh.embed.server import server_html_page_for_session
+from bokeh.models.widgets.markups import Markup
 from bokeh.protocol.exceptions import ProtocolError
+from bokeh.protocol.messages.patch_doc import patch_doc
 from bokeh.resources import Resources
 from bokeh.server.connection import ServerConnection
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.doc_handler import DocHandler
 from bokeh.server.views.static_handler import StaticHandler
 from bokeh.server.views.ws import WSHandler
+from bokeh.settings import settings
 from tornado import httputil, iostream
 from tornado.httpserver import HTTPServer
 from tornado.web import OutputTransform, RequestHandler
@@ -92,6 +96,8 @@ class PageApplication(BokehTornado):
             transforms=[Guarding],
             log_function=lambda handler: None,
         )
+        # Columns go to a browser on this machine, as a rule: packing them takes longer than sending them.
+        settings.compression_level = 0
         self.hosts = hosts
         self.files: dict[str, bytes] = {}
 
@@ -131,6 +137,12 @@ class PageApplication(BokehTornado):
             return self.get_handler_delegate(request, StaticHandler, {}, path_args=[path[len("/static/") :].encode()])
         return by(Line)
 
+    def new_connection(self, protocol: Any, socket: Any, application_context: Any, session: Any) -> ServerConnection:
+        """Take a page's websocket; what changes together goes to it together."""
+        connection = Together(protocol, socket, application_context, session)
+        self._clients.add(connection)
+        return connection
+
     def client_lost(self, connection: ServerConnection) -> None:
         """Forget a page that was closed: at once if it said so, else its session ends some seconds later."""
         session, left = connection.session, connection._socket.close_code in _LEFT
@@ -161,6 +173,39 @@ class PageApplication(BokehTornado):
             except (OSError, ModuleNotFoundError):
                 return None
         return self.files[key]
+
+
+class Together(ServerConnection):
+    """Sends all changes that a document went through while it was locked as one message.
+
+    One for each would be some fifty for every move of a slider, in three pieces and two more for every column.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    _changes: tuple[Any, ...] = ()
+
+    def send_patch_document(self, event: Any) -> Awaitable[None]:
+        """Take a change; what is returned sends it with all that came with it."""
+        self._changes = (*self._changes, event)
+        return self._sent()
+
+    async def _sent(self) -> None:
+        changes, self._changes = self._changes, ()
+        if changes:
+            await self._socket.send_message(_patch(changes))
+
+
+def _patch(changes: tuple[Any, ...]) -> patch_doc:
+    """Return Bokeh's message of changes, the columns among its text: as pieces of their own they take longer."""
+    models = changes[0].document.models
+    serializer = Serializer(references=models.synced_references, deferred=False)
+    # At new words the browser lays out and paints at once: not with half of the data.
+    events = serializer.encode(sorted(changes, key=lambda one: not isinstance(getattr(one, "model", None), Markup)))
+    models.flush_synced(lambda model: not serializer.has_ref(model))
+    return patch_doc(patch_doc.create_header(), {}, {"events": events})
 
 
 class Guarding(OutputTransform):

@@ -189,6 +189,8 @@ class Panel:
             min_border_top=_TOP,
             min_border_bottom=0,
             output_backend="canvas",
+            # Nothing is thinned out.
+            lod_threshold=None,
             margin=0,
             styles={"flex-grow": "1", "flex-basis": "0"},
         )

@@ -81,9 +81,16 @@ class RatePanel:
             self.show(self._picture)
 
     def show(self, picture: Picture) -> None:
-        """Follow a picture."""
+        """Follow a picture with the figures that are seen."""
         self._picture = picture
-        time_keys = self.over_time.show(picture, picture.Omega_time, "Omega_step")
+        if self.shows_frequency:
+            self._show_gain(picture)
+        else:
+            keys = self.over_time.show(picture, picture.Omega_time, "Omega_step")
+            self.panel.say(picture.Omega_time.title)
+            self.panel.keys(keys)
+
+    def _show_gain(self, picture: Picture) -> None:
         response, overlays = picture.Omega_frequency, picture.bode.overlays
         with np.errstate(invalid="ignore"):
             gain = np.where(response.gain > 0.0, response.gain, np.nan)
@@ -118,13 +125,9 @@ class RatePanel:
             self._gain.fit((scale * max(top[0], _LEAST * size), scale * high_end))
         self.plot.yaxis[0].axis_label = unit
         tell(self._message, "no finite response" if top is None else "" if picture.stable else "closed loop not stable")
-        if self.shows_frequency:
-            self.panel.say(response.title)
-            limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", (), 1.5)]
-            self.panel.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
-        else:
-            self.panel.say(picture.Omega_time.title)
-            self.panel.keys(time_keys)
+        self.panel.say(response.title)
+        limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", (), 1.5)]
+        self.panel.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
 
 
 def _decades(low: float, high: float) -> tuple[float, float]:

@@ -16,3 +16,32 @@ if (size) {
     },
   });
 }
+
+// Of every curve BokehJS keeps four copies ready: selected, not selected, muted, and thinned out while one zooms. No
+// plot here shows any of them, so new data need not go into them.
+const { GlyphRendererView } = loaded("models/renderers/glyph_renderer");
+if (GlyphRendererView) {
+  const begin = GlyphRendererView.prototype.lazy_initialize;
+  GlyphRendererView.prototype.lazy_initialize = async function () {
+    await begin.call(this);
+    const nothing = () => {};
+    for (const copy of [this.selection_glyph, this.nonselection_glyph, this.muted_glyph, this.decimated_glyph]) {
+      copy.set_data = copy.set_visuals = copy.map_data = nothing;
+    }
+  };
+}
+
+// Everything that is painted writes its place into a style sheet first, also where that is what stands there. The
+// browser then judges all styles anew before it writes the next word on a canvas.
+const { InlineStyleSheet } = loaded("core/dom");
+if (InlineStyleSheet) {
+  const write = InlineStyleSheet.prototype._update;
+  InlineStyleSheet.prototype._update = function (css) {
+    if (this.written === css) return;
+    this.written = css;
+    write.call(this, css);
+  };
+}
+
+// A curve's element holds nothing: where it would stand need not be said whenever the curve moves.
+if (GlyphRendererView) GlyphRendererView.prototype.update_position = () => {};
