@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.response import Resolvent, frequency_response_arrays
+from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -40,20 +40,14 @@ class FrequencyAxis:
         self.edge = math.inf if dt == 0.0 else math.pi / dt
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
-        # A sampled response needs more digits of exp(j w dt) than a resolvent by itself would know.
-        self._resolvent = Resolvent(*self.system[:4]) if dt == 0.0 and A.size and B.size and C.size else None
+        self._along = AxisResponse(self.system) if A.size and B.size and C.size else None
 
     def response(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D."""
         infinite = np.isinf(frequency)
         some = bool(np.any(infinite))
         finite = np.where(infinite, 0.0, frequency) if some else frequency
-        if self._resolvent is None:
-            out = frequency_response_arrays(*self.system, finite)
-        else:
-            z = np.zeros(len(finite), dtype=np.complex128)
-            z.imag = finite
-            out = self._resolvent.at(z).transpose(2, 0, 1)
+        out = frequency_response_arrays(*self.system, finite) if self._along is None else self._along.at(finite)
         out = np.ascontiguousarray(out)
         if some:
             out[infinite] = self.system.D

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.norms import crossing_frequencies, gains, resonances
+from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.frozen import FloatArray
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     import control
 
 LEVEL = math.sqrt(0.5)
+# Frequencies that are looked at together.
+_PART = 100
 
 
 def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At = "output") -> float:
@@ -55,19 +58,23 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
     s = continuous_poles(pole_arrays(S.A), S.dt)
     if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
         return 0.0
-    w = _grid(S, s)
-    sizes = gains(S, w)
-    above = np.flatnonzero(sizes >= LEVEL)
-    if above.size == 0:
+    axis = FrequencyAxis(S)
+    w = _grid(axis, s)
+    sizes, first = np.zeros(0), w.size
+    while sizes.size < w.size and first == w.size:
+        # A part at a time: the first that is reached is looked for.
+        sizes = np.append(sizes, axis.gains(w[sizes.size : sizes.size + _PART]))
+        above = np.flatnonzero(sizes >= LEVEL)
+        first = int(above[0]) if above.size else w.size
+    if first == w.size:
         return math.inf if S.dt == 0.0 else math.pi / S.dt
-    first = int(above[0])
     if first == 0:
         return 0.0
     if sizes[first] <= LEVEL * (1.0 + 1e-12):
         return float(w[first])
 
     def beyond(x: float) -> float:
-        return math.log(gains(S, np.array([math.exp(x)]))[0] / LEVEL)
+        return math.log(axis.gains(np.array([math.exp(x)]))[0] / LEVEL)
 
     low, high = math.log(w[first - 1]), math.log(w[first])
     # Where an end is a crossing itself, rounding decides on which side of it exp(log(w)) lies.
@@ -77,9 +84,9 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
     return math.exp(brentq(beyond, low, high, rtol=1e-12))
 
 
-def _grid(S: StateArrays, s: ComplexArray) -> FloatArray:
+def _grid(axis: FrequencyAxis, s: ComplexArray) -> FloatArray:
     """Return frequencies fine enough that the first crossing lies between the first pair that differs in sign."""
-    crossings = crossing_frequencies(S, LEVEL)
+    crossings = axis.crossings(LEVEL)
     own = np.concatenate([crossings, resonances(s)])
     own = own[own > 0.0]
     if own.size == 0:
@@ -87,8 +94,8 @@ def _grid(S: StateArrays, s: ComplexArray) -> FloatArray:
     low, high = 1e-3 * float(own.min()), 1e3 * float(own.max())
     # An integrator in the loop makes S as small as the frequency; below 1e-9 of the fastest pole rounding rules.
     low = max(low, 1e-9 * float(own.max()))
-    if S.dt > 0.0:
-        high = math.pi / S.dt
+    if math.isfinite(axis.edge):
+        high = axis.edge
         low = min(low, 1e-3 * high)
     decades = math.log10(high / low)
     grid = np.concatenate([own, np.geomspace(low, high, 2 + int(20 * decades))])
@@ -121,7 +128,8 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
     ----------
     As `bandwidth`.
     """
-    sizes = np.linalg.norm(S, 2, axis=(-2, -1)) / LEVEL
+    *batch, p, m = S.shape
+    sizes = largest_gains(np.ascontiguousarray(S).reshape(math.prod(batch), p, m)).reshape(batch) / LEVEL
     above = sizes >= 1.0
     first = np.argmax(above, axis=-1)
     never = ~np.any(above, axis=-1)

@@ -7,6 +7,7 @@ Peaks are largest singular values of parts of the closed loop
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Protocol
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
@@ -199,7 +201,7 @@ class LoopFigures:
             responses = _RESPONSES[asked.kind](self)
         grid = self.plants.frequency
         band = grid <= max(_top(asked), grid[0])
-        peaks = [largest(response[:, band]).max(axis=-1, initial=0.0) for response in responses]
+        peaks = [highest(response[:, band]) for response in responses]
         return np.where(self.decay > 0.0, np.max(peaks, axis=0), np.inf)
 
     def _norm(self, asked: Asked, k: int) -> float:
@@ -253,10 +255,25 @@ def _some(stack: StateArrays, index: NDArray[np.intp]) -> StateArrays:
 
 
 def largest(matrices: ComplexArray) -> FloatArray:
-    """Return largest singular values, (...): from the smaller Hermitian square, which is faster in batches."""
-    adjoint = matrices.conj().swapaxes(-1, -2)
-    square = adjoint @ matrices if matrices.shape[-1] <= matrices.shape[-2] else matrices @ adjoint
-    out: FloatArray = np.sqrt(np.maximum(np.linalg.eigvalsh(square)[..., -1], 0.0))
+    """Return largest singular values, (...); inf where a matrix is not finite."""
+    *batch, p, m = matrices.shape
+    return largest_gains(np.ascontiguousarray(matrices).reshape(math.prod(batch), p, m)).reshape(batch)
+
+
+def highest(matrices: ComplexArray) -> FloatArray:
+    """Return the largest singular value over the frequencies of each plant, (N,) of (N, F, p, m).
+
+    No singular value is larger than the root of the sum of squares: where that is below the value at one frequency,
+    the singular values need not be known.
+    """
+    N, F = matrices.shape[:2]
+    if not F:
+        return np.zeros(N)
+    size = np.linalg.norm(matrices, axis=(-2, -1))
+    size = np.where(np.isfinite(size), size, np.inf)
+    out = largest(matrices[np.arange(N), np.argmax(size, axis=1)])
+    plants, places = np.nonzero(size > out[:, None])
+    np.maximum.at(out, plants, largest(matrices[plants, places]))
     return out
 
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, frequencies, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays
+from platform_ctrl.beside import both
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -95,25 +96,72 @@ def frequency_response_arrays(
     return np.moveaxis(_whole(A, B, C, D, dt, frequency), -1, -3)
 
 
+def stacked_responses(system: StateArrays, frequency: FloatArray) -> ComplexArray:
+    """Return `frequency_response_arrays` of a stack (N, ...), half of it in another thread.
+
+    Parameters
+    ----------
+    system
+        N systems, all arrays with the batch axis.
+    frequency : (F,)
+        rad/s.
+
+    Returns
+    -------
+    complex (N, F, p, m)
+        In the systems' units.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `frequency_response`.
+    """
+    A, B, C, D, dt = system
+    half = len(A) // 2
+
+    def part(some: slice) -> ComplexArray:
+        return frequency_response_arrays(A[some], B[some], C[some], D[some], dt, frequency)
+
+    if not half:
+        return part(slice(None))
+    return np.concatenate(both(lambda: part(slice(half)), lambda: part(slice(half, None))))
+
+
 def _whole(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, w: FloatArray) -> ComplexArray:
     """Return the response as (..., p, m, N)."""
+    z, beyond = _on_axis(w, dt)
     if dt == 0.0:
-        z = np.zeros(len(w), dtype=np.complex128)
-        z.imag = w
-        return _responses(A, B, C, D, z)
-    # z - 1 and A - I instead of z and A: nothing cancels far below the sample rate. Both are rounded, which is felt
-    # next to poles: what they lack is kept.
+        return _responses(A, None, B, C, D, z)
+    return _responses(*_less_one(A), B, C, D, z, beyond)
+
+
+def _less_one(A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return A - I and what its diagonal lacks (..., n).
+
+    z - 1 and A - I instead of z and A: nothing cancels far below the sample rate. Both are rounded, which is felt next
+    to poles: what they lack is kept.
+    """
     shifted = np.array(A, order="C")
     diagonal = shifted.reshape(*A.shape[:-2], -1)[..., :: A.shape[-1] + 1]
     given = diagonal.copy()
     diagonal -= 1.0
     back = diagonal + 1.0
-    lacks = (given - back) - (1.0 - (back - diagonal))
-    z, half = np.empty(len(w), dtype=np.complex128), w * (0.5 * dt)
-    tangent = np.tan(half)
+    return shifted, (given - back) - (1.0 - (back - diagonal))
+
+
+def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[np.int64]], ComplexArray] | None]:
+    """Return j w, or exp(j w dt) - 1 with what says what that has beyond its doubles."""
+    z = np.zeros(len(w), dtype=np.complex128)
+    if dt == 0.0:
+        z.imag = w
+        return z, None
+    tangent = np.tan(w * (0.5 * dt))
     z.imag = 2.0 * tangent / (1.0 + tangent * tangent)
     z.real = -tangent * z.imag
-    return _responses(shifted, B, C, D, z, lacks, partial(_beyond, z, w, dt))
+    return z, partial(_beyond, z, w, dt)
 
 
 def _beyond(z: ComplexArray, w: FloatArray, dt: float, chosen: NDArray[np.int64]) -> ComplexArray:
@@ -152,16 +200,16 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     ----------
     As `frequency_response`.
     """
-    return np.moveaxis(_responses(A, B, C, D, z), -1, -3)
+    return np.moveaxis(_responses(A, None, B, C, D, z), -1, -3)
 
 
 def _responses(
     A: FloatArray,
+    lacks: FloatArray | None,
     B: FloatArray,
     C: FloatArray,
     D: FloatArray,
     z: ComplexArray,
-    lacks: FloatArray | None = None,
     z_lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
 ) -> ComplexArray:
     """Return the response at z as (..., p, m, N)."""
@@ -185,6 +233,31 @@ def _plain(array: FloatArray) -> FloatArray:
     """Return an array as numba has compiled for it: it does so anew for what is read-only or lies otherwise."""
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else np.array(array, order="C")
+
+
+class AxisResponse:
+    """The response of one system along its frequency axis: what does not depend on the frequency is worked out once.
+
+    Parameters
+    ----------
+    system
+        With states, inputs and outputs.
+
+    References
+    ----------
+    As `frequency_response`.
+    """
+
+    def __init__(self, system: StateArrays) -> None:
+        A, B, C, D, self._dt = system
+        lacks = None
+        if self._dt > 0.0:
+            A, lacks = _less_one(A)
+        self._resolvent = Resolvent(*scaled(A, B, C), D, lacks)
+
+    def at(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, complex (N, p, m)."""
+        return self._resolvent.at(*_on_axis(frequency, self._dt)).transpose(2, 0, 1)
 
 
 class Resolvent:

@@ -15,8 +15,8 @@ from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, m
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.beside import both
 from platform_ctrl.design.loop import asked_of, judged
-from platform_ctrl.designer.beside import both
 from platform_ctrl.designer.curves import (
     channel_response,
     degrees,

@@ -14,9 +14,9 @@ from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
+from platform_ctrl.beside import both
 from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
-from platform_ctrl.designer.beside import both
 from platform_ctrl.designer.curves import (
     arrays_of,
     channel_response,
@@ -110,7 +110,8 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pi
     decay = -float(spectral_abscissa(s))
     stable = decay > 0.0
     grid = np.union1d(_grid(P, s), loop.plants.frequency)
-    S = _sensitivity(P, K, grid)
+    sensitivity = _Sensitivity(P, K)
+    S = sensitivity.at(grid)
     response = channel_response(S, channel)
     banded = bool(settings.band and len(loop.plants.labels) > 1)
     poles = _set_poles(loop, K, at) if banded else s[None]
@@ -118,21 +119,22 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pi
     reference = max(channel_own.crossover or 1.0, 1.0)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
 
-    def verdict() -> tuple[tuple[CheckResult, ...], float, Locus]:
+    def verdict() -> tuple[tuple[CheckResult, ...], float]:
         return (
-            requirements(loop, kept, (s, grid, S) if at_rest else None),
-            float(_peak_margins(P, K, [channel], grid, S)[0]) if stable else 0.0,
-            _locus(loop, P, K, s, poles, reference),
+            requirements(loop, kept, (s, grid, sensitivity, S) if at_rest else None),
+            float(_peak_margins(sensitivity, [channel], grid, S)[0]) if stable else 0.0,
         )
 
-    def curves() -> tuple[tuple[Band | None, float, str], tuple[TimeResponse, FrequencyGain], TimeResponse]:
+    def curves() -> tuple[tuple[Band | None, float, str], Locus, tuple[TimeResponse, FrequencyGain], TimeResponse]:
         return (
             _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant),
+            _locus(loop, P, K, s, poles, reference),
             _turning(loop, settings, K, at, grid, s, stable, banded),
             _rate_step(loop, settings, K, at, s, stable, banded),
         )
 
-    (results, own, locus), ((band, worst, worst_plant), (step, low_frequency), rate_step) = both(verdict, curves)
+    (results, own), (with_set, locus, (step, low_frequency), rate_step) = both(verdict, curves)
+    band, worst, worst_plant = with_set
     bode, nichols = frequency_parts(
         name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
     )
@@ -161,12 +163,14 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pi
 
 
 def requirements(
-    loop: StabilisedLoop, kept: Kept, known: tuple[ComplexArray, FloatArray, ComplexArray] | None = None
+    loop: StabilisedLoop,
+    kept: Kept,
+    known: tuple[ComplexArray, FloatArray, _Sensitivity, ComplexArray] | None = None,
 ) -> tuple[CheckResult, ...]:
     """Return the coupled limits held against the nominal plant, as `coupled_check` does; peaks are climbed on a grid.
 
     Margins lie within about a thousandth of what `coupled_check` proves. `known` are the nominal closed loop's poles,
-    a grid, and S there, where they are at hand.
+    a grid, its sensitivity, and that on the grid, where they are at hand.
     """
     job, model, controllers = loop.job, loop.model, loop.controllers
     K, at, torquers = loop.joined(loop.plants)
@@ -180,10 +184,10 @@ def requirements(
     noise = noise_rms_arrays(A, B[:, m:], C[:m], D[:m, m:], rms)
     coupled, simultaneous = np.zeros(m), (0.0, 0.0)
     if decay > 0.0:
-        grid = _grid(P, s) if known is None else known[1]
-        S = _sensitivity(P, K, grid) if known is None else known[2]
-        coupled = _peak_margins(P, K, range(m), grid, S)
-        simultaneous = _simultaneous(P, K, grid, S)
+        grid, sensitivity = (_grid(P, s), _Sensitivity(P, K)) if known is None else known[1:3]
+        S = sensitivity.at(grid) if known is None else known[3]
+        coupled = _peak_margins(sensitivity, range(m), grid, S)
+        simultaneous = _simultaneous(sensitivity, grid, S)
     decoupled = _decoupled(job, model, controllers, kept)
     alone = np.array([decoupled[name] for name in torquers])
     cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
@@ -218,9 +222,10 @@ def _margins_of(
     if not spectral_abscissa(s) < 0.0:
         return dict.fromkeys(names, 0.0)
     grid = _grid(P, s)
-    S = _sensitivity(P, k, grid)
+    sensitivity = _Sensitivity(P, k)
+    S = sensitivity.at(grid)
     chosen = [j for j, name in enumerate(names) if name not in left_out]
-    return {names[j]: float(x) for j, x in zip(chosen, _peak_margins(P, k, chosen, grid, S), strict=True)}
+    return {names[j]: float(x) for j, x in zip(chosen, _peak_margins(sensitivity, chosen, grid, S), strict=True)}
 
 
 def _used(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
@@ -238,26 +243,30 @@ def _grid(P: StateArrays, s: ComplexArray) -> FloatArray:
     return dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
 
 
-def _peak_margins(
-    P: StateArrays, K: StateArrays, channels: Sequence[int], grid: FloatArray, S: ComplexArray
-) -> FloatArray:
+def _peak_margins(sensitivity: _Sensitivity, channels: Sequence[int], grid: FloatArray, S: ComplexArray) -> FloatArray:
     """Return 1/max |S_ii - 1/2| of channels: the largest on the grid, climbed between its neighbours, all at once."""
     at = np.array(channels)
     sizes = np.abs(S[:, at, at] - 0.5)
     k = np.argmax(sizes, axis=0)
     each = np.arange(len(at))
     w = np.linspace(grid[np.maximum(k - 1, 0)], grid[np.minimum(k + 1, len(grid) - 1)], 13)
-    found = _sensitivity(P, K, w.ravel()).reshape(*w.shape, *S.shape[1:])
+    found = sensitivity.at(w.ravel()).reshape(*w.shape, *S.shape[1:])
     best = np.maximum(sizes[k, each], np.abs(found[:, each, at, at] - 0.5).max(axis=0))
     return np.asarray(1.0 / best)
 
 
-def _sensitivity(P: StateArrays, K: StateArrays, w: FloatArray) -> ComplexArray:
-    """Return S at the plant's input, (F, m, m)."""
-    return sensitivities(-frequency_response_arrays(*K, w) @ frequency_response_arrays(*P, w))[0]
+class _Sensitivity:
+    """S at the plant's input over frequency; what does not depend on the frequency is worked out once."""
+
+    def __init__(self, P: StateArrays, K: StateArrays) -> None:
+        self._P, self._K = AxisResponse(P), AxisResponse(K)
+
+    def at(self, w: FloatArray) -> ComplexArray:
+        """Return S at `w` (F,), rad/s, complex (F, m, m)."""
+        return sensitivities(-self._K.at(w) @ self._P.at(w))[0]
 
 
-def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexArray) -> tuple[float, float]:
+def _simultaneous(sensitivity: _Sensitivity, grid: FloatArray, S: ComplexArray) -> tuple[float, float]:
     """Return both bounds of the simultaneous disk margin: the grid every third point, then around the worst."""
     half = 0.5 * np.eye(S.shape[-1])
     coarse = np.arange(0, len(grid), 3)
@@ -267,7 +276,7 @@ def _simultaneous(P: StateArrays, K: StateArrays, grid: FloatArray, S: ComplexAr
     best = (float(rough.max()), 0.0)
     for _ in range(2):
         w = np.linspace(low, high, 9)
-        M = _sensitivity(P, K, w) - half
+        M = sensitivity.at(w) - half
         found = mu_bounds(M, _MU)
         j = int(np.argmax(found.upper))
         best = (float(found.upper[j]), float(found.lower[j]))
