@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.response import stacked_responses
+from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -211,7 +211,7 @@ def plant_set(
     m = plants.B.shape[-1]
     B = np.concatenate([plants.B, B_Omega], axis=-1)
     D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-    response = stacked_responses(StateArrays(plants.A, B, plants.C, D, plants.dt), grid)
+    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid)
     return PlantSet(
         A=plants.A,
         B=plants.B,

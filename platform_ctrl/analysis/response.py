@@ -7,14 +7,12 @@ and what takes its place there goes on until it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays
-from platform_ctrl.beside import both
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -96,40 +94,6 @@ def frequency_response_arrays(
     return np.moveaxis(_whole(A, B, C, D, dt, frequency), -1, -3)
 
 
-def stacked_responses(system: StateArrays, frequency: FloatArray) -> ComplexArray:
-    """Return `frequency_response_arrays` of a stack (N, ...), half of it in another thread.
-
-    Parameters
-    ----------
-    system
-        N systems, all arrays with the batch axis.
-    frequency : (F,)
-        rad/s.
-
-    Returns
-    -------
-    complex (N, F, p, m)
-        In the systems' units.
-
-    Notes
-    -----
-    The arguments are not judged.
-
-    References
-    ----------
-    As `frequency_response`.
-    """
-    A, B, C, D, dt = system
-    half = len(A) // 2
-
-    def part(some: slice) -> ComplexArray:
-        return frequency_response_arrays(A[some], B[some], C[some], D[some], dt, frequency)
-
-    if not half:
-        return part(slice(None))
-    return np.concatenate(both(lambda: part(slice(half)), lambda: part(slice(half, None))))
-
-
 def _whole(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, w: FloatArray) -> ComplexArray:
     """Return the response as (..., p, m, N)."""
     z, beyond = _on_axis(w, dt)
@@ -161,20 +125,32 @@ def _on_axis(w: FloatArray, dt: float) -> tuple[ComplexArray, Callable[[NDArray[
     tangent = np.tan(w * (0.5 * dt))
     z.imag = 2.0 * tangent / (1.0 + tangent * tangent)
     z.real = -tangent * z.imag
-    return z, partial(_beyond, z, w, dt)
+    return z, _Beyond(z, w, float(dt))
 
 
-def _beyond(z: ComplexArray, w: FloatArray, dt: float, chosen: NDArray[np.int64]) -> ComplexArray:
-    """Return what exp(j w dt) - 1 has beyond its double z at the `chosen` points."""
-    import flint
+class _Beyond:
+    """What exp(j w dt) - 1 has beyond its doubles z (N,), found when it is asked for and kept: stacks ask again."""
 
-    out = np.zeros(len(chosen), dtype=np.complex128)
-    with flint.ctx.workprec(192):
-        for one, k in enumerate(chosen):
-            sine, cosine = (flint.arb(float(w[k])) * float(dt) / 2).sin_cos()
-            real, imaginary = -2 * sine * sine - float(z[k].real), 2 * sine * cosine - float(z[k].imag)
-            out[one] = complex(float(real), float(imaginary))
-    return out
+    def __init__(self, z: ComplexArray, w: FloatArray, dt: float) -> None:
+        self._z, self._w, self._dt = z, w, dt
+        self._found: dict[int, complex] = {}
+
+    def __call__(self, chosen: NDArray[np.int64]) -> ComplexArray:
+        """Return it at the `chosen` points."""
+        places = chosen.tolist()
+        new = [k for k in places if k not in self._found]
+        if new:
+            self._find(new)
+        return np.array([self._found[k] for k in places], dtype=np.complex128)
+
+    def _find(self, places: list[int]) -> None:
+        import flint
+
+        with flint.ctx.workprec(192):
+            for k in places:
+                sine, cosine = (flint.arb(float(self._w[k])) * self._dt / 2).sin_cos()
+                real, imaginary = -2 * sine * sine - float(self._z[k].real), 2 * sine * cosine - float(self._z[k].imag)
+                self._found[k] = complex(float(real), float(imaginary))
 
 
 def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray) -> ComplexArray:

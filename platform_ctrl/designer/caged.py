@@ -15,7 +15,6 @@ from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, m
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.beside import both
 from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.designer.curves import (
     channel_response,
@@ -30,7 +29,10 @@ from platform_ctrl.designer.parts import (
     EDGE,
     POINTS,
     Band,
-    PictureParts,
+    ChannelMargins,
+    Drawn,
+    Measured,
+    Parts,
     around_in_time,
     channel_margins,
     frequency_parts,
@@ -73,79 +75,58 @@ class CagedLoop:
     controller: StateArrays
 
 
-@value
-class _Curves:
-    """What is drawn of the plant shown and of the band, and the grid (F,), rad/s, on which it is."""
-
-    grid: FloatArray
-    response: ComplexArray
-    stable: bool
-    locus: Locus
-    step: TimeResponse
-    Omega_time: TimeResponse
-    Omega_frequency: FrequencyGain
-    band: Band | None
-
-
-def caged_parts(loop: CagedLoop, settings: Settings) -> PictureParts:
-    """Return what is drawn for a caging loop."""
+def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
+    """Return what is drawn for a caging loop, and what measures it."""
     spec, plants, K = loop.spec, loop.plants, loop.controller
     channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
     shown = LoopFigures(loop.shown, K)
     exact = plants.A.shape[-1] + len(K.A) <= _QUICK
     whole = LoopFigures(plants, K)
+    inside = np.flatnonzero(plants.of(_BAND))
     banded = bool(settings.band and len(plants.labels) > 1)
-
-    def verdict() -> tuple[LoopMeasures, float]:
-        asked = asked_of(spec)
-        measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
-        return measures, _disk(loop, measures, shown, exact)
-
-    def curves() -> _Curves:
-        s = continuous_poles(shown.poles[0], plants.period)
-        grid = _grid(loop.shown, s)
-        response = shown_channel(loop.shown, K, grid, channel)
-        stable = bool(shown.decay[0] > 0.0)
-        kept = np.flatnonzero(plants.of(_BAND)).tolist()
-        every = (whole if len(kept) == len(plants.labels) else whole.only(kept)) if banded else None
-        return _Curves(
-            grid=grid,
-            response=response,
-            stable=stable,
-            locus=_locus(loop, s, every, exact),
-            step=_step(loop, shown, every, channel, s, stable),
-            Omega_time=_manoeuvre(loop, shown, every, settings.axis),
-            Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
-            band=None
-            if every is None
-            else Band(every.plants.labels, every.plants.frequency, channel_response(every.S_input, channel)),
-        )
-
-    (measures, disk), drawn = both(verdict, curves)
-    requirements, goals = judged(spec, loop.design, plants, measures)
+    every = (whole if len(inside) == len(plants.labels) else whole.only(inside.tolist())) if banded else None
+    s = continuous_poles(shown.poles[0], plants.period)
+    grid = _grid(loop.shown, s)
+    response = shown_channel(loop.shown, K, grid, channel)
+    stable = bool(shown.decay[0] > 0.0)
+    band = None
+    if every is not None:
+        band = Band(every.plants.labels, every.plants.frequency, channel_response(every.S_input, channel))
     bode, nichols = frequency_parts(
         plants.torques[channel],
-        drawn.grid,
-        drawn.response,
+        grid,
+        response,
         math.pi / plants.period,
         settings.plant,
-        drawn.band,
+        band,
         spec.limits.disk_margin,
     )
-    return PictureParts(
+    margins = channel_margins(grid, response, stable)
+    asked = asked_of(spec)
+
+    def measured() -> Measured:
+        measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
+        requirements, goals = judged(spec, loop.design, plants, measures)
+        return Measured(
+            margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact)),
+            requirements=requirements,
+            goals=goals,
+            notes=() if exact else ("peaks are taken on a grid: the loop is too large for norms while a slider moves",),
+        )
+
+    drawn = Drawn(
         bode=bode,
         nichols=nichols,
-        locus=drawn.locus,
-        step=drawn.step,
-        Omega_time=drawn.Omega_time,
-        Omega_frequency=drawn.Omega_frequency,
-        margins=_margins(loop, measures, shown, drawn, disk),
-        requirements=requirements,
-        goals=goals,
-        stable=drawn.stable,
-        all_stable=bool(np.all(measures.decay[plants.of(_BAND)] > 0.0)),
-        notes=() if exact else ("peaks are taken on a grid: the loop is too large for norms while a slider moves",),
+        locus=_locus(loop, s, every, exact),
+        step=_step(loop, shown, every, channel, s, stable),
+        Omega_time=_manoeuvre(loop, shown, every, settings.axis),
+        Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
+        crossover=margins.crossover,
+        bandwidth=next((one.limit for one in asked if one.hard and one.kind == "bandwidth"), None),
+        stable=stable,
+        all_stable=bool(np.all(whole.decay[inside] > 0.0)),
     )
+    return drawn, measured
 
 
 def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
@@ -336,19 +317,21 @@ def _disk(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, exact: bo
     return shown.exact(DISK, 0) if exact else float(shown.figure(DISK)[0])
 
 
-def _margins(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, drawn: _Curves, disk: float) -> Margins:
+def _margins(
+    loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, channel: ChannelMargins, disk: float
+) -> Margins:
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
     worst = int(inside[np.argmin(measures.disk_margin[inside])])
+    stable = bool(shown.decay[0] > 0.0)
     found = min(
-        bandwidth_of_response(shown.plants.frequency, S[0]) if drawn.stable else 0.0
-        for S in (shown.S_output, shown.S_input)
+        bandwidth_of_response(shown.plants.frequency, S[0]) if stable else 0.0 for S in (shown.S_output, shown.S_input)
     )
     return Margins(
         disk=disk,
         worst_disk=float(measures.disk_margin[worst]),
         worst_plant=plants.labels[worst],
-        **channel_margins(drawn.grid, drawn.response, drawn.stable)._asdict(),
+        **channel._asdict(),
         bandwidth=float(found),
         damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),
     )

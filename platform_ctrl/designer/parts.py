@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,8 @@ EDGE = 0.999
 
 
 @value
-class PictureParts:
-    """A picture, but for what the workbench adds to it; see `Picture`."""
+class Drawn:
+    """What is drawn; see `Drawing`."""
 
     bode: Bode
     nichols: Nichols
@@ -29,12 +30,24 @@ class PictureParts:
     step: TimeResponse
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain
-    margins: Margins
-    requirements: tuple[CheckResult, ...]
-    goals: tuple[CheckResult, ...]
+    crossover: float | None
+    bandwidth: float | None
     stable: bool
     all_stable: bool
-    notes: tuple[str, ...]
+
+
+@value
+class Measured:
+    """What is measured; see `Picture`."""
+
+    margins: Margins
+    requirements: tuple[CheckResult, ...]
+    goals: tuple[CheckResult, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+# What is drawn, and what measures the same loop when it is called.
+Parts = tuple[Drawn, Callable[[], Measured]]
 
 
 class Band(NamedTuple):

@@ -269,14 +269,14 @@ class Margins:
 
 
 @value
-class Picture:
-    """What a page draws for some settings.
+class Drawing:
+    """What the plots of a page draw for some settings.
 
     Attributes
     ----------
     settings
         What it was made for.
-    bode, nichols, locus, margins
+    bode, nichols, locus
         Of the loop at the settings' channel.
     step
         Caged: a torque step at the channel's torquer; stabilised: a torque step on the platform about the axis.
@@ -285,18 +285,16 @@ class Picture:
         platform.
     Omega_frequency
         The same over frequency.
-    requirements, goals
-        The job's limits, and its goals, held against the set as `check` would.
+    crossover
+        Highest frequency at which the loop's gain is 1, rad/s, or None.
+    bandwidth
+        That is asked of the loop, Hz, or None.
     plants
         Labels of all plants that may be shown.
     stable
         Whether the closed loop of the plant shown is.
     all_stable
         Whether all plants of the set are.
-    elapsed
-        What the picture took, s.
-    notes
-        Lines to be told beside it: what is not shown, and why.
 
     References
     ----------
@@ -310,12 +308,36 @@ class Picture:
     step: TimeResponse
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain
-    margins: Margins
-    requirements: tuple[CheckResult, ...]
-    goals: tuple[CheckResult, ...]
+    crossover: float | None
+    bandwidth: float | None
     plants: tuple[str, ...]
     stable: bool
     all_stable: bool
+
+
+@value
+class Picture(Drawing):
+    """A drawing with what was measured.
+
+    Attributes
+    ----------
+    margins
+        Of the loop at the settings' channel, of the plant shown and of the set.
+    requirements, goals
+        The job's limits, and its goals, held against the set as `check` would.
+    elapsed
+        What the picture took, s.
+    notes
+        Lines to be told beside it: what is not shown, and why.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    margins: Margins
+    requirements: tuple[CheckResult, ...]
+    goals: tuple[CheckResult, ...]
     elapsed: float
     notes: tuple[str, ...] = ()
 

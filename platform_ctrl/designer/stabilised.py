@@ -15,7 +15,6 @@ from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
-from platform_ctrl.beside import both
 from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
 from platform_ctrl.designer.curves import (
     arrays_of,
@@ -31,7 +30,9 @@ from platform_ctrl.designer.parts import (
     EDGE,
     POINTS,
     Band,
-    PictureParts,
+    Drawn,
+    Measured,
+    Parts,
     around_in_time,
     channel_margins,
     frequency_parts,
@@ -89,8 +90,8 @@ class StabilisedLoop:
         return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
-def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> PictureParts:
-    """Return what is drawn for the free platform.
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Parts:
+    """Return what is drawn for the free platform, and what measures it.
 
     Raises
     ------
@@ -119,47 +120,40 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pi
     reference = max(channel_own.crossover or 1.0, 1.0)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
 
-    def verdict() -> tuple[tuple[CheckResult, ...], float]:
-        return (
-            requirements(loop, kept, (s, grid, sensitivity, S) if at_rest else None),
-            float(_peak_margins(sensitivity, [channel], grid, S)[0]) if stable else 0.0,
-        )
-
-    def curves() -> tuple[tuple[Band | None, float, str], Locus, tuple[TimeResponse, FrequencyGain], TimeResponse]:
-        return (
-            _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant),
-            _locus(loop, P, K, s, poles, reference),
-            _turning(loop, settings, K, at, grid, s, stable, banded),
-            _rate_step(loop, settings, K, at, s, stable, banded),
-        )
-
-    (results, own), (with_set, locus, (step, low_frequency), rate_step) = both(verdict, curves)
-    band, worst, worst_plant = with_set
+    inside = bool(np.all(spectral_abscissa(poles) < 0.0)) if banded else stable
+    band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
     bode, nichols = frequency_parts(
         name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
     )
-    inside = np.all(spectral_abscissa(poles) < 0.0) if banded else stable
-    return PictureParts(
+    step, low_frequency = _turning(loop, settings, K, at, grid, s, stable, banded)
+
+    def measured() -> Measured:
+        own = float(_peak_margins(sensitivity, [channel], grid, S)[0]) if stable else 0.0
+        return Measured(
+            margins=Margins(
+                disk=own,
+                worst_disk=min(own, worst) if inside else 0.0,
+                worst_plant=worst_plant if worst < own else settings.plant,
+                **channel_own._asdict(),
+                bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
+                damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
+            ),
+            requirements=requirements(loop, kept, (s, grid, sensitivity, S) if at_rest else None),
+        )
+
+    drawn = Drawn(
         bode=bode,
         nichols=nichols,
-        locus=locus,
+        locus=_locus(loop, P, K, s, poles, reference),
         step=step,
-        Omega_time=rate_step,
+        Omega_time=_rate_step(loop, settings, K, at, s, stable, banded),
         Omega_frequency=low_frequency,
-        margins=Margins(
-            disk=own,
-            worst_disk=min(own, worst) if inside else 0.0,
-            worst_plant=worst_plant if worst < own else settings.plant,
-            **channel_own._asdict(),
-            bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
-            damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
-        ),
-        requirements=results,
-        goals=(),
+        crossover=channel_own.crossover,
+        bandwidth=None,
         stable=stable,
-        all_stable=bool(inside),
-        notes=(),
+        all_stable=inside,
     )
+    return drawn, measured
 
 
 def requirements(

@@ -6,7 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.designer.designs import Designs, never, silent
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
 from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
-from platform_ctrl.designer.parts import PictureParts
-from platform_ctrl.designer.pictures import Influence, Overlay, Picture
+from platform_ctrl.designer.parts import Drawn, Measured, Parts
+from platform_ctrl.designer.pictures import Drawing, Influence, Overlay, Picture
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
 from platform_ctrl.designer.saving import Saved, controllers_beside, save
 from platform_ctrl.designer.stabilised import stabilised_parts
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str], None]
 Cancelled = Callable[[], bool]
+
+
+def nothing(drawing: Drawing) -> None:
+    """Do nothing with a drawing: nobody waits for it."""
 
 
 class Workbench:
@@ -361,13 +365,15 @@ class Workbench:
         """
         return moved(settings, {one.name: one for one in self.knobs(settings)}, knob, number)
 
-    def picture(self, settings: Settings) -> Picture:
-        """Return what is drawn for the settings.
+    def picture(self, settings: Settings, drawn: Callable[[Drawing], None] = nothing) -> Picture:
+        """Return what is drawn for the settings, and what is measured.
 
         Parameters
         ----------
         settings
             As the page is set.
+        drawn
+            Called with what is drawn as soon as that is there: measuring takes as long again.
 
         Returns
         -------
@@ -388,28 +394,29 @@ class Workbench:
         whole("axis", settings.axis, 1, 3)
         try:
             with np.errstate(all="ignore"):
-                parts = self._parts(settings)
+                (parts, measure), told = self._parts(settings)
+                drawing = _fields(parts) | {"settings": settings, "plants": self.plants(settings)}
+                drawn(Drawing(**drawing))
+                measured = measure()
         except (np.linalg.LinAlgError, FloatingPointError, OverflowError):
             raise DesignError(
                 f"{settings.loop}, {settings.design}: the loop's numbers leave floating point; expected less extreme "
                 "settings"
             ) from None
-        return Picture(
-            settings=settings,
-            plants=self.plants(settings),
-            elapsed=time.perf_counter() - begun,
-            **{one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)},
-        )
+        figures = _fields(measured) | {"notes": (*told, *measured.notes)}
+        return Picture(**drawing, **figures, elapsed=time.perf_counter() - begun)
 
-    def _parts(self, settings: Settings) -> PictureParts:
+    def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
+        """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._closing.design(settings)
         if spec.kind != "caging":
             free, told = self._closing.stabilised(settings)
-            return dataclasses.replace(stabilised_parts(free, settings, self._closing.kept(settings)), notes=told)
+            return stabilised_parts(free, settings, self._closing.kept(settings)), told
         loop, told = self._designs.caged(settings)
-        parts = caged_parts(loop, settings)
+        parts, measure = caged_parts(loop, settings)
         overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
-        return dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays), notes=(*told, *more))
+        parts = dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays))
+        return (parts, measure), (*told, *more)
 
     def overlay(self, settings: Settings, design: str) -> Overlay:
         """Return another design of the loop, to be drawn over the picture of the settings.
@@ -793,3 +800,7 @@ class Workbench:
         )
         flown: Trajectory = self._flier.worked_out(question, silent, cancelled)
         return flown
+
+
+def _fields(parts: Drawn | Measured) -> dict[str, Any]:
+    return {one.name: getattr(parts, one.name) for one in dataclasses.fields(parts)}

@@ -23,7 +23,7 @@ from platform_ctrl.frozen import value
 if TYPE_CHECKING:
     from bokeh.document import Document
 
-    from platform_ctrl.designer.pictures import Picture
+    from platform_ctrl.designer.pictures import Drawing, Picture
     from platform_ctrl.designer.values import Settings
     from platform_ctrl.designer.workbench import Workbench
 
@@ -43,13 +43,14 @@ class Task:
 
 @value
 class Outcome:
-    """What came of some tasks: a picture, or a line that says why there is none."""
+    """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none."""
 
     settings: Settings
     picture: Picture | None
     line: str | None
     count: int
     gesture: object
+    turn: int
 
 
 class Session:
@@ -100,6 +101,9 @@ class Session:
         self._newest: Newest[Task] = Newest(self._work)
         self._lock = threading.Lock()
         self._outcome: Outcome | None = None
+        # What is to be drawn next; which time of working out that is of, and of which what the plots show.
+        self._drawing: Drawing | None = None
+        self._turn = self._plotted = 0
         self._idle: Any = None
         self._errands = Errands(self)
         self._deaf = workbench.on_designed(self._designed)
@@ -113,7 +117,7 @@ class Session:
         self._deaf()
         self._newest.close()
         self._errands.close()
-        self.document = self._idle = self._outcome = self.picture = None
+        self.document = self._idle = self._outcome = self.picture = self._drawing = None
 
     def later(self, act: Callable[[], None]) -> None:
         """Have something done on the server's loop; from any thread."""
@@ -232,13 +236,14 @@ class Session:
     def _work(self, tasks: list[Task]) -> None:
         """Work out a picture for all tasks together; runs in a thread."""
         settings, line, picture = self.settings, None, None
+        self._turn += 1
         for task in tasks:
             try:
                 settings = task.change(settings)
             except Exception as error:
                 line = words_of(error)
         try:
-            picture = self.workbench.picture(settings)
+            picture = self.workbench.picture(settings, self._drawn)
         except Exception as error:
             line = words_of(error)
         # A design that is there now is no step of its own in what a hand does.
@@ -251,9 +256,26 @@ class Session:
             scheduled = self._outcome is not None
             if self._outcome is not None and gesture == "ready":
                 gesture = self._outcome.gesture
-            self._outcome = Outcome(settings=settings, picture=picture, line=line, count=count, gesture=gesture)
+            self._outcome = Outcome(
+                settings=settings, picture=picture, line=line, count=count, gesture=gesture, turn=self._turn
+            )
         if not scheduled:
             self.later(self._show)
+
+    def _drawn(self, drawing: Drawing) -> None:
+        """Show what is drawn while it is measured; called in a thread."""
+        with self._lock:
+            scheduled, self._drawing = self._drawing is not None, drawing
+        if not scheduled:
+            self.later(self._draw)
+
+    def _draw(self) -> None:
+        with self._lock:
+            drawing, self._drawing = self._drawing, None
+            turn = self._turn
+        if drawing is not None:
+            self._plotted = turn
+            self.plots.show(drawing)
 
     def _show(self) -> None:
         with self._lock:
@@ -267,12 +289,14 @@ class Session:
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
-            self.plots.show(out.picture)
             told |= self._told(out.picture)
             self._rest()
         elif self.picture is not None:
             # The sliders go back to what is shown.
             told |= {"knobs": self._knobs(self.picture.settings), "parts": self._parts(self.picture.settings)}
+            if self._plotted == out.turn:
+                # What could not be measured was drawn already.
+                self.plots.show(self.picture)
         self.answer(out.count, **told)
 
     def _remember(self, settings: Settings, gesture: object) -> None:

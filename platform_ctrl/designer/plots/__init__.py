@@ -1,4 +1,4 @@
-"""The page's plots: Bokeh figures that follow a `Picture`, with poles and a crossover to be dragged."""
+"""The page's plots: Bokeh figures that follow a `Drawing`, with poles and a crossover to be dragged."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from bokeh.models import LayoutDOM
 
-from platform_ctrl.designer.pictures import Picture
+from platform_ctrl.designer.pictures import Drawing
 from platform_ctrl.designer.plots.bode import BodePanel
 from platform_ctrl.designer.plots.locus import LocusPanel
 from platform_ctrl.designer.plots.nichols import NicholsPanel
@@ -42,7 +42,7 @@ class Plots:
     def __init__(self, dark: bool = False) -> None:
         self._theme = Theme(dark)
         self._sources = Sources()
-        self._picture: Picture | None = None
+        self._picture: Drawing | None = None
         # One view for everything over frequency: zooming one zooms all.
         frequency = View(0.1, 1000.0, decades, logarithmic=True)
         self._bode = BodePanel(self._theme, self._sources, frequency)
@@ -60,7 +60,7 @@ class Plots:
         """How many drags of a pole or of the crossover have begun: all calls of one drag see the same number."""
         return self._locus.handles.pulling.begun + self._bode.handle.pulling.begun
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture: what has changed goes to the browser in one go, no model is made or removed.
 
         Data that are not finite are gaps; where there is nothing to draw the plot says so.
@@ -68,7 +68,7 @@ class Plots:
         Parameters
         ----------
         picture
-            Of `Workbench.picture`.
+            Of `Workbench.picture`; its measures are not shown here.
 
         Notes
         -----
@@ -158,7 +158,7 @@ class Plots:
             document.unhold()
 
 
-def _about(picture: Picture) -> tuple[object, ...]:
+def _about(picture: Drawing) -> tuple[object, ...]:
     """Return what a picture is of; the same while sliders move."""
     settings = picture.settings
     return settings.loop, settings.design, settings.channel, settings.axis, settings.overlays

@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.models import AdaptiveTicker, ColumnDataSource
 from bokeh.models.annotations.geometry import Span
 
-from platform_ctrl.designer.pictures import Bode, Picture
+from platform_ctrl.designer.pictures import Bode, Drawing
 from platform_ctrl.designer.plots.columns import column, decibels, extent, finite
 from platform_ctrl.designer.plots.crossover_handle import CrossoverHandle
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
@@ -88,9 +88,9 @@ class BodePanel:
         """Call `callback` with a frequency, rad/s, while the crossover is dragged."""
         self.handle.callbacks.append(callback)
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture."""
-        bode, margins = picture.bode, picture.margins
+        bode, crossover = picture.bode, picture.crossover
         f = column(bode.frequency * HZ)
         gain, phase = decibels(bode.magnitude), column(bode.phase)
         self._sources.put("loop", frequency=f, gain=gain, phase=phase)
@@ -112,7 +112,7 @@ class BodePanel:
         nyquist = bode.nyquist * HZ
         for span in self._nyquist:
             span.location = float(nyquist) if math.isfinite(nyquist) else None
-        asked = next((r.limit for r in picture.requirements if _is_bandwidth(r.name, r.unit)), None)
+        asked = picture.bandwidth
         for span in self._asked:
             span.location = asked
         seen = extent([f])
@@ -121,7 +121,7 @@ class BodePanel:
         self._frequency.fit(None if still else seen)
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))
-        self.handle.show(None if margins.crossover is None else margins.crossover * HZ)
+        self.handle.show(None if crossover is None else crossover * HZ)
         self.panel.say(f"L at {bode.channel}, others closed")
         keys: list[Key] = [(picture.settings.design or "L", "series-1", (), 2.2)]
         self.panel.keys(
@@ -135,16 +135,12 @@ class BodePanel:
         tell(self._message, "no finite response of this loop" if empty else _trouble(picture))
 
 
-def _is_bandwidth(name: str, unit: str) -> bool:
-    return "bandwidth" in name and unit == "Hz"
-
-
-def _trouble(picture: Picture) -> str:
+def _trouble(picture: Drawing) -> str:
     if not picture.stable:
         return "closed loop not stable"
     if not picture.all_stable:
         return "not stable with all plants"
-    return "" if picture.margins.crossover is not None else "the gain never passes 1: no crossover"
+    return "" if picture.crossover is not None else "the gain never passes 1: no crossover"
 
 
 def _marks(bode: Bode) -> FloatArray:

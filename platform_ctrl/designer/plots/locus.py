@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models.annotations.geometry import Span
 
-from platform_ctrl.designer.pictures import Locus, Picture
+from platform_ctrl.designer.pictures import Drawing, Locus
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.columns import column, strung, thinned
@@ -118,7 +118,7 @@ class LocusPanel:
         """Call `callback` with a pole and where it is dragged to, rad/s, while it is."""
         self.handles.callbacks.append(callback)
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture."""
         locus = picture.locus
         at = thinned(len(locus.gains), _GAINS)

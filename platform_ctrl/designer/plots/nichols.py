@@ -8,7 +8,7 @@ import numpy as np
 from bokeh.models import AdaptiveTicker
 from bokeh.models.annotations.geometry import Span
 
-from platform_ctrl.designer.pictures import Nichols, Picture
+from platform_ctrl.designer.pictures import Drawing, Nichols
 from platform_ctrl.designer.plots.columns import Column, column, decibels, extent, strung, thinned
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
@@ -66,7 +66,7 @@ class NicholsPanel:
         self._message = self.panel.message(plot)
         self._drawn: tuple[float | None, tuple[float, float]] | None = None
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture."""
         nichols = picture.nichols
         phase, gain = _thin(nichols)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from bokeh.models.annotations.geometry import BoxAnnotation
 
-from platform_ctrl.designer.pictures import Picture
+from platform_ctrl.designer.pictures import Drawing
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, extent, finite
 from platform_ctrl.designer.plots.overlays import overlay_keys
@@ -66,7 +66,7 @@ class RatePanel:
         row = self.panel.row
         row.children = [row.children[0], self.toggle, *row.children[1:]]
         plot.visible = False
-        self._picture: Picture | None = None
+        self._picture: Drawing | None = None
 
     def _toggled(self) -> None:
         self.choose(not self.shows_frequency)
@@ -80,7 +80,7 @@ class RatePanel:
         if self._picture is not None:
             self.show(self._picture)
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture with the figures that are seen."""
         self._picture = picture
         if self.shows_frequency:
@@ -90,7 +90,7 @@ class RatePanel:
             self.panel.say(picture.Omega_time.title)
             self.panel.keys(keys)
 
-    def _show_gain(self, picture: Picture) -> None:
+    def _show_gain(self, picture: Drawing) -> None:
         response, overlays = picture.Omega_frequency, picture.bode.overlays
         with np.errstate(invalid="ignore"):
             gain = np.where(response.gain > 0.0, response.gain, np.nan)

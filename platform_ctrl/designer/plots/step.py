@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.designer.pictures import Picture
+from platform_ctrl.designer.pictures import Drawing
 from platform_ctrl.designer.plots.panel import Panel, Theme
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.time_response import TimePanel
@@ -23,7 +23,7 @@ class StepPanel:
         self.panel = Panel("step", "Step response", theme)
         self.over_time = TimePanel(self.panel, "step", sources, theme)
 
-    def show(self, picture: Picture) -> None:
+    def show(self, picture: Drawing) -> None:
         """Follow a picture."""
         keys = self.over_time.show(picture, picture.step, "step")
         self.panel.say(picture.step.title)

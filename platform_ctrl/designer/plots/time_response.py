@@ -10,7 +10,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.models.annotations.geometry import BoxAnnotation
 
-from platform_ctrl.designer.pictures import Overlay, Picture, TimeResponse
+from platform_ctrl.designer.pictures import Drawing, Overlay, TimeResponse
 from platform_ctrl.designer.plots.columns import Column, column, extent, finite, thinned
 from platform_ctrl.designer.plots.palette import dashes, series
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
@@ -65,7 +65,7 @@ class TimePanel:
         self._shown = shown
         self._arrange()
 
-    def show(self, picture: Picture, response: TimeResponse, own: str) -> list[Key]:
+    def show(self, picture: Drawing, response: TimeResponse, own: str) -> list[Key]:
         """Follow a response.
 
         Parameters
@@ -134,7 +134,7 @@ class _Trace:
         self.keys: list[Key] = []
 
     def show(
-        self, picture: Picture, response: TimeResponse, rows: list[int], unit: str, limit: float | None, own: str
+        self, picture: Drawing, response: TimeResponse, rows: list[int], unit: str, limit: float | None, own: str
     ) -> None:
         self.used = bool(rows)
         at = thinned(len(response.t), _POINTS)

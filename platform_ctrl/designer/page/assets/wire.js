@@ -31,6 +31,13 @@ export const icon = (name) => {
   return svg;
 };
 
+// While an answer is on its way the browser's frames go on: when it comes, the next one is near.
+let ticking = false;
+const tick = () => {
+  ticking = answered < asked;
+  if (ticking) requestAnimationFrame(tick);
+};
+
 export const ask = (what, more = {}) => {
   if (send === null) return;
   if (AFTER_MOVES.has(what) && (answered < asked || waiting.size > 0)) {
@@ -38,6 +45,7 @@ export const ask = (what, more = {}) => {
     return;
   }
   asked += 1;
+  if (!ticking) tick();
   send({ n: asked, what, ...more });
 };
 
