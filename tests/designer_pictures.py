@@ -152,6 +152,8 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             high=1.1 * from_rate if plants else np.zeros(0),
             limit=1e-3,
         ),
+        crossover=crossover,
+        bandwidth=asked.limit,
         margins=Margins(
             disk=0.3,
             worst_disk=0.25,
@@ -190,6 +192,7 @@ def broken(number: float) -> Picture:
     return dataclasses.replace(
         made,
         **{name: spoilt(getattr(made, name)) for name in names},
+        crossover=number,
         margins=dataclasses.replace(made.margins, crossover=number, phase=number, gain_up=number),
         stable=False,
         all_stable=False,
@@ -213,6 +216,7 @@ def empty() -> Picture:
         made,
         **{name: cut(getattr(made, name)) for name in names},
         nichols=dataclasses.replace(made.nichols, labels=(), phase=np.zeros((0, 0)), magnitude=np.zeros((0, 0))),
+        crossover=None,
         margins=dataclasses.replace(made.margins, crossover=None),
         stable=False,
     )

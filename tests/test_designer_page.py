@@ -327,6 +327,9 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_i
     page.keyboard.press("Escape")
     until(page, lambda: "is being designed" not in (page.locator("#line").text_content() or ""), 60.0)
     assert "the solver" in line(page, "out of reach: ")
+    # What is hidden follows when it is seen.
+    page.get_by_role("button", name="frequency").click()
+    until(page, lambda: len(page.evaluate(OVERLAYS).get("Omega_gain_overlays", ())) == 2)
     overlays = page.evaluate(OVERLAYS)
     assert set(overlays) >= {"overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"}
     assert all(set(names) == {"slower", "H-infinity"} for names in overlays.values())

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 # Milliseconds without a change after which the influence of the sliders is worked out.
 IDLE = 350
+# Seconds that what is drawn may take on its way to the browser before it is measured in any case.
+_SENDING = 0.05
 Change = Callable[["Settings"], "Settings"]
 
 
@@ -104,6 +106,7 @@ class Session:
         # What is to be drawn next; which time of working out that is of, and of which what the plots show.
         self._drawing: Drawing | None = None
         self._turn = self._plotted = 0
+        self._sent = threading.Event()
         self._idle: Any = None
         self._errands = Errands(self)
         self._deaf = workbench.on_designed(self._designed)
@@ -263,11 +266,14 @@ class Session:
             self.later(self._show)
 
     def _drawn(self, drawing: Drawing) -> None:
-        """Show what is drawn while it is measured; called in a thread."""
+        """Show what is drawn before it is measured; called in a thread."""
+        self._sent.clear()
         with self._lock:
             scheduled, self._drawing = self._drawing is not None, drawing
         if not scheduled:
             self.later(self._draw)
+        # Measuring would only keep it from being sent: the browser paints meanwhile.
+        self._sent.wait(_SENDING)
 
     def _draw(self) -> None:
         with self._lock:
@@ -276,6 +282,7 @@ class Session:
         if drawing is not None:
             self._plotted = turn
             self.plots.show(drawing)
+            self.later(self._sent.set)
 
     def _show(self) -> None:
         with self._lock:

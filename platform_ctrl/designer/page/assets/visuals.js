@@ -45,3 +45,19 @@ if (InlineStyleSheet) {
 
 // A curve's element holds nothing: where it would stand need not be said whenever the curve moves.
 if (GlyphRendererView) GlyphRendererView.prototype.update_position = () => {};
+
+// Numbers at an axis that become a little wider make BokehJS lay the figure out anew, and tell the server its new size.
+// Where the border has room for them nothing else moves.
+if (PlotView) {
+  const BORDERS = { left: "min_border_left", right: "min_border_right", above: "min_border_top", below: "min_border_bottom" };
+  const crowded = (view) => view.model.side_panels.some((model) => {
+    const { panel, layout } = view.renderer_views.get(model) ?? {};
+    if (!layout?.has_size_changed()) return false;
+    const extent = panel.is_horizontal ? "height" : "width", room = view.model[BORDERS[panel.side]] ?? 0;
+    return layout.bbox[extent] > room || layout._content_size()[extent] > room;
+  });
+  const layOut = PlotView.prototype._invalidate_layout_if_needed;
+  PlotView.prototype._invalidate_layout_if_needed = function () {
+    if (this._needs_layout || crowded(this)) layOut.call(this);
+  };
+}
