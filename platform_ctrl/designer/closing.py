@@ -20,11 +20,13 @@ from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.caged import CagedLoop
 from platform_ctrl.designer.controllers import (
+    acting_options,
+    acts,
     classical_arrays,
-    classical_numbers,
     default_numbers,
     full_options,
     parts_given,
+    parts_used,
 )
 from platform_ctrl.designer.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.designer.pulling import Reins
@@ -174,20 +176,33 @@ class Closing:
             or dict(settings.spins) != dict(start.spins)
         )
 
-    def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
-        """Return the options that a design uses, without those of parts that are off."""
+    def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
+        """Return the options that a design is made of as the loop is now, those of parts that are off as well."""
         options = settings.options[spec.name][design.name]
         if design.method != "classical":
             return dict(options)
-        quick = self.quick(spec)
-        channel, period = quick.channels(settings.spins), 1.0 / settings.rate_hz
-        parts = settings.parts_on(spec.name, design.name)
-        given, nutation = classical_numbers(options, parts, channel), self._nutation(settings, spec)
+        channel = self.quick(spec).channels(settings.spins)
+        return acting_options(options, channel, lambda: self._nutation(settings, spec), 1.0 / settings.rate_hz)
+
+    def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
+        """Return the options that a design uses, without those of parts that are off.
+
+        Raises
+        ------
+        DesignError
+            An option makes no sense.
+        """
+        offered = self.offered(settings, spec, design)
+        if design.method != "classical":
+            return offered
+        channel, period = self.quick(spec).channels(settings.spins), 1.0 / settings.rate_hz
+        given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
-            return starting_values(given, channel, nutation, period)
+            complete = starting_values(given, channel, self._nutation(settings, spec), period)
         except DesignError as error:
             # It may be another loop than the one that is worked on.
             raise DesignError(f"{spec.name}, {error}") from None
+        return {name: x for name, x in complete.items() if acts(name, channel)}
 
     def key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
         """Return all that a design of a method depends on."""
@@ -388,12 +403,9 @@ class Closing:
 
     def _caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
         quick = self.quick(spec)
-        options, period = settings.options[spec.name][design.name], 1.0 / settings.rate_hz
+        period = 1.0 / settings.rate_hz
         if design.method == "classical":
-            parts = settings.parts_on(spec.name, design.name)
-            return classical_arrays(
-                options, parts, quick.channels(settings.spins), self._nutation(settings, spec), period
-            )[0], ""
+            return classical_arrays(self.used(settings, spec, design), quick.channels(settings.spins), period), ""
         found = self.store.found(spec.name, design.name, self.key(settings, spec, design), period)
         if found is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")
@@ -463,7 +475,7 @@ class Closing:
         channel = quick.channels(spins)
         nutation = quick.nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
         if design.method == "classical":
-            return full_options(design, channel, nutation, period)
+            return full_options(design.options, channel, nutation, period)
         try:
             return default_numbers(design, channel, nutation, period)
         except PlatformCtrlError:

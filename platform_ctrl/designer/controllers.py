@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.design.channels import Channels
@@ -14,6 +14,8 @@ from platform_ctrl.job import DesignSpec
 
 # Which optional parts each method knows.
 OPTIONAL: dict[str, tuple[str, ...]] = {"classical": ("lag", "notch", "spin_notch")}
+# Options that act in gyroscopic pairs alone, beside those of the notch.
+_OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
 # What pulling and tuning may move.
 MOVABLE: dict[str, frozenset[str]] = {
     "classical": frozenset(TUNABLE),
@@ -32,35 +34,54 @@ def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(part for part in PARTS if any(part_of(name) == part for name in options))
 
 
+def acts(option: str, channel: Channels) -> bool:
+    """Return whether the controller of a classical loop with these gyros is made of an option."""
+    if option.startswith("inertial_"):
+        return channel.inertial > 0
+    return len(channel.momenta) > 0 or not (option in _OF_PAIRS or part_of(option) == "notch")
+
+
 def meaningful(options: Mapping[str, float], channel: Channels) -> dict[str, float]:
-    """Return those options of a classical loop that mean something with these gyros."""
-    pairs, single = len(channel.momenta) > 0, channel.inertial > 0
-    own = {"damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"}
+    """Return those options that a classical design with these gyros takes.
 
-    def means(name: str) -> bool:
-        if name.startswith("inertial_"):
-            return single
-        return pairs or not (name in own or part_of(name) == "notch")
-
-    return {name: x for name, x in options.items() if means(name)}
+    It takes a crossover without pairs too: the default of the integral's corner is a share of it.
+    """
+    return {name: x for name, x in options.items() if name == "crossover_hz" or acts(name, channel)}
 
 
-def full_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+def full_options(given: Mapping[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
     """Return all options of a classical design, those of parts that it does not have as well."""
-    given = meaningful(design.options, channel)
+    own = meaningful(given, channel)
     rate_hz = 1.0 / period
-    more = {"lag_hz": 0.1 * starting_values(given, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
+    more = {"lag_hz": 0.1 * starting_values(own, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
     if len(channel.momenta):
         more |= {"notch_hz": min(nutation / math.tau, 0.35 * rate_hz), "notch_depth": 0.7, "notch_width": 0.3}
     if len(channel.spins):
         spin = float(channel.spins.mean()) / math.tau
         more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
-    return starting_values(more | given, channel, nutation, period)
+    return starting_values(more | own, channel, nutation, period)
 
 
-def classical_numbers(options: Mapping[str, float], parts: tuple[str, ...], channel: Channels) -> dict[str, float]:
-    """Return the options of a classical design without those of parts that are off, or that mean nothing here."""
-    return {name: x for name, x in meaningful(options, channel).items() if not part_of(name) or part_of(name) in parts}
+def acting_options(
+    options: Mapping[str, float], channel: Channels, nutation: Callable[[], float], period: float
+) -> dict[str, float]:
+    """Return the options that a classical loop with these gyros is, or with a part switched on would be, made of.
+
+    Rotors that were set going or stopped since the `options` were put together need others: by rules of thumb.
+    """
+    known = {name: x for name, x in options.items() if acts(name, channel)}
+    wanted = [
+        name
+        for name in CLASSICAL
+        if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
+    ]
+    rules = full_options({}, channel, nutation(), period) if wanted else {}
+    return known | {name: rules[name] for name in wanted}
+
+
+def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
+    """Return the options of a classical design without those of parts that are off."""
+    return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
 
 
 def default_numbers(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
@@ -84,18 +105,15 @@ def default_numbers(design: DesignSpec, channel: Channels, nutation: float, peri
     return of_structure(design.options, design.structure or "pid", channel, nutation, period)
 
 
-def classical_arrays(
-    options: Mapping[str, float], parts: tuple[str, ...], channel: Channels, nutation: float, period: float
-) -> tuple[StateArrays, dict[str, float]]:
-    """Return the sampled controller of a classical design, and the options it was made of.
+def classical_arrays(options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
+    """Return the sampled controller of a classical design of complete options.
 
     Raises
     ------
     DesignError
         An option makes no sense.
     """
-    complete = starting_values(classical_numbers(options, parts, channel), channel, nutation, period)
-    controller = StateArrays(*classical_controller(complete, channel, period), dt=period)
+    controller = StateArrays(*classical_controller(dict(options), channel, period), dt=period)
     if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
         raise DesignError("classical: the options make a controller beyond floating-point numbers; expected others")
-    return controller, complete
+    return controller

@@ -17,7 +17,7 @@ from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.designer.designs import Designs, never, silent
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
-from platform_ctrl.designer.knobs import PARTS, moved, option_knobs, plant_knobs, with_options
+from platform_ctrl.designer.knobs import KINDS, PARTS, moved, option_knobs, plant_knobs, with_options
 from platform_ctrl.designer.parts import Drawn, Measured, Parts
 from platform_ctrl.designer.pictures import Drawing, Influence, Overlay, Picture
 from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
@@ -213,8 +213,13 @@ class Workbench:
         if settings.plant not in labels:
             raise ArgumentError(f"plant: given {short(settings.plant)}; expected the label of one of {len(labels)}")
         known_name("channel", settings.channel, self._closing.channels_of(spec))
+        # Those of other loops and of parts that are off stay fixed.
+        methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
+        options = (option for method in methods for option in KINDS[method])
+        plant = (knob.name for knob in self.knobs(settings) if knob.group in ("sampling", "rotors", "Omega"))
+        knobs = tuple(dict.fromkeys((*options, *plant)))
         for name in sorted(settings.fixed):
-            known_name("fixed", name, tuple(knob.name for knob in self.knobs(settings)))
+            known_name("fixed", name, knobs)
 
     def plants(self, settings: Settings) -> tuple[str, ...]:
         """Return the labels of the plants that may be shown.
@@ -251,7 +256,7 @@ class Workbench:
         Returns
         -------
         tuple of Knob
-            Optional parts that are off have none.
+            Optional parts that are off have none, nor has what moves nothing of this loop.
 
         Raises
         ------
@@ -263,9 +268,10 @@ class Workbench:
         See docs/designer.md.
         """
         spec, design = self._closing.design(settings)
-        options = settings.options[spec.name][design.name]
+        options = self._closing.offered(settings, spec, design)
         parts = settings.parts_on(spec.name, design.name)
-        start = self._start.options[spec.name][design.name]
+        # What only rotors that were set going or stopped ask for starts by rules of thumb, wherever it stands now.
+        start = self._closing.offered(settings.but(options=self._start.options), spec, design)
         movable = MOVABLE.get(design.method, frozenset())
         own = option_knobs(design.method, options, start, settings.rate_hz, settings.fixed, movable)
         Omega = tuple(map(float, self.read.Omega))
@@ -298,7 +304,7 @@ class Workbench:
         """
         spec, design = self._closing.design(settings)
         on = settings.parts_on(spec.name, design.name)
-        known = settings.options[spec.name][design.name]
+        known = self._closing.offered(settings, spec, design)
         return tuple(
             Part(name=name, label=PARTS[name][0], on=name in on, tip=PARTS[name][1])
             for name in OPTIONAL.get(design.method, ())
