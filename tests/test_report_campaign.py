@@ -280,6 +280,7 @@ def test_runs_are_drawn_wherever_the_limit_is(made, factor):
         reach = campaign_figures.exceedance_figure(found).axes[0]
     counts = drawn.patches[0].get_data()
     assert (np.diff(counts.edges) > 0.0).all()
+    assert len(counts.values) <= 100
     assert counts.values.sum() > 0.5 * one.violation.runs
     assert reach.get_xlim()[1] > one.quantiles[0.5] / one.limit
 

@@ -156,13 +156,14 @@ def _note(axes: Axes, one: RequirementStatistics, near: bool, drawn: bool, facto
 
 
 def _edges(low: float, high: float, limit: float | None) -> FloatArray:
-    """Return equal bins, one edge of which is the limit."""
+    """Return equal bins, one edge of which is the limit; the first may begin below `low`."""
     width = (high - low) / _BINS
     if limit is None:
         return np.linspace(low, high, _BINS + 1)
     below = max(round((limit - low) / width), 1)
-    width = (limit - low) / below
-    return np.asarray(low + width * np.arange(below + int(np.ceil((high - limit) / width)) + 1))
+    # A limit that lies next to `low` does not make all bins as narrow as what is left of it.
+    width = max((limit - low) / below, 0.5 * width)
+    return np.asarray(limit + width * np.arange(-below, int(np.ceil((high - limit) / width)) + 1))
 
 
 def _shade(axes: Axes, limit: float, reach: float = 0.0) -> None:

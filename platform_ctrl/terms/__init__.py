@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -148,19 +149,19 @@ def _costs(found: Sequence[_Entry], groups: Sequence[Sequence[int]], slowest: fl
     for group in groups:
         inside = [k for k, entry in enumerate(found) if entry.part.derivative is not None and entry.place[0] in group]
         matrices = np.zeros((3, len(group), len(group)))
-        places = {}
+        places, together = {}, defaultdict(list)
         for k in inside:
             row, column = found[k].place
             places[k] = (found[k].part.derivative, group.index(row), group.index(column))
             matrices[places[k]] += found[k].factor
+            together[places[k]].append(k)
         before = poles(*matrices[::-1])
         for k in inside:
             if found[k].factor == 0.0:
                 out[k] = (0.0, 0)
                 continue
             without = matrices.copy()
-            others = [found[j].factor for j in inside if j != k and places[j] == places[k]]
-            without[places[k]] = sum(others)
+            without[places[k]] = sum(found[j].factor for j in together[places[k]] if j != k)
             out[k] = pole_change(before, poles(*without[::-1]), slowest)
     return out
 
