@@ -12,8 +12,9 @@ from platform_ctrl.cli import main
 from platform_ctrl.designer.controllers import OPTIONAL
 from platform_ctrl.designer.knobs import CLASSICAL, with_options
 from platform_ctrl.designer.link import settings_of, text_of
-from platform_ctrl.designer.values import Settings
+from platform_ctrl.designer.values import Knob, Settings
 from platform_ctrl.designer.workbench import Workbench
+from platform_ctrl.errors import DesignError
 from platform_ctrl.reading import read_job
 
 SHIPPED = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
@@ -121,3 +122,34 @@ def test_a_knob_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Workbe
     servo = shipped.chosen(hidden, loop="stabilisation")
     for one in (hidden, servo):
         assert settings_of(shipped, text_of(shipped, one)).data() == one.data()
+
+
+def _knob(bench: Workbench, settings: Settings, name: str) -> Knob:
+    return next(knob for knob in bench.knobs(settings) if knob.name == name)
+
+
+def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped: Workbench) -> None:
+    settings = shipped.moved(shipped.start("caging 9-10"), "notch_hz", 390.0).but(band=False)
+    servo = shipped.moved(shipped.chosen(settings, loop="stabilisation"), "filter_hz", 300.0)
+    for one, lowest in ((settings, 390.0 / 0.4), (servo, 390.0 / 0.4)):
+        assert _knob(shipped, one, "rate_hz").low == pytest.approx(lowest)
+        slow = shipped.moved(one, "rate_hz", lowest)
+        for loop in shipped.offer().loops:
+            assert shipped.picture(shipped.chosen(slow, loop=loop, design=slow.closed[loop])).bode.frequency.size
+    # The notch is one of another loop; once it is off the servo's filter is what asks for the rate.
+    off = shipped.chosen(shipped.switched(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
+    assert _knob(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
+    # A typed number may lie lower: the line says which loop and which option.
+    with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz = 390; expected less than half"):
+        shipped.picture(shipped.moved(servo, "rate_hz", 700.0))
+
+
+def test_ends_of_delay_and_sample_rate_fit_one_another(shipped: Workbench) -> None:
+    settings = shipped.start("caging 9-10")
+    late = shipped.moved(settings, "delay", 0.04)
+    for start in (settings, late, shipped.moved(settings, "rate_hz", 1e5)):
+        for name in ("delay", "rate_hz"):
+            knob = _knob(shipped, start, name)
+            assert knob.low <= knob.value <= knob.high
+            for end in (knob.low, knob.high):
+                assert getattr(shipped.moved(start, name, end), name) == end

@@ -14,6 +14,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import known_name
 from platform_ctrl.check.coupled import sensed_rates
 from platform_ctrl.description import Platform
+from platform_ctrl.design.channels import Channels
 from platform_ctrl.design.classical import starting_values
 from platform_ctrl.design.plants import with_spins
 from platform_ctrl.design.stabilisation import platform_servo
@@ -29,6 +30,7 @@ from platform_ctrl.designer.controllers import (
     parts_used,
 )
 from platform_ctrl.designer.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
+from platform_ctrl.designer.knobs import lowest_rate
 from platform_ctrl.designer.pulling import Reins
 from platform_ctrl.designer.quick_plants import QuickPlants
 from platform_ctrl.designer.saving import SavedController
@@ -67,6 +69,7 @@ class Closing:
         self._models: Bounded[LinearModel] = Bounded(6)
         self._free: Bounded[FreePlants] = Bounded(6)
         self._free_models: Bounded[SpinningModels] = Bounded(4)
+        self._channels: Bounded[Channels] = Bounded(12)
         self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self.start = self._first()
@@ -181,8 +184,20 @@ class Closing:
         options = settings.options[spec.name][design.name]
         if design.method != "classical":
             return dict(options)
-        channel = self.quick(spec).channels(settings.spins)
-        return acting_options(options, channel, lambda: self._nutation(settings, spec), 1.0 / settings.rate_hz)
+        return acting_options(
+            options, self._gyros(settings, spec), lambda: self._nutation(settings, spec), 1.0 / settings.rate_hz
+        )
+
+    def slowest(self, settings: Settings) -> float:
+        """Return the sample rate, Hz, from which on all loops can be built with their options as they are."""
+        found = 0.0
+        for spec in self.read.loops:
+            for design in spec.designs:
+                if self.live(design) or (spec.name, design.name) == (settings.loop, settings.design):
+                    options = self.offered(settings, spec, design)
+                    used = parts_used(options, settings.parts_on(spec.name, design.name))
+                    found = max(found, lowest_rate(design.method, used))
+        return found
 
     def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design uses, without those of parts that are off.
@@ -195,7 +210,7 @@ class Closing:
         offered = self.offered(settings, spec, design)
         if design.method != "classical":
             return offered
-        channel, period = self.quick(spec).channels(settings.spins), 1.0 / settings.rate_hz
+        channel, period = self._gyros(settings, spec), 1.0 / settings.rate_hz
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
         try:
             complete = starting_values(given, channel, self._nutation(settings, spec), period)
@@ -402,10 +417,9 @@ class Closing:
         return reins, plant, list(torquers).index(settings.channel) if settings.channel in torquers else 0
 
     def _caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
-        quick = self.quick(spec)
         period = 1.0 / settings.rate_hz
         if design.method == "classical":
-            return classical_arrays(self.used(settings, spec, design), quick.channels(settings.spins), period), ""
+            return classical_arrays(self.used(settings, spec, design), self._gyros(settings, spec), period), ""
         found = self.store.found(spec.name, design.name, self.key(settings, spec, design), period)
         if found is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")
@@ -414,6 +428,11 @@ class Closing:
     def _nutation(self, settings: Settings, spec: LoopSpec) -> float:
         sampling = Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
         return self.quick(spec).nutation(settings.spins, sampling, self._range(settings))
+
+    def _gyros(self, settings: Settings, spec: LoopSpec) -> Channels:
+        """Return how the gyros couple the gimbals of a caging loop."""
+        key = (spec.name, tuple(sorted(settings.spins.items())))
+        return self._channels.get(key, lambda: self.quick(spec).channels(settings.spins))
 
     def _model(self, settings: Settings) -> LinearModel:
         key = tuple(sorted(settings.spins.items()))

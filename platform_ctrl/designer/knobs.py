@@ -20,7 +20,7 @@ _LONGEST_DELAY = 100.0
 
 @value
 class OptionKind:
-    """An option of a method as a knob: see `Knob`."""
+    """An option of a method as a knob: see `Knob`; one that is `refused` is so from half the sample rate on."""
 
     label: str
     unit: str
@@ -30,10 +30,13 @@ class OptionKind:
     high: float = math.inf
     logarithmic: bool = True
     part: str = ""
+    refused: bool = False
 
 
-def _hz(label: str, group: Group, tip: str, high: float = math.inf, part: str = "") -> OptionKind:
-    return OptionKind(label=label, unit="Hz", group=group, tip=tip, high=high, part=part)
+def _hz(
+    label: str, group: Group, tip: str, high: float = math.inf, part: str = "", refused: bool = False
+) -> OptionKind:
+    return OptionKind(label=label, unit="Hz", group=group, tip=tip, high=high, part=part, refused=refused)
 
 
 # Highest frequencies are shares of the sample rate.
@@ -47,7 +50,9 @@ CLASSICAL: dict[str, OptionKind] = {
     "rolloff_hz": _hz("lead roll-off", "lead", "pole of the direct-axis lead", high=0.45),
     "inertial_lead_hz": _hz("inertial lead zero", "lead", "zero of the lead where no gyro acts"),
     "inertial_rolloff_hz": _hz("inertial roll-off", "lead", "pole of that lead", high=0.45),
-    "notch_hz": _hz("notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch"),
+    "notch_hz": _hz(
+        "notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch", refused=True
+    ),
     "notch_depth": OptionKind(
         label="notch depth", unit="", group="notch", tip="gain at its centre", low=0.01, high=0.999, part="notch"
     ),
@@ -60,6 +65,7 @@ CLASSICAL: dict[str, OptionKind] = {
         "centre of the notch in front of everything: the rotors' spin",
         high=0.4,
         part="spin_notch",
+        refused=True,
     ),
     "spin_notch_depth": OptionKind(
         label="spin notch depth",
@@ -87,7 +93,7 @@ CLASSICAL: dict[str, OptionKind] = {
 SERVO: dict[str, OptionKind] = {
     "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
     "position_hz": _hz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
-    "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45),
+    "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, refused=True),
     "filter_damping": OptionKind(
         label="filter damping", unit="", group="lead", tip="its damping ratio", low=0.1, high=2.0
     ),
@@ -129,8 +135,8 @@ _STRUCTURED: dict[str, OptionKind] = {
     "starts": OptionKind(
         label="starts", unit="", group="design", tip="starting points of the search", low=1, high=8, logarithmic=False
     ),
-    "integral_hz": _hz("integral", "design", "corner of the integral at the start", high=0.4),
-    "rolloff_hz": _hz("roll-off", "design", "where the filter starts", high=0.45),
+    "integral_hz": _hz("integral", "design", "corner of the integral at the start", high=0.4, refused=True),
+    "rolloff_hz": _hz("roll-off", "design", "where the filter starts", high=0.45, refused=True),
     "reserve": OptionKind(
         label="reserve", unit="", group="design", tip="share by which limits are met", low=1e-3, high=0.5
     ),
@@ -190,8 +196,21 @@ def option_knobs(
     return out
 
 
-def plant_knobs(settings: Settings, start: Settings, Omega: tuple[float, float, float]) -> list[Knob]:
-    """Return the knobs of sampling, rotors and platform rate; `Omega` is the job's largest rate."""
+def lowest_rate(method: str, options: Mapping[str, float]) -> float:
+    """Return the sample rate, Hz, from which on a method's `options` stand within their sliders; 0 without such."""
+    kinds = KINDS[method]
+    return max(
+        (x / kinds[name].high for name, x in options.items() if name in kinds and kinds[name].refused), default=0.0
+    )
+
+
+def plant_knobs(
+    settings: Settings, start: Settings, Omega: tuple[float, float, float], slowest: float = 0.0
+) -> list[Knob]:
+    """Return the knobs of sampling, rotors and platform rate.
+
+    `Omega` is the job's largest rate, `slowest` the sample rate below which a loop cannot be built, Hz.
+    """
     fixed = settings.fixed
     rate, period = start.rate_hz, 1.0 / start.rate_hz
 
@@ -201,7 +220,7 @@ def plant_knobs(settings: Settings, start: Settings, Omega: tuple[float, float, 
             label=label,
             unit=unit,
             group=group,
-            low=min(low, at),
+            low=min(low, high, at),
             high=max(high, at),
             value=at,
             logarithmic=name == "rate_hz",
@@ -209,18 +228,12 @@ def plant_knobs(settings: Settings, start: Settings, Omega: tuple[float, float, 
             fixed=name in fixed,
         )
 
+    slow = max(rate / 5.0, slowest)
+    fast = min(rate * 5.0, _LONGEST_DELAY / settings.delay if settings.delay > 0.0 else math.inf)
+    longest = min(max(3.0 * start.delay, 2.0 * period), _LONGEST_DELAY / settings.rate_hz)
     out = [
-        knob("rate_hz", "sample rate", "Hz", "sampling", rate / 5.0, rate * 5.0, settings.rate_hz, "of all loops"),
-        knob(
-            "delay",
-            "delay",
-            "s",
-            "sampling",
-            0.0,
-            max(3.0 * start.delay, 2.0 * period),
-            settings.delay,
-            "from sample to torque",
-        ),
+        knob("rate_hz", "sample rate", "Hz", "sampling", slow, fast, settings.rate_hz, "of all loops"),
+        knob("delay", "delay", "s", "sampling", 0.0, longest, settings.delay, "from sample to torque"),
     ]
     for name, spin in settings.spins.items():
         first = start.spins[name]

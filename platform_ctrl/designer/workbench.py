@@ -277,7 +277,7 @@ class Workbench:
         Omega = tuple(map(float, self.read.Omega))
         return (
             *(knob for knob in own if not knob.part or knob.part in parts),
-            *plant_knobs(settings, self._start, (Omega[0], Omega[1], Omega[2])),
+            *plant_knobs(settings, self._start, (Omega[0], Omega[1], Omega[2]), self._closing.slowest(settings)),
         )
 
     def parts(self, settings: Settings) -> tuple[Part, ...]:
