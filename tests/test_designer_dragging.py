@@ -24,6 +24,7 @@ from tornado.ioloop import IOLoop
 from browser import Screen, chromium, screen
 from designer_pictures import picture
 from platform_ctrl.designer.plots import Plots
+from platform_ctrl.designer.plots.pulling import LATE, REST
 
 HZ = 1.0 / (2.0 * np.pi)
 browser = pytest.fixture(scope="module")(chromium)
@@ -141,14 +142,18 @@ def drag(
     end: tuple[float, float],
     *,
     held: float = 0.0,
+    rests: float = 0.0,
     steps: int = 12,
 ) -> None:
-    """Drag from a place to another, after the mouse has been held down for some milliseconds."""
+    """Drag from a place to another; the mouse is held still for some milliseconds at first, and rests half way."""
     mouse = seen.page.mouse
     first, last = (seen.page.evaluate(PLACE, [figure, *place]) for place in (start, end))
     mouse.move(*first)
     mouse.down()
     seen.page.wait_for_timeout(held)
+    if rests:
+        mouse.move(*(0.5 * (a + b) for a, b in zip(first, last, strict=True)), steps=steps)
+        seen.page.wait_for_timeout(rests)
     mouse.move(*last, steps=steps)
     mouse.up()
 
@@ -167,12 +172,17 @@ def test_a_pole_is_dragged_and_the_last_place_wins(shown: tuple[Page, Screen]) -
     assert seen.complaints == []
 
 
-def test_a_pole_that_is_gripped_and_held_can_still_be_dragged(shown: tuple[Page, Screen]) -> None:
+def test_a_pole_that_is_gripped_and_held_can_still_be_dragged_and_a_rest_half_way_is_no_second_drag(
+    shown: tuple[Page, Screen],
+) -> None:
     page, seen = shown
     script = resources.files("platform_ctrl.designer.page") / "assets" / "dragging.js"
     seen.page.add_script_tag(content=script.read_text(encoding="utf-8"), type="module")
-    drag(seen, "locus-figure-0", (-10.0, float(np.sqrt(3900.0))), (-10.0, 80.0), held=500.0)
+    assert page.plots is not None
+    before = page.plots.drags
+    drag(seen, "locus-figure-0", (-10.0, float(np.sqrt(3900.0))), (-10.0, 80.0), held=500.0, rests=REST + LATE + 150)
     until(lambda: bool(page.poles) and abs(page.poles[-1][1] - complex(-10.0, 80.0)) < 1.0)
+    assert page.plots.drags == before + 1
 
 
 def test_the_crossover_is_dragged_along_the_frequencies(shown: tuple[Page, Screen]) -> None:

@@ -225,6 +225,55 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
     until(page, lambda: drawn(page) != before)
 
 
+def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None:
+    rate = '#knobs [data-knob="rate_hz"] input[type="range"]'
+    thumb = page.locator(rate).bounding_box()
+    assert thumb is not None
+    middle = thumb["y"] + thumb["height"] / 2
+    page.mouse.move(thumb["x"] + thumb["width"] / 2, middle)
+    page.mouse.down()
+    moved = []
+    for share in (0.7, 0.9):
+        page.mouse.move(thumb["x"] + share * thumb["width"], middle, steps=3)
+        settled(page)
+        moved.append(number(page, "rate_hz").input_value())
+    page.mouse.up()
+    assert 2000 < float(moved[0]) < float(moved[1])
+    page.keyboard.press("Control+z")
+    shows(page, "rate_hz", "2000")
+    assert page.locator("#undo").is_disabled()
+
+
+def test_keys_of_curves_that_have_no_room_are_counted_and_every_axis_has_numbers(page: Page) -> None:
+    cut = """() => [...document.querySelectorAll("#plots .panel")].flatMap((panel) => {
+      const every = (root) => [...root.querySelectorAll("*")].flatMap((one) => [
+        one, ...(one.shadowRoot ? every(one.shadowRoot) : []),
+      ]);
+      return every(panel).filter((one) => one.localName === "curve-keys").map((line) => {
+        const seen = [...line.children].filter((one) => getComputedStyle(one).visibility === "visible");
+        const more = seen.filter((one) => one.className === "more"), end = line.getBoundingClientRect().right;
+        return {
+          cut: seen.filter((one) => one.getBoundingClientRect().right > end).map((one) => one.textContent),
+          hidden: line.children.length - seen.length, said: Number(more[0]?.textContent ?? 0),
+        };
+      });
+    })"""
+    ticks = """() => {
+      const every = (view) => [view, ...[...view.children()].flatMap(every)];
+      const axes = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).filter((one) => one.tick_coords);
+      return axes.filter((one) => one.layout?.visible).map((one) => one.tick_coords.major[one.dimension].length);
+    }"""
+    assert not any(one["hidden"] for one in page.evaluate(cut))
+    page.set_viewport_size({"width": 725, "height": 900})
+    until(page, lambda: any(one["said"] for one in page.evaluate(cut)))
+    lines = page.evaluate(cut)
+    assert not any(one["cut"] for one in lines)
+    assert [one["hidden"] for one in lines] == [one["said"] for one in lines]
+    page.set_viewport_size({"width": 1440, "height": 900})
+    until(page, lambda: not any(one["hidden"] for one in page.evaluate(cut)))
+    assert min(page.evaluate(ticks)) >= 2
+
+
 def test_undo_that_is_asked_while_moves_are_worked_out_takes_all_of_them_back(page: Page) -> None:
     page.evaluate(
         """selector => {

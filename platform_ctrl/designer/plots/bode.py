@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from bokeh.models import AdaptiveTicker, ColumnDataSource
+from bokeh.models import ColumnDataSource
 from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.designer.pictures import Bode, Drawing
@@ -43,8 +43,8 @@ class BodePanel:
         below = self.panel.add(frequency, self._phase, "frequency, Hz", "phase, °", log_x=True)
         self.above, self.below = above, below
         self.panel.label_ticks(above, False)
-        above.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 4], desired_num_ticks=5, num_minor_ticks=0)
-        below.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=4, num_minor_ticks=0)
+        self.panel.decibels(above.yaxis[0])
+        self.panel.degrees(below.yaxis[0])
         self._loop: ColumnDataSource = sources.new("loop", "frequency", "gain", "phase")
         self._band = sources.new("band", "frequency", "gain_low", "gain_high", "phase_low", "phase_high")
         self._marks = sources.new("margins", "frequency", "gain0", "gain1", "phase0", "phase1")

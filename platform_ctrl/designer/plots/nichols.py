@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from bokeh.models import AdaptiveTicker
 from bokeh.models.annotations.geometry import Span
 
 from platform_ctrl.designer.pictures import Drawing, Nichols
@@ -42,8 +41,8 @@ class NicholsPanel:
         self._gain = View(-40.0, 40.0, stepped(10.0, _LOWEST, _HIGHEST))
         plot = self.panel.add(self._phase, self._gain, "phase, °", "gain, dB")
         self.plot = plot
-        plot.xaxis.ticker = AdaptiveTicker(base=10, mantissas=[4.5, 9, 18], desired_num_ticks=5, num_minor_ticks=0)
-        plot.yaxis.ticker = AdaptiveTicker(base=10, mantissas=[1, 2, 4], desired_num_ticks=6, num_minor_ticks=0)
+        self.panel.degrees(plot.xaxis[0])
+        self.panel.decibels(plot.yaxis[0])
         regions = sources.new("regions", lists=("xs", "ys"))
         critical = sources.new("critical", "phase", "gain")
         plants = sources.new("plants", "phase", "gain")

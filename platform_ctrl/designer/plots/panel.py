@@ -8,6 +8,7 @@ from typing import Any
 
 from bokeh.events import DoubleTap
 from bokeh.models import (
+    AdaptiveTicker,
     BasicTickFormatter,
     Column,
     CrosshairTool,
@@ -39,6 +40,10 @@ Key = tuple[str, str, Sequence[int], float]
 
 # More keys than this stand closer together.
 _FEW = 5
+# Steps between ticks, times powers of 360 degrees, or of 10 dB: a phase is read in parts of a turn.
+_TURNS, _DECIBELS = (1.0, 2.0, 5.0, 15.0, 45.0, 90.0, 180.0), (1.0, 2.0, 4.0)
+# What numbers and words below a figure take from its frame, pixels.
+_BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
 
 _HEADING = f"""
@@ -46,7 +51,8 @@ _HEADING = f"""
   font-variant-numeric: tabular-nums; }}
 .bk-clearfix {{ display: block; max-width: 100%; }} .title {{ font-weight: 650; flex: none; }}
 .detail {{ min-width: 0; overflow: hidden; text-overflow: ellipsis; }}
-.keys {{ font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
+.keys {{ position: relative; font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
+.keys span {{ flex: none; }} .keys .more {{ position: absolute; top: 0; }}
 .keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
 .keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
 """
@@ -192,7 +198,8 @@ class Panel:
             # Nothing is thinned out.
             lod_threshold=None,
             margin=0,
-            styles={"flex-grow": "1", "flex-basis": "0"},
+            # Of two figures the frames are equally high, whether words stand below them or not.
+            styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if x_label else "0"},
         )
         pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
         out.add_tools(pan, wheel, ResetTool())
@@ -224,7 +231,8 @@ class Panel:
         for axes, pixels, each in ((plot.xaxis, inner_width(plot), 58.0), (plot.yaxis, inner_height(plot), 24.0)):
             for axis in axes:
                 if isinstance(axis, LinearAxis):
-                    axis.ticker.desired_num_ticks = max(2, min(9, round(pixels / each)))
+                    # One number alone tells no scale.
+                    axis.ticker.desired_num_ticks = max(3, min(9, round(pixels / each)))
 
     def style_axis(self, axis: Any) -> None:
         """Give an axis the page's type, ticks and colours."""
@@ -247,6 +255,14 @@ class Panel:
         elif isinstance(axis, LinearAxis):
             axis.ticker.desired_num_ticks = 5
             axis.formatter = BasicTickFormatter(use_scientific=False)
+
+    def degrees(self, axis: Any) -> None:
+        """Have ticks of an axis at parts of a turn."""
+        axis.ticker = AdaptiveTicker(base=360, mantissas=_TURNS, desired_num_ticks=4, num_minor_ticks=0)
+
+    def decibels(self, axis: Any) -> None:
+        """Have ticks of an axis at round decibels."""
+        axis.ticker = AdaptiveTicker(base=10, mantissas=_DECIBELS, desired_num_ticks=5, num_minor_ticks=0)
 
     def label_ticks(self, plot: Any, shown: bool, words: str = "") -> None:
         """Write numbers and words below a figure, or leave them to the figure under it."""
@@ -300,7 +316,10 @@ class Panel:
         )
 
     def keys(self, entries: Sequence[Key]) -> None:
-        """Write what each curve is: words, name of the colour, dashes, width."""
+        """Write what each curve is: words, name of the colour, dashes, width.
+
+        What there is no room for is counted by the page's script; all of it stands in the title.
+        """
         parts = []
         many = len(entries) > _FEW
         for words, role, dash, width in entries:
@@ -311,7 +330,9 @@ class Panel:
                 f'stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
             )
         every = escape(", ".join(words for words, _, _, _ in entries))
-        self._keys.text = f'<div class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</div>'
+        self._keys.text = (
+            f'<curve-keys class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</curve-keys>'
+        )
 
 
 def tell(label: Any, text: str) -> None:

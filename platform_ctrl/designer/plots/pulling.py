@@ -1,34 +1,42 @@
-"""A handle's drag as it comes from the browser: thinned out in time, ended by rest, and the last place counts."""
+"""A handle's drag as it comes from the browser: thinned out in time, and the last place counts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
+from bokeh.events import PanEnd, PanStart
 from bokeh.models import Model
 
 Place = TypeVar("Place")
 
-# Milliseconds between two places that are handed on, of rest after which a drag is over, and for what the browser has
-# sent while the server was busy.
+# Milliseconds between two places that are handed on, of rest after which a drag is over that nobody ends, and for what
+# the browser has sent while the server was busy.
 EVERY, REST, LATE = 40, 400, 150
 
 
 class Pulling(Generic[Place]):
     """Hands on where a handle is dragged, at most every `EVERY` ms, and always the last place.
 
+    A drag lasts from the mouse going down to the mouse going up, however long it is held still. Where the browser does
+    not say when it goes up, a drag ends when it has rested for `REST` ms.
+
     Parameters
     ----------
     anchor
-        A model of the document whose clock is used; without a document everything is handed on at once.
+        The figure with the handle: it tells of the mouse, and its document has the clock; without a document everything
+        is handed on at once.
     pulled
         Called with the place.
     ended
-        Called when the drag has rested for `REST` ms.
+        Called when the drag is over.
     """
 
     def __init__(self, anchor: Model, pulled: Callable[[Place], None], ended: Callable[[], None]) -> None:
         self._anchor, self._pulled, self._ended = anchor, pulled, ended
+        self._held = False
+        anchor.on_event(PanStart, self._gripped)
+        anchor.on_event(PanEnd, self._let_go)
         self._place: Place | None = None
         self._waiting: Any = None
         self._resting: Any = None
@@ -47,9 +55,25 @@ class Pulling(Generic[Place]):
             return
         if self._waiting is None:
             self._waiting = document.add_timeout_callback(self._hand_on, EVERY)
-        if self._resting is not None:
+        self._rest_no_more()
+        if not self._held:
+            self._resting = document.add_timeout_callback(self._rested, REST)
+
+    def _gripped(self, event: object) -> None:
+        if self.active:
+            self.end()
+        self._held = True
+
+    def _let_go(self, event: object) -> None:
+        self._held = False
+        if self.active:
+            self.end()
+
+    def _rest_no_more(self) -> None:
+        document = self._anchor.document
+        if document is not None and self._resting is not None:
             document.remove_timeout_callback(self._resting)
-        self._resting = document.add_timeout_callback(self._rested, REST)
+        self._resting = None
 
     def end(self) -> None:
         """End the drag now: what was not handed on yet is."""

@@ -2,9 +2,11 @@
 import { ask, byId, icon, made, move, newGesture, on, pending, put, settled, shown, typed } from "./wire.js";
 
 const STEPS = 1000, FINE = 2, COARSE = 20;
+// Milliseconds without a key after which the next one begins a series of its own; a key that is held is one series.
+const SERIES = 1500;
 const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
 export const rows = new Map();
-let structure = "";
+let structure = "", building = false;
 
 const place = (knob, value) => {
   const part = knob.logarithmic
@@ -39,6 +41,13 @@ const paintRow = (row) => {
   element.classList.toggle("still", knob.value === knob.start);
 };
 
+let pressed = -Infinity;
+const keyed = (row, event, way) => {
+  if (!event.repeat && event.timeStamp - pressed > SERIES) newGesture();
+  pressed = event.timeStamp;
+  slide(row, (row.dragged ?? place(row.knob, row.knob.value)) + way);
+};
+
 const slide = (row, position) => {
   row.dragged = Math.min(STEPS, Math.max(0, position));
   paintRow(row);
@@ -63,15 +72,14 @@ const makeRow = (knob, k) => {
     const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
     const page = { PageUp: 1, PageDown: -1 }[event.key];
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const position = row.dragged ?? place(row.knob, row.knob.value);
-    if (way) slide(row, position + way * (event.shiftKey ? COARSE * FINE : FINE));
-    else if (page) slide(row, position + page * STEPS / 10);
-    else if (event.key === "Home") slide(row, 0);
-    else if (event.key === "End") slide(row, STEPS);
+    if (way) keyed(row, event, way * (event.shiftKey ? COARSE * FINE : FINE));
+    else if (page) keyed(row, event, page * STEPS / 10);
+    else if (event.key === "Home") keyed(row, event, -STEPS);
+    else if (event.key === "End") keyed(row, event, STEPS);
     else return;
     event.preventDefault();
   });
-  slider.addEventListener("focus", newGesture);
+  slider.addEventListener("focus", () => { if (!building) newGesture(); });
   const commit = () => {
     if (!row.typing) return;
     row.typing = false;
@@ -87,7 +95,7 @@ const makeRow = (knob, k) => {
     else if (event.key === "Escape") { row.typing = false; row.painted = ""; paintRow(row); number.select(); }
     else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       row.typing = false;
-      slide(row, (row.dragged ?? place(row.knob, row.knob.value)) + (event.key === "ArrowUp" ? 1 : -1) * (event.shiftKey ? COARSE * FINE : FINE));
+      keyed(row, event, (event.key === "ArrowUp" ? 1 : -1) * (event.shiftKey ? COARSE * FINE : FINE));
       event.preventDefault();
     }
   });
@@ -122,12 +130,15 @@ const build = (knobs, parts) => {
     fieldsets.splice(at < 0 ? fieldsets.length : at, 0, made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
   }
   byId("knobs").replaceChildren(...fieldsets);
+  building = true;
   if (focused && rows.has(focused)) rows.get(focused).slider.focus();
+  building = false;
 };
 
 on("knobs", (knobs, told) => {
   const parts = told.parts ?? [];
-  const now = JSON.stringify([knobs.map((one) => [one.name, one.label, one.unit, one.group, one.low, one.high]), parts]);
+  // Ends that move with another slider, as with the sample rate, leave the rows: one of them may be under the hand.
+  const now = JSON.stringify([knobs.map((one) => [one.name, one.label, one.unit, one.group]), parts]);
   if (now !== structure) {
     structure = now;
     build(knobs, parts);
