@@ -43,6 +43,7 @@ from platform_ctrl.designer.pictures import FrequencyGain, Locus, Margins, Overl
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.requirements import CheckResult
 from platform_ctrl.scenario import HalfCosine
 
 # Groups that a band shows: a part that fails is another story.
@@ -129,14 +130,22 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
     return drawn, measured
 
 
-def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray) -> Overlay:
-    """Return what is drawn of another design of the loop, over the picture with the bode diagram at `frequency`."""
+def caged_overlay(
+    loop: CagedLoop, settings: Settings, method: str, frequency: FloatArray, measured: bool = False
+) -> Overlay:
+    """Return what is drawn of another design of the loop, over the picture with the bode diagram at `frequency`.
+
+    Its limits are empty unless they are to be `measured`.
+    """
     channel = loop.plants.torques.index(settings.channel) if settings.channel in loop.plants.torques else 0
     shown = LoopFigures(loop.shown, loop.controller)
     response = shown_channel(loop.shown, loop.controller, frequency, channel)
     s = continuous_poles(shown.poles[0], loop.shown.period)
-    exact = loop.plants.A.shape[-1] + len(loop.controller.A) <= _QUICK
-    measures = (exact_measures if exact else measure)(loop.plants, loop.controller, asked_of(loop.spec))
+    results: tuple[CheckResult, ...] = ()
+    if measured:
+        exact = loop.plants.A.shape[-1] + len(loop.controller.A) <= _QUICK
+        measures = (exact_measures if exact else measure)(loop.plants, loop.controller, asked_of(loop.spec))
+        results = judged(loop.spec, loop.design, loop.plants, measures)[0]
     return Overlay(
         design=loop.design,
         method=method,
@@ -147,7 +156,7 @@ def caged_overlay(loop: CagedLoop, settings: Settings, method: str, frequency: F
         step=_step(loop, shown, None, channel, s, bool(shown.decay[0] > 0.0)),
         Omega_step=_manoeuvre(loop, shown, None, settings.axis),
         Omega_gain=_Omega_gain(loop, shown, None, frequency, settings.axis).gain,
-        requirements=judged(loop.spec, loop.design, loop.plants, measures)[0],
+        requirements=results,
     )
 
 

@@ -29,12 +29,12 @@ from platform_ctrl.designer.controllers import (
     parts_given,
     parts_used,
 )
+from platform_ctrl.designer.free_loop import StabilisedLoop
 from platform_ctrl.designer.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
 from platform_ctrl.designer.knobs import lowest_rate
 from platform_ctrl.designer.pulling import Reins
 from platform_ctrl.designer.quick_plants import QuickPlants
 from platform_ctrl.designer.saving import SavedController
-from platform_ctrl.designer.stabilised import StabilisedLoop
 from platform_ctrl.designer.store import Store, given_designs
 from platform_ctrl.designer.values import Knob, Settings
 from platform_ctrl.errors import DesignError, PlatformCtrlError

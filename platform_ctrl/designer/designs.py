@@ -12,6 +12,7 @@ from platform_ctrl.designer.caged import CagedLoop, caged_overlay
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.drafting import Drafting
 from platform_ctrl.designer.pictures import Overlay
+from platform_ctrl.designer.stabilised import stabilised_overlay
 from platform_ctrl.designer.tasks import Designing
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -117,8 +118,12 @@ class Designs:
             notes += [note] if note else []
         return tuple(out), tuple(notes)
 
-    def overlay(self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray) -> tuple[Overlay, str]:
+    def overlay(
+        self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray, measured: bool = False
+    ) -> tuple[Overlay, str]:
         """Return one design of the loop as an overlay at `frequency` (F,), rad/s, and a line about it.
+
+        What all other loops are set to stays. Its limits are empty unless they are to be `measured`.
 
         Raises
         ------
@@ -126,6 +131,12 @@ class Designs:
             It is not designed yet.
         """
         other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        loop, told = self.caged(settings.but(design=name), again=False)
+        own = settings.but(design=name)
         with np.errstate(all="ignore"):
-            return caged_overlay(loop, settings, other.method, frequency), " ".join(told)
+            if spec.kind != "caging":
+                # Lines about the other loops are those of the picture below it.
+                free, _ = self._closing.stabilised(own)
+                kept = self._closing.kept(own) if measured else None
+                return stabilised_overlay(free, own, other.method, frequency, kept), ""
+            loop, told = self.caged(own, again=False)
+            return caged_overlay(loop, own, other.method, frequency, measured), " ".join(told)

@@ -11,8 +11,8 @@ from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
 from platform_ctrl.design.loop import asked_of
 from platform_ctrl.designer.caged import CagedLoop
 from platform_ctrl.designer.closing import Closing
+from platform_ctrl.designer.free_measures import requirements
 from platform_ctrl.designer.pictures import Influence
-from platform_ctrl.designer.stabilised import requirements
 from platform_ctrl.designer.values import Knob, Settings
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.frozen import FloatArray

@@ -69,7 +69,7 @@ class Overlay:
     Omega_gain : (F,)
         Its response at the frequencies of `Picture.Omega_frequency`, rad s/rad.
     requirements
-        Its limits, measured.
+        Its limits, measured; empty in a picture, which only draws the loop.
 
     References
     ----------

@@ -128,8 +128,9 @@ class ServoTuning:
         from platform_ctrl.analysis.arrays import state_space
         from platform_ctrl.check.coupled import sensed_rates
         from platform_ctrl.design.stabilisation import platform_servo
+        from platform_ctrl.designer.free_loop import StabilisedLoop
+        from platform_ctrl.designer.free_measures import requirements
         from platform_ctrl.designer.free_plants import corners, free_models, free_plants
-        from platform_ctrl.designer.stabilised import StabilisedLoop, requirements
         from platform_ctrl.linearisation import linearise
 
         spec = next(one for one in self.job.loops if one.name == self.loop)

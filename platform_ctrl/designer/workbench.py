@@ -415,11 +415,14 @@ class Workbench:
     def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
         spec, _ = self._closing.design(settings)
-        if spec.kind != "caging":
+        if spec.kind == "caging":
+            loop, told = self._designs.caged(settings)
+            parts, measure = caged_parts(loop, settings)
+        else:
             free, told = self._closing.stabilised(settings)
-            return stabilised_parts(free, settings, self._closing.kept(settings)), told
-        loop, told = self._designs.caged(settings)
-        parts, measure = caged_parts(loop, settings)
+            parts, measure = stabilised_parts(free, settings, self._closing.kept(settings))
+        if not settings.overlays:
+            return (parts, measure), told
         overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
         parts = dataclasses.replace(parts, bode=dataclasses.replace(parts.bode, overlays=overlays))
         return (parts, measure), (*told, *more)
@@ -437,7 +440,7 @@ class Workbench:
         Returns
         -------
         Overlay
-            On the grid of the picture's bode diagram.
+            On the grid of the picture's bode diagram, with its limits measured.
 
         Raises
         ------
@@ -450,10 +453,8 @@ class Workbench:
         """
         spec, _ = self._closing.design(settings)
         known_name("design", design, tuple(d.name for d in spec.designs))
-        if spec.kind != "caging":
-            raise DesignError(f"{spec.name}: only caging loops show designs over one another")
         frequency = self.picture(settings.but(overlays=())).bode.frequency
-        return self._designs.overlay(settings, spec, design, frequency)[0]
+        return self._designs.overlay(settings, spec, design, frequency, measured=True)[0]
 
     def designed(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design of the loop is there for just these settings; those that knobs build always are.

@@ -1,0 +1,115 @@
+"""The coupled limits held against the nominal plant with all loops closed, fast enough for a slider that moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.diagonal_mu import mu_bounds
+from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.norms import noise_rms_arrays
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.check.coupled import coupled_plant, coupled_results, one_controller, one_way_plant, sensed_rates
+from platform_ctrl.designer.free_loop import Sensitivity, StabilisedLoop, loop_grid, peak_margins, used_arrays
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.job import Job
+from platform_ctrl.linearisation import LinearModel
+from platform_ctrl.requirements import CheckResult
+
+if TYPE_CHECKING:
+    import control
+
+# Relative tolerance of the structured singular value on a grid.
+_MU = 1e-4
+
+# What a caging loop's margins are without the platform's reaction: the same while the servo moves.
+Kept = Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]
+
+
+def requirements(
+    loop: StabilisedLoop,
+    kept: Kept,
+    known: tuple[ComplexArray, FloatArray, Sensitivity, ComplexArray] | None = None,
+) -> tuple[CheckResult, ...]:
+    """Return the coupled limits held against the nominal plant, as `coupled_check` does; peaks are climbed on a grid.
+
+    Margins lie within about a thousandth of what `coupled_check` proves. `known` are the nominal closed loop's poles,
+    a grid, its sensitivity, and that on the grid, where they are at hand.
+    """
+    job, model, controllers = loop.job, loop.model, loop.controllers
+    K, at, torquers = loop.joined(loop.plants)
+    P = used_arrays(loop.plants.arrays, 0, at)
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    s = continuous_poles(pole_arrays(A), P.dt) if known is None else known[0]
+    decay = -float(spectral_abscissa(s))
+    m = len(torquers)
+    sensors = {one.name: one for one in job.platform.sensors}
+    rms = np.array([sensors[name].sampled_noise(P.dt) for name in loop.plants.sensors])
+    noise = noise_rms_arrays(A, B[:, m:], C[:m], D[:m, m:], rms)
+    coupled, simultaneous = np.zeros(m), (0.0, 0.0)
+    if decay > 0.0:
+        grid, sensitivity = (loop_grid(P, s), Sensitivity(P, K)) if known is None else known[1:3]
+        S = sensitivity.at(grid) if known is None else known[3]
+        coupled = peak_margins(sensitivity, range(m), grid, S)
+        simultaneous = _simultaneous(sensitivity, grid, S)
+    decoupled = _decoupled(job, model, controllers, kept)
+    alone = np.array([decoupled[name] for name in torquers])
+    cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
+    return coupled_results(job, decay, torquers, cost, simultaneous, noise)
+
+
+def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], kept: Kept) -> dict[str, float]:
+    gimbal = {t.name for t in job.platform.torquers if t.gimbal is not None}
+    caging = [K for K in controllers if set(K.output_labels) <= gimbal]
+
+    def of_caging() -> dict[str, float]:
+        return _margins_of(coupled_plant(job, model, caging), caging, job, set()) if caging else {}
+
+    def of_servo() -> dict[str, float]:
+        return _margins_of(one_way_plant(job, model, sensed_rates(job, controllers)), controllers, job, set(inner))
+
+    inner = kept("caging", of_caging)
+    return of_servo() | inner
+
+
+def _margins_of(
+    plant: control.StateSpace, controllers: Sequence[control.StateSpace], job: Job, left_out: set[str]
+) -> dict[str, float]:
+    """Return the disk margin of every channel broken alone, by torquer; 0 where the loop is not stable."""
+    K = one_controller(job, controllers, plant)
+    names = list(K.output_labels)
+    at = [plant.input_labels.index(name) for name in names]
+    seen = [plant.output_labels.index(name) for name in K.input_labels]
+    arrays, k = state_arrays(plant, "plant"), state_arrays(K, "controller")
+    P = StateArrays(arrays.A, arrays.B[:, at], arrays.C[seen], arrays.D[np.ix_(seen, at)], arrays.dt)
+    s = continuous_poles(pole_arrays(closed_loop_arrays(*P[:4], *k[:4])[0]), P.dt)
+    if not spectral_abscissa(s) < 0.0:
+        return dict.fromkeys(names, 0.0)
+    grid = loop_grid(P, s)
+    sensitivity = Sensitivity(P, k)
+    S = sensitivity.at(grid)
+    chosen = [j for j, name in enumerate(names) if name not in left_out]
+    return {names[j]: float(x) for j, x in zip(chosen, peak_margins(sensitivity, chosen, grid, S), strict=True)}
+
+
+def _simultaneous(sensitivity: Sensitivity, grid: FloatArray, S: ComplexArray) -> tuple[float, float]:
+    """Return both bounds of the simultaneous disk margin: the grid every third point, then around the worst."""
+    half = 0.5 * np.eye(S.shape[-1])
+    coarse = np.arange(0, len(grid), 3)
+    rough = mu_bounds(S[coarse] - half, 1e-3).upper
+    k = int(coarse[int(np.argmax(rough))])
+    low, high = grid[max(k - 3, 0)], grid[min(k + 3, len(grid) - 1)]
+    best = (float(rough.max()), 0.0)
+    for _ in range(2):
+        w = np.linspace(low, high, 9)
+        M = sensitivity.at(w) - half
+        found = mu_bounds(M, _MU)
+        j = int(np.argmax(found.upper))
+        best = (float(found.upper[j]), float(found.lower[j]))
+        low, high = w[max(j - 1, 0)], w[min(j + 1, 8)]
+    upper, lower = best
+    return 1.0 / upper, 1.0 / lower if lower > 0.0 else math.inf
