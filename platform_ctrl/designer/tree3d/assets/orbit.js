@@ -21,20 +21,34 @@ export class Orbit {
 
   // Rows: to the right, up and toward the viewer; centre and reach: middle and radius of what is seen; its points.
   stage(rows, centre, reach, points) {
-    this.points = points;
     const [right, up, toward] = rows.map((row) => new Vector3(...row));
     const k = [0, 1, 2].reduce((best, one) => (Math.abs(up.getComponent(one)) > Math.abs(up.getComponent(best)) ? one : best), 0);
     const pole = new Vector3().setComponent(k, Math.sign(up.getComponent(k)));
     const aside = right.clone().addScaledVector(pole, -right.dot(pole)).normalize();
     this.frame.setFromRotationMatrix(new Matrix4().makeBasis(aside, pole, new Vector3().crossVectors(aside, pole)));
     this.start = Math.asin(clamp(toward.dot(pole), -1, 1));
-    this.reach = reach;
-    this.centre = new Vector3(...centre);
-    for (const way of this.across()) {
-      const along = points.map((point) => point.dot(way));
-      this.centre.addScaledVector(way, 0.5 * (Math.max(...along) + Math.min(...along)) - this.centre.dot(way));
-    }
+    this.least = reach;
+    this.middle = new Vector3(...centre);
+    this.enclose(points);
     this.home();
+  }
+
+  // Has all these points in view, from where the platform is seen at first.
+  enclose(points) {
+    this.points = points;
+    this.centre.copy(this.middle);
+    for (const way of this.across()) {
+      let low = Infinity, high = -Infinity;
+      for (const point of points) {
+        const along = point.dot(way);
+        low = Math.min(low, along);
+        high = Math.max(high, along);
+      }
+      this.centre.addScaledVector(way, 0.5 * (low + high) - this.centre.dot(way));
+    }
+    this.reach = points.reduce((most, point) => Math.max(most, point.distanceTo(this.centre)), this.least);
+    this.away = this.distance();
+    this.place();
   }
 
   home() {
@@ -46,11 +60,12 @@ export class Orbit {
 
   fit(width, height) {
     this.camera.aspect = width / height;
+    this.away = this.distance();
     this.place();
   }
 
   place() {
-    const distance = this.distance() / this.zoom;
+    const distance = this.away / this.zoom;
     this.camera.position.copy(this.toward(this.azimuth, this.elevation)).multiplyScalar(distance);
     this.camera.up.set(0, 1, 0).applyQuaternion(this.frame);
     this.camera.near = Math.max(0.05, distance - 2 * this.reach);
@@ -74,7 +89,7 @@ export class Orbit {
     return [right, new Vector3().crossVectors(toward, right), ...(all ? [toward] : [])];
   }
 
-  // From where everything is just seen, as the platform stands at first.
+  // From where everything is just seen.
   distance() {
     const [right, up, toward] = this.across(true);
     const high = Math.tan((FIELD * Math.PI) / 360), wide = high * this.camera.aspect;

@@ -9,6 +9,9 @@ const SPEEDS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 1
 const LEAST = 100, MOST = 1e5, SEEN = 0.35;
 // Half turns a second at which the fastest rotor is shown, and seconds that a run is shown for at first.
 const SHOWN_SPIN = Math.PI, SHOWN_TIME = 8;
+// Radians that a platform may turn before the view makes room for it, and between two poses in which it is looked at;
+// the least and the largest number of these.
+const STILL = 0.02, TURN = 0.1, POSES = 24, MANY = 240;
 const STYLE = `
 :host { position: absolute; inset: 0; display: grid; grid-template-rows: minmax(0, 1fr) auto auto; font: 12px/1.35 system-ui, "Segoe UI", "Noto Sans", "Liberation Sans", Arial, sans-serif; font-variant-numeric: tabular-nums; color: var(--ink, #1b2430); }
 .stage { position: relative; min-height: 0; overflow: hidden; }
@@ -124,7 +127,7 @@ class GimbalTree extends HTMLElement {
     c.time.addEventListener("input", () => { this.play(false); this.seek(Number(c.time.value)); }, { signal });
     c.speed.addEventListener("change", () => { this.speed = Number(c.speed.value); this.refresh(); }, { signal });
     c.factor.addEventListener("input", () => this.magnify(10 ** Number(c.factor.value)), { signal });
-    c.platform.addEventListener("change", () => this.refresh(), { signal });
+    c.platform.addEventListener("change", () => this.enclose(), { signal });
     this.canvas.addEventListener("keydown", (event) => this.key(event), { signal });
     this.canvas.addEventListener("webglcontextrestored", () => this.refresh(), { signal });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.paint(), { signal });
@@ -171,7 +174,8 @@ class GimbalTree extends HTMLElement {
     this.thirds = [1, 2, 3].map((k) => Object.assign(document.createElement("span"), { className: "root", textContent: String(k) }));
     names.classList.toggle("many", told.nodes.length > 6);
     names.replaceChildren(...this.names, ...this.thirds);
-    this.orbit.stage(told.camera, told.centre, told.reach, this.bodies.points());
+    this.points = this.bodies.points();
+    this.orbit.stage(told.camera, told.centre, told.reach, this.points);
     this.horizon(told);
     this.paint();
     this.fly();
@@ -207,9 +211,10 @@ class GimbalTree extends HTMLElement {
       const largest = this.run.largestAngle();
       const wanted = largest > 0 ? Math.min(Math.max(round125(SEEN / largest), 1), MOST) : 1;
       c.factor.max = Math.log10(Math.max(LEAST, wanted));
+      this.farthest = this.run.largestTurn();
+      c.platform.checked = this.farthest * Number(wanted.toPrecision(2)) < 1.2;
       this.magnify(wanted);
-      c.platform.checked = this.run.largestTurn() * this.factor < 1.2;
-    }
+    } else this.enclose();
     this.seek(this.run.start);
     if (this.run.there && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play(true);
   }
@@ -218,7 +223,23 @@ class GimbalTree extends HTMLElement {
     this.factor = Number(factor.toPrecision(2));
     this.controls.factor.value = Math.log10(this.factor);
     this.controls.times.value = `× ${this.factor}`;
-    this.refresh();
+    this.enclose();
+  }
+
+  // A platform that turns in the run stays in view. Its gimbals do not leave the frames that it carries them in.
+  enclose() {
+    const turned = this.run.there ? this.farthest * this.platformFactor : 0;
+    if (turned < STILL) {
+      this.orbit.enclose(this.points);
+      return;
+    }
+    const poses = Math.min(Math.max(Math.ceil(turned / TURN), POSES), MANY), seen = [...this.points];
+    for (let k = 1; k <= poses; k += 1) {
+      const time = this.run.start + ((this.run.end - this.run.start) * k) / poses;
+      const pose = rotationOf(this.run.turn(time).multiplyScalar(this.platformFactor));
+      for (const point of this.points) seen.push(point.clone().applyQuaternion(pose));
+    }
+    this.orbit.enclose(seen);
   }
 
   play(on) {
@@ -325,6 +346,14 @@ class GimbalTree extends HTMLElement {
     arrows.forEach((piece, k) => put(this.thirds[k], this.bodies.root, piece.points[1].map((x) => 1.03 * x), 0));
   }
 
+  // How far from the middle of the view anything is, its edges being at 1.
+  outermost() {
+    return this.bodies.points().reduce((most, point) => {
+      const { x, y } = point.project(this.orbit.camera);
+      return Math.max(most, Math.abs(x), Math.abs(y));
+    }, 0);
+  }
+
   // What is shown, in numbers.
   state() {
     this.pose();
@@ -337,7 +366,7 @@ class GimbalTree extends HTMLElement {
       platformFactor: this.platformFactor, slower: this.slower, turned: this.turned,
       rotations: Object.fromEntries(this.bodies.nodes.map((node, k) => [node.name, elements(this.bodies.groups[k])])),
       places: Object.fromEntries(this.bodies.nodes.map((node, k) => [node.name, this.bodies.groups[k].getWorldPosition(new Vector3()).toArray()])),
-      held: { ...this.renderer.info.memory }, dark: this.dark, azimuth: this.orbit.azimuth, elevation: this.orbit.elevation, zoom: this.orbit.zoom,
+      held: { ...this.renderer.info.memory }, dark: this.dark, azimuth: this.orbit.azimuth, outermost: this.outermost(), elevation: this.orbit.elevation, zoom: this.orbit.zoom,
     };
   }
 }
