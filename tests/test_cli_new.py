@@ -13,7 +13,7 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import check, design
 from platform_ctrl.cli import main
-from platform_ctrl.cli.together import together
+from platform_ctrl.cli.staged import together
 from platform_ctrl.reading import shipped_models
 from refused_command import refused
 

@@ -15,7 +15,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.cli import main, terminal
-from platform_ctrl.cli.together import together
+from platform_ctrl.cli.staged import together
 from platform_ctrl.errors import InputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="terminals as POSIX has them")
@@ -182,10 +182,13 @@ def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, mon
 
 
 def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "one").mkdir()
-    with pytest.raises(InputError, match="one: cannot be written"), together(tmp_path) as folder:
+    (tmp_path / "one").write_text("old")
+    (tmp_path / "two").mkdir()
+    with pytest.raises(InputError, match="two: is a folder; expected a file"), together(tmp_path) as folder:  # noqa: PT012
         (folder / "one").write_text("new")
-    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+        (folder / "two").write_text("new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
+    assert (tmp_path / "one").read_text() == "old"
     with pytest.raises(InputError, match="nowhere: cannot be written to"), together(tmp_path / "nowhere"):
         pass
 

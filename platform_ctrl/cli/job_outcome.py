@@ -88,8 +88,8 @@ def delivered(
         What else the report has. A campaign of other controllers is left out, and is an error once all else is done.
     """
     from platform_ctrl.check.records import laid_out, plain, result_record, write_record
+    from platform_ctrl.cli.staged import together
     from platform_ctrl.cli.terminal import show_result
-    from platform_ctrl.cli.together import together
     from platform_ctrl.report import prepared, write_page, write_pdf
 
     record = result_record(result)

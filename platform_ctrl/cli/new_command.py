@@ -58,9 +58,9 @@ def new(
     platform-ctrl new pyramid --like vscmg_pyramid      from a plant that platform-ctrl models lists
     platform-ctrl new mine --like plants/mine.toml      a job for a plant of your own
     """  # noqa: D301
+    from platform_ctrl.cli.staged import together
     from platform_ctrl.cli.starting_files import own_start, start_like
     from platform_ctrl.cli.terminal import progress
-    from platform_ctrl.cli.together import together
 
     title = _title(name)
     files = (f"{title}_plant.toml", f"{title}.toml")

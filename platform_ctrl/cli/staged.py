@@ -6,12 +6,13 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from platform_ctrl.cli.together import uninterrupted
 from platform_ctrl.errors import InputError
 from platform_ctrl.reading.json_file import read_json
 from platform_ctrl.writing import write_whole
@@ -26,20 +27,21 @@ class Stage:
     def __init__(self) -> None:
         self._folders: list[Path] = []
         self._moves: list[tuple[Path, Path]] = []
-        self._whole: list[tuple[Path, Path, Mapping[str, str]]] = []
+        self._whole: list[tuple[Path, Path, Mapping[str, str] | None]] = []
 
     def file(self, target: Path) -> Path:
         """Return where a file is to be written that takes its place at `target`; the folder is there."""
-        unfinished = self._beside(target)
+        unfinished = self._beside(target, target.parent)
         self._moves.append((unfinished / target.name, target))
         return unfinished / target.name
 
-    def folder(self, target: Path, own: Mapping[str, str]) -> Path:
+    def folder(self, target: Path, own: Mapping[str, str] | None = None) -> Path:
         """Return a folder to write into whose files take their places in `target`.
 
-        Those of an earlier export, `own`, go away; whatever else is there stays.
+        Those of an earlier export, `own`, go away; whatever else is there stays. Without `own` the folder is there, and
+        what it holds may be written over.
         """
-        unfinished = self._beside(target)
+        unfinished = self._beside(target, target if own is None else target.parent)
         self._whole.append((unfinished, target, own))
         return unfinished
 
@@ -64,13 +66,13 @@ class Stage:
             for unfinished, target, own in self._whole:
                 names = sorted(path.name for path in unfinished.iterdir())
                 for name in names:
-                    if name not in own and os.path.lexists(target / name):
+                    if own is not None and name not in own and os.path.lexists(target / name):
                         raise InputError(f"{target / name}: is not of an earlier export; expected no such file")
                 if not target.exists():
                     target.mkdir()
                     undo.append((None, target))
                 self._moves += [(unfinished / name, target / name) for name in names]
-                for name in own.keys() - names:
+                for name in (own or {}).keys() - names:
                     self._aside(target / name, undo)
             for source, target in self._moves:
                 self._aside(target, undo)
@@ -88,21 +90,21 @@ class Stage:
         for folder in self._folders:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _beside(self, target: Path) -> Path:
-        try:
-            # In the same folder, so that putting a file in place is one step of the file system.
-            unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=target.parent))
-        except OSError as error:
-            raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None
-        self._folders.append(unfinished)
+    def _beside(self, target: Path, folder: Path) -> Path:
+        with uninterrupted():
+            try:
+                # In the same folder, so that putting a file in place is one step of the file system.
+                unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+            except OSError as error:
+                raise InputError(f"{target}: cannot be written to: {error.strerror or error}") from None
+            self._folders.append(unfinished)
         return unfinished
 
     def _aside(self, target: Path, undo: list[tuple[Path | None, Path]]) -> None:
         if target.is_dir() and not target.is_symlink():
             raise InputError(f"{target}: is a folder; expected a file or nothing there")
         if os.path.lexists(target):
-            before = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=target.parent))
-            self._folders.append(before)
+            before = self._beside(target, target.parent)
             os.replace(target, before / target.name)
             undo.append((before / target.name, target))
 
@@ -143,6 +145,35 @@ def all_or_none() -> Iterator[Stage]:
     finally:
         with uninterrupted():
             stage.clear()
+
+
+@contextmanager
+def together(folder: Path) -> Iterator[Path]:
+    """Yield a folder to write into; at the end every file in it moves to `folder`, over what stood there, or none does.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    with all_or_none() as stage:
+        yield stage.folder(folder)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    waiting = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: waiting.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if waiting:
+        raise KeyboardInterrupt
 
 
 def own_files(option: str, folder: Path) -> dict[str, str]:
