@@ -7,6 +7,7 @@ import random
 import re
 import socket
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -19,6 +20,8 @@ from platform_ctrl.designer.hosts import Hosts
 from platform_ctrl.errors import InputError
 
 pytest.importorskip("bokeh")
+
+from bokeh.models.widgets import Div
 
 from platform_ctrl.designer import web
 from platform_ctrl.designer.server import Building, PageServer
@@ -351,16 +354,45 @@ def test_a_workbench_made_for_the_server_is_closed_with_it_and_one_that_was_give
     assert (built.closed, given.closed) == (1, 0)
 
 
-def test_a_page_that_cannot_be_made_says_so_in_a_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.CaptureFixture[str]) -> None:
     def failing(workbench: object, document: Any) -> None:
-        raise InputError("job.toml: is no job\nany more")
+        document.add_root(Div(text="half"))
+        raise InputError("job.toml: is no job\nany more, <b>")
 
-    with served(make=failing) as server, Socket(server, f"bokeh, {token(server)}") as page:
-        page.message()
-        for fragment in message("PULL-DOC-REQ", {}):
-            page.send(fragment)
-        assert "the terminal says why" in str(page.message())
-    assert capfd.readouterr().err == "platform-ctrl: a page could not be made: job.toml: is no job any more\n"
+    with served(make=failing) as server:
+        status, headers, body = asked(server)
+        assert status == 500
+        assert headers["Content-Type"] == "text/plain; charset=utf-8"
+        assert body == "This page could not be made: job.toml: is no job any more, <b>\n"
+    assert capfd.readouterr().err == "platform-ctrl: a page could not be made: job.toml: is no job any more, <b>\n"
+
+
+def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    asking = threading.Event()
+
+    def never() -> object:
+        asking.wait(30.0)
+        raise InputError("job.toml: no loop can be closed")
+
+    server, told = PageServer(Building(never), port=0, make=a_slider), []
+
+    def ask() -> None:
+        told.append(asked(server))
+
+    def ready() -> None:
+        page.start()
+        threading.Timer(0.3, asking.set).start()
+
+    page = threading.Thread(target=ask)
+    with pytest.raises(InputError, match="no loop can be closed"):
+        server.run(ready)
+    page.join(30.0)
+    [(status, _, body)] = told
+    assert (status, body) == (500, "This page could not be made: job.toml: no loop can be closed\n")
+    # Whoever called `run` says it: once is enough.
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab-pc"])

@@ -254,17 +254,21 @@ class PageServer:
 
     def _filled(self, document: Any) -> None:
         """Fill a new document; where that fails the page says so in a line, and so does the terminal."""
-        from bokeh.models.widgets import Div
+        from platform_ctrl.designer.web import FAILED
 
+        shared, told = self._workbench, False
         try:
-            shared = self._workbench
-            shared = shared.result() if isinstance(shared, Building) else shared
+            if isinstance(shared, Building):
+                told = True  # what went wrong there ends the server, which says so
+                shared = shared.result()
+                told = False
             (self._make or _page())(shared, document)
         except Exception as error:
             words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
-            _say(f"a page could not be made: {words}")
+            if not told:
+                _say(f"a page could not be made: {words}")
             document.clear()
-            document.add_root(Div(text="This page could not be made; the terminal says why.", disable_math=True))
+            document.template_variables[FAILED] = f"This page could not be made: {_line(words)}"
 
 
 def require_bokeh() -> None:
@@ -326,7 +330,11 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 def _say(words: str) -> None:
-    print(f"platform-ctrl: {' '.join(words.split())[:400]}", file=sys.stderr, flush=True)
+    print(f"platform-ctrl: {_line(words)}", file=sys.stderr, flush=True)
+
+
+def _line(words: str) -> str:
+    return " ".join(words.split())[:400]
 
 
 class _Telling(logging.Handler):

@@ -58,6 +58,8 @@ KINDS = {
 _FILE = re.compile(rf"/(?P<part>{'|'.join(PARTS)})/(?P<name>[\w-][\w.-]*\.(?P<kind>{'|'.join(KINDS)}))")
 # The two scripts that Bokeh writes into a page. Any other, whoever managed to put it there, does not run.
 _BOKEH_SCRIPT = re.compile(r"<script>(?=\s*(?:Bokeh\.set_log_level\(|\(function\(\) \{\s*const fn = function\(\) \{))")
+# Among a document's variables: the line that says why it could not be filled.
+FAILED = "failed"
 _JOINING = ("bokeh-session-id", "bokeh-token")
 
 _ICON = (
@@ -249,6 +251,15 @@ class PageHandler(DocHandler):
         """Answer with the page. Of BokehJS it loads what it uses."""
         session: Any = await super().get_session()  # type: ignore[misc]  # hidden by Tornado's decorator
         document = session.document
+        failed = document.template_variables.get(FAILED)
+        if failed is not None:
+            # Plain words: a server that ends over it sends no scripts any more.
+            session.request_expiration()
+            self.set_status(500)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.set_header("Cache-Control", "no-store")
+            self.finish(f"{failed}\n")
+            return
         page = server_html_page_for_session(
             session,
             resources=Resources(
