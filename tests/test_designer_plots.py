@@ -14,7 +14,7 @@ pytest.importorskip("bokeh", reason="Bokeh is not installed")
 from bokeh.core.validation.check import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import BoxAnnotation, Label, Model, Range1d
+from bokeh.models import BoxAnnotation, Label, Model, Plot, Range1d
 from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
@@ -240,7 +240,9 @@ def test_the_theme_changes_in_place(plots: Plots, document: Document) -> None:
     before = {one.id for one in document.models}
     plots.dark(True)
     assert {one.id for one in document.models} == before
-    assert figure(plots, "bode").background_fill_color == colours(True)["page"]
+    assert figure(plots, "bode").yaxis[0].axis_line_color == colours(True)["frame"]
+    # Whatever fills a figure leaves a rim of the theme before.
+    assert {(one.background_fill_color, one.border_fill_color) for one in named(plots, Plot)} == {(None, None)}
     assert plots.sources["overlays"].data["colour"] == [colours(True)["series-2"]]
     assert colours(True)["series-1"] in heading(plots, "bode")
     assert figure(plots, "locus").xaxis[0].axis_label_text_color == colours(True)["muted"]

@@ -218,8 +218,8 @@ class Panel:
 
     def _style(self, plot: Any) -> None:
         paint = self.theme.paint
-        paint(plot, background_fill_color="page", border_fill_color="page")
-        plot.outline_line_color = None
+        # The page shows through: half of the outermost pixels would keep the colour of the theme before.
+        plot.background_fill_color = plot.border_fill_color = plot.outline_line_color = None
         for axis in (*plot.xaxis, *plot.yaxis):
             self.style_axis(axis)
         for grid in (*plot.xgrid, *plot.ygrid):
