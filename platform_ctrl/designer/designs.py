@@ -53,9 +53,8 @@ class Designs:
 
     def there(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design, or the one that is worked on, is there for just these settings."""
-        closing = self._closing
-        spec, own = closing.design(settings if design is None else settings.but(design=design))
-        return closing.live(own) or closing.store.has(spec.name, own.name, closing.key(settings, spec, own))
+        spec = self._closing.spec(settings.loop)
+        return self._closing.there(settings, spec, settings.design if design is None else design)
 
     def make(
         self,
@@ -84,7 +83,7 @@ class Designs:
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
         spec, design = self._closing.design(settings)
-        if self._closing.live(design) or self.there(settings):
+        if self.there(settings):
             return self._closing.caged(settings)
 
         def wanted() -> str:
