@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.cli import main
+from platform_ctrl.design.jobs import loops
 from platform_ctrl.designer.controllers import OPTIONAL
 from platform_ctrl.designer.knobs import CLASSICAL, with_options
 from platform_ctrl.designer.link import settings_of, text_of
@@ -114,6 +116,19 @@ def test_stopped_rotors_take_the_sliders_of_their_pairs_along_and_bring_them_bac
     back = shipped.moved(moved, "spin 11", settings.spins["11"])
     assert _names(shipped, back) == _names(shipped, settings)
     assert not _differ(_controller(shipped, back), _controller(shipped, settings))
+
+
+def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_path: Path) -> None:
+    (tmp_path / "one.toml").write_text(
+        ONE.replace("integral_hz = 2 }", "integral_hz = 2, lead_hz = 6, notch_hz = 190 }")
+    )
+    bench = Workbench(tmp_path / "one.toml")
+    stopped = bench.moved(bench.start(), "spin 11", 0.0)
+    saved = bench.saved(stopped, tmp_path / "stopped.toml")
+    made = loops(read_job(saved.job))[0].closed.controller
+    K = _controller(bench, stopped)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(made, name), getattr(K, name), rtol=1e-12)
 
 
 def test_a_knob_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Workbench) -> None:

@@ -16,6 +16,8 @@ from platform_ctrl.job import DesignSpec
 OPTIONAL: dict[str, tuple[str, ...]] = {"classical": ("lag", "notch", "spin_notch")}
 # Options that act in gyroscopic pairs alone, beside those of the notch.
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
+# The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
+ALWAYS = "crossover_hz"
 # What pulling and tuning may move.
 MOVABLE: dict[str, frozenset[str]] = {
     "classical": frozenset(TUNABLE),
@@ -42,11 +44,8 @@ def acts(option: str, channel: Channels) -> bool:
 
 
 def meaningful(options: Mapping[str, float], channel: Channels) -> dict[str, float]:
-    """Return those options that a classical design with these gyros takes.
-
-    It takes a crossover without pairs too: the default of the integral's corner is a share of it.
-    """
-    return {name: x for name, x in options.items() if name == "crossover_hz" or acts(name, channel)}
+    """Return those options that a classical design with these gyros takes."""
+    return {name: x for name, x in options.items() if name == ALWAYS or acts(name, channel)}
 
 
 def full_options(given: Mapping[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.check.records import SCHEMA, plain, write_record
-from platform_ctrl.designer.controllers import part_of
+from platform_ctrl.designer.controllers import ALWAYS
+from platform_ctrl.designer.knobs import CLASSICAL
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import value
@@ -153,7 +154,9 @@ def job_text(
 
 def _put(design: Any, numbers: Mapping[str, float]) -> None:
     """Write the options of a design: what is there already keeps its place and its comment."""
-    for key in [key for key in design if part_of(key) and key not in numbers]:
+    # Parts that are off, and what gyros that are stopped asked for: the method would refuse it.
+    known = CLASSICAL if design["method"] == "classical" else {}
+    for key in [key for key in design if key in known and key not in (*numbers, ALWAYS)]:
         del design[key]
     for key, x in numbers.items():
         if key not in design or float(design[key]) != x:

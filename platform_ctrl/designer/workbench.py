@@ -1,6 +1,7 @@
 """The designer without a page: settings in, pictures out. One workbench serves all pages of a job.
 
-What may be set is in `settable`, what is seen of it in `viewing`; here knobs are pulled and tuned, and all is saved and flown.
+What may be set is in `settable`, what is seen of it in `viewing`; here knobs are pulled and tuned, and all of it is
+saved and flown.
 """
 
 from __future__ import annotations
