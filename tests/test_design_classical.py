@@ -22,7 +22,7 @@ from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotStabilisableError
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.mechanics import matrices
-from platform_ctrl.reading import read_job
+from platform_ctrl.reading import read_job, read_platform
 from platform_ctrl.requirements import loop_requirements
 from platform_ctrl.state_space import state_space as plant_model
 from tree_cases import platforms
@@ -248,6 +248,9 @@ def test_gyros_that_do_not_see_a_rate_are_refused(job):
     blind = dataclasses.replace(job.platform, rotors=job.platform.rotors[:2])
     with pytest.raises(DesignError, match="do not see the rate about"):
         rate_estimate(linearise(blind))
+    # Two gimbals show two rates at most: the third is named too.
+    with pytest.raises(DesignError, match=r"about \(0\.00, -?1\.00, 0\.00\)"):
+        rate_estimate(linearise(read_platform("momentum_wheel_satellite")))
 
 
 def test_numbers_that_make_no_sense_are_named(job, model):

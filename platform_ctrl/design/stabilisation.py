@@ -37,7 +37,8 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     """
     left, sizes, right = np.linalg.svd(model.G_Omega, full_matrices=False)
     if sizes.size < 3 or sizes[-1] < 1e-6 * sizes[0]:
-        blind = right[-1] if sizes.size == 3 else np.zeros(3)
+        # The last of all three directions, also where fewer gimbals are caged.
+        blind = np.linalg.svd(model.G_Omega)[2][-1]
         raise DesignError(
             f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); "
             "expected rotors whose torques G_Omega Omega show all three rates",

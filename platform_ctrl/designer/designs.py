@@ -30,6 +30,10 @@ def silent(line: str) -> None:
     del line
 
 
+class Awaited(DesignError):
+    """Nothing can be shown before a design is there that is being made."""
+
+
 class Designs:
     """The designs of a job's caging loops; safe in several threads.
 
@@ -93,7 +97,8 @@ class Designs:
             return self._drafting.want(spec.name, design.name, self._closing.key(settings, spec, design), make)
 
         if not self._closing.store.any(spec.name, design.name):
-            raise DesignError(f"{spec.name}, {wanted()}")
+            line = f"{spec.name}, {wanted()}"
+            raise Awaited(line) if self._drafting.wants(spec.name, design.name) else DesignError(line)
         loop, told = self._closing.caged(settings)
         own = settings.options[spec.name][design.name]
         if again and not self._closing.store.made_of(spec.name, design.name, self._closing.options_key(own)):

@@ -50,6 +50,11 @@ class Drafting:
                     self._worker.start()
         return f"{design}: is being designed; it is shown as soon as it is there"
 
+    def wants(self, loop: str, design: str) -> bool:
+        """Whether a design is being made, or will be."""
+        with self._lock:
+            return (loop, design) in self._wanted
+
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called in a thread after each design, and return what ends that."""
         with self._lock:

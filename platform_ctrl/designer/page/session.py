@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.arguments import known_name
+from platform_ctrl.designer.designs import Awaited
 from platform_ctrl.designer.history import History
 from platform_ctrl.designer.link import settings_of, text_of
 from platform_ctrl.designer.page import telling
@@ -50,6 +51,7 @@ class Outcome:
     settings: Settings
     picture: Picture | None
     line: str | None
+    awaits: bool
     count: int
     gesture: object
     turn: int
@@ -107,6 +109,8 @@ class Session:
         self._drawing: Drawing | None = None
         self._turn = self._plotted = 0
         self._sent = threading.Event()
+        # What waits for a design that is being made.
+        self._awaited: Outcome | None = None
         self._idle: Any = None
         self._errands = Errands(self)
         self._deaf = workbench.on_designed(self._designed)
@@ -120,7 +124,7 @@ class Session:
         self._deaf()
         self._newest.close()
         self._errands.close()
-        self.document = self._idle = self._outcome = self.picture = self._drawing = None
+        self.document = self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
 
     def later(self, act: Callable[[], None]) -> None:
         """Have something done on the server's loop; from any thread."""
@@ -233,12 +237,21 @@ class Session:
     # What comes of it.
 
     def _designed(self) -> None:
-        """Show the picture again with a design that was waited for; called in a thread."""
-        self.later(lambda: self._newest.add("again", Task(count=0, change=lambda settings: settings, gesture="ready")))
+        """Show the picture again with a design that was waited for, or the one that is waited for; in a thread."""
+
+        def again() -> None:
+            awaited = self._awaited
+            if awaited is None:
+                task = Task(count=0, change=lambda settings: settings, gesture="ready")
+            else:
+                task = Task(count=0, change=lambda settings: awaited.settings, gesture=awaited.gesture)
+            self._newest.add("again", task)
+
+        self.later(again)
 
     def _work(self, tasks: list[Task]) -> None:
         """Work out a picture for all tasks together; runs in a thread."""
-        settings, line, picture = self.settings, None, None
+        settings, line, picture, awaits = self.settings, None, None, False
         self._turn += 1
         for task in tasks:
             try:
@@ -247,6 +260,8 @@ class Session:
                 line = words_of(error)
         try:
             picture = self.workbench.picture(settings, self._drawn)
+        except Awaited as error:
+            line, awaits = str(error), True
         except Exception as error:
             line = words_of(error)
         # A design that is there now is no step of its own in what a hand does.
@@ -260,7 +275,13 @@ class Session:
             if self._outcome is not None and gesture == "ready":
                 gesture = self._outcome.gesture
             self._outcome = Outcome(
-                settings=settings, picture=picture, line=line, count=count, gesture=gesture, turn=self._turn
+                settings=settings,
+                picture=picture,
+                line=line,
+                awaits=awaits,
+                count=count,
+                gesture=gesture,
+                turn=self._turn,
             )
         if not scheduled:
             self.later(self._show)
@@ -292,15 +313,22 @@ class Session:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
-        told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": "error" if line else "quiet"}}
+        kind = "error" if line and not out.awaits else "quiet"
+        told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
+        if out.gesture != "ready" or out.awaits:
+            self._awaited = out if out.awaits else None
         if out.picture is not None:
             self._remember(out.settings, out.gesture)
             self.picture = out.picture
             told |= self._told(out.picture)
             self._rest()
-        elif self.picture is not None:
-            # The sliders go back to what is shown.
+        elif self.picture is not None and out.awaits:
+            # The sliders stay those of what is shown; what was chosen stays chosen.
             told |= {"knobs": self._knobs(self.picture.settings), "parts": self._parts(self.picture.settings)}
+        elif self.picture is not None:
+            # Everything goes back to what is shown.
+            told |= self._told(self.picture)
+            self._rest()
             if self._plotted == out.turn:
                 # What could not be measured was drawn already.
                 self.plots.show(self.picture)
