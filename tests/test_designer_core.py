@@ -333,18 +333,11 @@ def test_settings_of_another_job_are_told_in_one_line(bench: Workbench, settings
 
 
 @pytest.mark.parametrize("end", ["low", "high"])
-def test_every_slider_has_a_picture_or_a_line_at_its_ends(bench: Workbench, settings: Settings, end: str) -> None:
-    told = []
+def test_every_slider_has_a_picture_at_its_ends(bench: Workbench, settings: Settings, end: str) -> None:
     for knob in bench.knobs(settings):
-        try:
-            moved = bench.picture(bench.moved(settings, knob.name, getattr(knob, end)))
-        except PlatformCtrlError as error:
-            told.append(str(error))
-        else:
-            assert np.isfinite(moved.step.values).all()
-            assert np.isfinite(moved.bode.magnitude).all()
-    assert not any("\n" in line for line in told)
-    assert len(told) < 3
+        moved = bench.picture(bench.moved(settings, knob.name, getattr(knob, end)))
+        assert np.isfinite(moved.step.values).all(), knob.name
+        assert np.isfinite(moved.bode.magnitude).all(), knob.name
 
 
 def test_parts_are_switched_and_keep_their_numbers(bench: Workbench) -> None:
