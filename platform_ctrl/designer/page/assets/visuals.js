@@ -43,6 +43,23 @@ if (InlineStyleSheet) {
   };
 }
 
+// New data go into a curve step by step, and BokehJS may paint between two of them: with more curves than colours, say,
+// which ends in an error, and whatever came with the data is lost. A curve is painted once all of it is there.
+if (GlyphRendererView) {
+  const { set_data: fill, _paint: paint } = GlyphRendererView.prototype;
+  GlyphRendererView.prototype.set_data = async function (...given) {
+    this.filling = (this.filling ?? 0) + 1;
+    try {
+      await fill.apply(this, given);
+    } finally {
+      this.filling -= 1;
+    }
+  };
+  GlyphRendererView.prototype._paint = function (context) {
+    if (!this.filling) paint.call(this, context);
+  };
+}
+
 // A curve's element holds nothing: where it would stand need not be said whenever the curve moves.
 if (GlyphRendererView) GlyphRendererView.prototype.update_position = () => {};
 
