@@ -118,7 +118,8 @@ def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
         (["--mat", "out"], "--mat out: is a folder; expected a file"),
         (["--c", "out"], "--c out: holds files that are not of an earlier export; expected a new or empty folder"),
         (["--c", "job.toml"], "--c job.toml: is given for something else too"),
-        (["--c", "out/result.json/c"], "cannot be written"),
+        (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file; expected a folder"),
+        (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file; expected a folder, or nothing there"),
         (["--mat", "k.mat", "--controllers", "job.toml"], "job.toml: is not JSON"),
         (["--fmu", "p.fmu", "--manoeuvre", "loop"], "loop"),
     ],
@@ -138,6 +139,7 @@ def test_wrong_input_is_one_line_and_writes_nothing(
     [
         ("--number=q31", "c"),
         ("--range=a=1", "c"),
+        ("--accuracy=0.1", "c"),
         ("--form=polar", "csv"),
         ("--root=fixed", "mjcf"),
         ("--manoeuvre=x", "fmu"),
@@ -147,6 +149,13 @@ def test_an_option_of_what_is_not_written_is_refused(
     option: str, of: str, there: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert f"expected --{of} beside it" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_what_is_no_plain_file_is_never_replaced_by_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo("pipe")
+    assert "--mjcf pipe: is a device or a pipe; expected" in refused(capsys, "export", "job.toml", "--mjcf", "pipe")
+    assert Path("pipe").is_fifo()
 
 
 @pytest.mark.parametrize("option", ["--mat", "--mjcf", "--c"])
@@ -300,10 +309,12 @@ def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_
     ("options", "said"),
     [
         (["--number", "q31", "--range", "alpha"], "--range alpha: expected a name, = and a number, as in alpha9=0.01"),
-        (["--range", "alpha9=1"], "--range and --integral-limit are of fixed point"),
+        (["--range", "alpha9=1"], "--accuracy are of fixed point; given --number double; expected q31 or q15"),
         (["--number", "q31", "--range", "gamma=1"], "ranges: given 'gamma'"),
-        (["--number", "q31", "--range", "alpha9=nan"], "alpha"),
-        (["--number", "q15", "--accuracy", "-1"], "accuracy"),
+        (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: expected a finite number > 0"),
+        (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: expected a finite number > 0"),
+        (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: expected a finite number > 0"),
+        (["--number", "float", "--accuracy", "0.1"], "--accuracy are of fixed point; given --number float"),
     ],
 )
 def test_ranges_that_make_no_sense_are_refused_in_one_line(options: list[str], said: str, there: Path, capsys) -> None:

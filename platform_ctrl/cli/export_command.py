@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 from collections.abc import Callable, Mapping
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 NUMBERS = ("double", "float", "q31", "q15")
 ANTI_WINDUP = ("back-calculation", "proved", "none")
 ROOTS = ("free", "prescribed", "fixed")
+ACCURACY = 0.02
 WHAT, HOW = "What is written", "How"
 
 
@@ -140,7 +142,7 @@ def export(
             help="Fixed point: largest error of a torque, as a share of its limit.",
             rich_help_panel=HOW,
         ),
-    ] = 0.02,
+    ] = ACCURACY,
     form: Annotated[
         str,
         typer.Option(
@@ -199,6 +201,7 @@ def export(
         ("--anti-windup", anti_windup != "back-calculation", "c"),
         ("--range", bool(ranges), "c"),
         ("--integral-limit", bool(limits), "c"),
+        ("--accuracy", accuracy != ACCURACY, "c"),
         ("--form", form != "complex", "csv"),
         ("--root", root != "free", "mjcf"),
         ("--manoeuvre", manoeuvre is not None, "fmu"),
@@ -215,11 +218,13 @@ def export(
             raise InputError(f"{option} {given}: expected one of {', '.join(known)}")
     c_options: dict[str, Any] = {"number": number, "anti_windup": anti_windup}
     fixed = {"ranges": _numbers("--range", ranges), "limits": _numbers("--integral-limit", limits)}
+    if not (math.isfinite(accuracy) and accuracy > 0.0):
+        raise InputError(f"--accuracy {accuracy!r}: expected a finite number > 0, as in 0.02: 2 % of a torque's limit")
     if number in ("q31", "q15"):
         c_options |= fixed | {"accuracy": accuracy}
-    elif any(fixed.values()):
+    elif any(fixed.values()) or accuracy != ACCURACY:
         raise InputError(
-            f"--range and --integral-limit are of fixed point; given --number {number}; expected q31 or q15"
+            f"--range, --integral-limit and --accuracy are of fixed point; given --number {number}; expected q31 or q15"
         )
     with progress(quiet or as_json, f"reading {job}") as say:
         read = job_of(job)
@@ -302,7 +307,11 @@ def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str
     targets = files | folders
     for option, target in targets.items():
         others = [*inputs, *(other for name, other in targets.items() if name != option)]
+        _judge_way(option, target)
         if option in files:
+            if target.exists() and not target.is_dir() and not target.is_file():
+                # Whatever takes its place would be no device any more.
+                raise InputError(f"--{option} {target}: is a device or a pipe; expected a file, or nothing there")
             writable(f"--{option}", target, others)
             continue
         if target.resolve() in [other.resolve() for other in others]:
@@ -311,6 +320,15 @@ def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--{option} {target}: cannot be written: {error.strerror or error}") from None
+
+
+def _judge_way(option: str, target: Path) -> None:
+    """Make sure that nothing on the way to a target is a file."""
+    for part in target.parents:
+        if part.exists():
+            if not part.is_dir():
+                raise InputError(f"--{option} {target}: {part} is a file; expected a folder, or nothing there")
+            return
 
 
 def _write_c(work: _Work, at: Path, target: Path) -> None:
@@ -355,6 +373,8 @@ def _numbers(option: str, given: list[str] | None) -> dict[str, float]:
             name = ""
         if not name:
             raise InputError(f"{option} {one}: expected a name, = and a number, as in alpha9=0.01")
+        if not (math.isfinite(out[name]) and out[name] > 0.0):
+            raise InputError(f"{option} {one}: expected a finite number > 0")
     return out
 
 
