@@ -17,6 +17,9 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> Path:
         The file cannot be written there.
     """
     target = Path(path)
+    if target.exists() and not target.is_file():
+        # A device or a pipe would be gone.
+        raise InputError(f"{target}: cannot be written: is no regular file; expected a file, or nothing there")
     # In the same folder, so that putting it in place is one step of the file system.
     unfinished = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:

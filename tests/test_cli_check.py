@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -122,7 +123,12 @@ def test_wrong_input_is_one_line_before_any_work(there: Path, capsys: pytest.Cap
     assert "--update-baseline: without --baseline FILE" in refused(capsys, *check, "--update-baseline")
     assert "out/result.json: " in refused(capsys, *check, "--baseline", "out/result.json")
     assert "--baseline out: is a folder" in refused(capsys, *check, "--baseline", "out", "--update-baseline")
-    assert "--junit job.toml/x.xml: cannot be written" in refused(capsys, *check, "--junit", "job.toml/x.xml")
+    assert "--junit job.toml/x.xml: job.toml is a file; expected a folder" in refused(
+        capsys, *check, "--junit", "job.toml/x.xml"
+    )
+    # What is no file would be gone, were a file to take its place.
+    os.mkfifo("pipe")
+    assert "--junit pipe: is no regular file; expected a file" in refused(capsys, *check, "--junit", "pipe")
     assert "--junit out: is a folder" in refused(capsys, *check, "--junit", "out")
     before = Path("job.toml").read_text()
     for taken in ("job.toml", "./out/result.json", "gyro.json", "check/report.html", "check/result.json"):

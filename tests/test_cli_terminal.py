@@ -17,6 +17,7 @@ import platform_ctrl as pc
 from platform_ctrl.cli import main, terminal
 from platform_ctrl.cli.staged import together
 from platform_ctrl.errors import InputError
+from platform_ctrl.writing import write_whole
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="terminals as POSIX has them")
 
@@ -191,6 +192,13 @@ def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
     assert (tmp_path / "one").read_text() == "old"
     with pytest.raises(InputError, match="nowhere: cannot be written to"), together(tmp_path / "nowhere"):
         pass
+
+
+def test_what_is_no_file_is_never_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe: cannot be written: is no regular file"):
+        write_whole(tmp_path / "pipe", "text")
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_elsewhere_a_line_that_stands_is_printed_again_with_its_time(

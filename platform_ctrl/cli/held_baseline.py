@@ -101,11 +101,14 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
     Raises
     ------
     InputError
-        It is a folder, one of `others`, or cannot be written.
+        It is a folder or a device, one of `others`, or cannot be written.
     """
     try:
         if file.is_dir():
             raise InputError(f"{option} {file}: is a folder; expected a file")
+        if file.exists() and not file.is_file():
+            raise InputError(f"{option} {file}: is no regular file; expected a file, or nothing there")
+        way_open(option, file)
         if file.resolve() in [other.resolve() for other in others if other is not None]:
             raise InputError(f"{option} {file}: the command reads or writes that for something else; expected another")
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -113,6 +116,19 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
             pass
     except OSError as error:
         raise InputError(f"{option} {file}: cannot be written: {error.strerror or error}") from None
+
+
+def way_open(option: str, target: Path) -> None:
+    """Make sure that nothing on the way to a target is a file.
+
+    Raises
+    ------
+    InputError
+        Something is.
+    """
+    blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
+    if blocked is not None:
+        raise InputError(f"{option} {target}: {blocked} is a file; expected a folder, or nothing there")
 
 
 def _record(

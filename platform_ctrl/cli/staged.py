@@ -19,6 +19,7 @@ from platform_ctrl.writing import write_whole
 
 # What a folder holds that an export made: the files that are its own.
 RECORD = "export.json"
+_UNFINISHED = ".unfinished-"
 
 
 class Stage:
@@ -41,7 +42,8 @@ class Stage:
         Those of an earlier export, `own`, go away; whatever else is there stays. Without `own` the folder is there, and
         what it holds may be written over.
         """
-        unfinished = self._beside(target, target if own is None else target.parent)
+        # A folder that is there may be a file system of its own.
+        unfinished = self._beside(target, target if own is None or target.is_dir() else target.parent)
         self._whole.append((unfinished, target, own))
         return unfinished
 
@@ -94,7 +96,7 @@ class Stage:
         with uninterrupted():
             try:
                 # In the same folder, so that putting a file in place is one step of the file system.
-                unfinished = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+                unfinished = Path(tempfile.mkdtemp(prefix=_UNFINISHED, dir=folder))
             except OSError as error:
                 raise InputError(f"{target}: cannot be written to: {error.strerror or error}") from None
             self._folders.append(unfinished)
@@ -189,7 +191,7 @@ def own_files(option: str, folder: Path) -> dict[str, str]:
     if not folder.is_dir():
         raise InputError(f"{option} {folder}: is a file; expected a folder, or nothing there")
     try:
-        held = [path.name for path in folder.iterdir()]
+        held = [path.name for path in folder.iterdir() if not path.name.startswith(_UNFINISHED)]
     except OSError as error:
         raise InputError(f"{option} {folder}: cannot be read: {error.strerror or error}") from None
     if not held:
