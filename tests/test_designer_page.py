@@ -164,6 +164,7 @@ def page(only: Screen) -> Page:
     page = only.page
     if page.locator("dialog[open]").count():
         page.keyboard.press("Escape")
+    settled(page)
     while page.locator("#undo").is_enabled():
         page.locator("#undo").click()
         settled(page)
@@ -279,8 +280,8 @@ def test_curves_that_become_fewer_are_painted_once_they_are_all_there(page: Page
         """async () => {
           const every = (view) => [view, ...[...view.children()].flatMap(every)];
           const views = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every);
-          const bands = views.find((one) => one.model.data_source?.name === "step_bands"), source = bands.model.data_source;
-          const few = source.data, said = [];
+          const bands = views.find((one) => one.model.data_source?.name === "step_bands");
+          const source = bands.model.data_source, few = source.data, said = [];
           source.data = Object.fromEntries(Object.entries(few).map(([name, all]) => [name, [...all, ...all, ...all]]));
           await new Promise((done) => setTimeout(done, 200));
           source.data = few;
@@ -349,6 +350,25 @@ def test_every_control_has_a_name_and_a_visible_focus(page: Page) -> None:
             "one => one.labels?.[0]?.textContent || one.getAttribute('aria-label') || one.textContent || one.title"
         )
         assert named.strip()
+
+    def nodes() -> dict[str, list[str]]:
+        tree = session.send("Accessibility.getFullAXTree")["nodes"]
+        out: dict[str, list[str]] = {}
+        for node in tree:
+            if not node["ignored"]:
+                out.setdefault(node["role"]["value"], []).append(node.get("name", {}).get("value", ""))
+        return out
+
+    # What a screen reader is told once nothing moves: the verdict, and what each plot shows.
+    session = page.context.new_cdp_session(page)
+    session.send("Accessibility.enable")
+    words = until(page, lambda: page.locator("#spoken").text_content())
+    assert words.startswith(page.locator("#verdict .words span").text_content() or "-")
+    seen = until(page, lambda: (found := nodes()) and len(found["image"]) >= 7 and found)
+    for role in ("button", "slider", "textbox", "combobox", "checkbox", "radio", "image", "columnheader", "table"):
+        assert all(seen[role]), role
+    assert any(one.startswith("Bode diagram, L at Q9, others closed; gain, dB over freq") for one in seen["image"])
+    session.detach()
     page.keyboard.press("Tab")
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline == "solid"
@@ -486,7 +506,7 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
         page.set_viewport_size({"width": width, "height": height})
         size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
         assert size == [width, height]
-        assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel h2, #requirements") == []
+        assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel .top, #requirements") == []
     # Smaller windows scroll downwards alone, and a zoomed one is as a smaller one.
     for width, height in ((1280, 720), (1024, 768), (960, 600)):
         page.set_viewport_size({"width": width, "height": height})

@@ -311,8 +311,8 @@ class Panel:
     def say(self, detail: str) -> None:
         """Write what stands beside the heading."""
         self._head.text = (
-            f'<div class="line" title="{escape(detail)}"><span class="title">{escape(self._title)}</span>'
-            f'<span class="detail">{escape(detail)}</span></div>'
+            f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
+            f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
         )
 
     def keys(self, entries: Sequence[Key]) -> None:
@@ -326,8 +326,8 @@ class Panel:
             written = escape(words.replace("attitude", "att.") if many else words)
             dashing = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
             parts.append(
-                f'<span><svg><line x1="0" x2="100%" y1="4" y2="4" stroke="{self.theme.colours[role]}" '
-                f'stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
+                f'<span><svg aria-hidden="true"><line x1="0" x2="100%" y1="4" y2="4" '
+                f'stroke="{self.theme.colours[role]}" stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
             )
         every = escape(", ".join(words for words, _, _, _ in entries))
         self._keys.text = (

@@ -6,7 +6,7 @@ const STEPS = 1000, FINE = 2, COARSE = 20;
 const SERIES = 1500;
 const GROUPS = { gains: "Gains", lead: "Lead and lag", lag: "Lag", notch: "Notch", design: "Design", sampling: "Sampling", rotors: "Rotors", Omega: "Platform rate" };
 export const rows = new Map();
-let structure = "", building = false;
+let structure = "";
 
 const place = (knob, value) => {
   const part = knob.logarithmic
@@ -62,7 +62,7 @@ const makeRow = (knob, k) => {
   const reset = made("button", { type: "button", className: "reset", title: "Back to where it stood (R)", "aria-label": `Reset ${knob.label}` }, icon("reset"));
   const label = made("label", { for: id, title: knob.tip }, knob.label);
   const unit = made("span", { className: "unit" }, knob.unit);
-  const tip = made("span", { className: "unseen", id: `${id}-tip` }, knob.tip);
+  const tip = made("span", { hidden: true, id: `${id}-tip` }, knob.tip);
   const element = made("div", { className: "knob", "data-knob": knob.name }, label, slider, number, unit, pin, reset, tip);
   const row = { knob, element, slider, number, pin, reset, dragged: null, typing: false, painted: "" };
 
@@ -79,7 +79,6 @@ const makeRow = (knob, k) => {
     else return;
     event.preventDefault();
   });
-  slider.addEventListener("focus", () => { if (!building) newGesture(); });
   const commit = () => {
     if (!row.typing) return;
     row.typing = false;
@@ -130,9 +129,7 @@ const build = (knobs, parts) => {
     fieldsets.splice(at < 0 ? fieldsets.length : at, 0, made("fieldset", { className: "parts" }, made("legend", {}, "With", ...boxes)));
   }
   byId("knobs").replaceChildren(...fieldsets);
-  building = true;
   if (focused && rows.has(focused)) rows.get(focused).slider.focus();
-  building = false;
 };
 
 on("knobs", (knobs, told) => {

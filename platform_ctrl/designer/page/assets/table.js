@@ -11,7 +11,7 @@ let influence = null;
 
 const bar = () => {
   const fill = made("span", { className: "fill" });
-  return [made("span", { className: "track", role: "img" }, fill), fill];
+  return [made("span", { className: "track" }, fill), fill];
 };
 
 const paintBar = (row, one) => {
@@ -22,7 +22,6 @@ const paintBar = (row, one) => {
   if (row.place === place) return;
   row.place = place;
   row.fill.style.cssText = place;
-  row.track.setAttribute("aria-label", share === null ? "missed" : `${percent(share)} left`);
 };
 
 const paintCell = (element, name, knob, change) => {
@@ -32,7 +31,8 @@ const paintCell = (element, name, knob, change) => {
   write(element, size < LEAST ? "" : rises ? "↓" : "↑");
   const strength = 0.1 + 0.5 * Math.min(1, Math.log(size / LEAST) / Math.log(MOST / LEAST));
   element.style.background = size < LEAST ? "" : `rgba(var(--${rises ? "down" : "up"}), ${strength.toFixed(3)})`;
-  const words = change === "inf" ? "the loop becomes unstable" : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % of the limit`;
+  const words = change === "inf" ? "the loop becomes unstable"
+    : size < LEAST ? `${name}: next to nothing` : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % of the limit`;
   element.title = change === null || change === undefined ? "" : `${knob.label} + 5 %: ${words}`;
 };
 
@@ -40,10 +40,10 @@ let structure = "", body = [];
 const buildTable = (requirements, knobs) => {
   const table = document.querySelector("#requirements table");
   table.tHead.replaceChildren(made("tr", {},
-    made("th", { scope: "col" }, made("span", { className: "key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
-    made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { scope: "col" }),
+    made("th", { scope: "col", "aria-label": "Requirement" }, made("span", { className: "key", id: "requirements-key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
+    made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { "aria-hidden": true }),
     ...knobs.map((knob) => made("th", { scope: "col", className: "knob-name", "data-knob": knob.name, title: knob.label }, made("span", {}, knob.label))),
-    made("th", { className: "rest" })));
+    made("th", { className: "rest", "aria-hidden": true })));
   body = requirements.map((one) => {
     const [track, fill] = bar();
     const row = {
@@ -52,7 +52,7 @@ const buildTable = (requirements, knobs) => {
       cells: knobs.map((knob) => made("td", { className: "cell", "data-knob": knob.name })),
     };
     row.element = made("tr", {}, made("th", { scope: "row", title: one.full }, one.name), row.asked, row.reached, row.left,
-      made("td", { className: "bar" }, track), ...row.cells, made("td", { className: "rest" }));
+      made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
     return row;
   });
   table.tBodies[0].replaceChildren(...body.map((row) => row.element));
@@ -72,7 +72,12 @@ const paintTable = () => {
     const row = body[r];
     dress(row.element, `${one.passed ? "met" : "missed"}${one.hard ? "" : " goal"}`);
     write(row.asked, one.asked);
-    write(row.reached, `${one.passed ? "" : "✗ "}${one.reached}`);
+    const reached = `${one.passed ? "" : "✗ "}${one.reached}`;
+    if (row.reached.textContent !== reached) {
+      row.reached.textContent = reached;
+      if (one.passed) row.reached.removeAttribute("aria-label");
+      else row.reached.setAttribute("aria-label", `missed: ${one.reached}`);
+    }
     write(row.left, percent(left(one)));
     paintBar(row, one);
   }
