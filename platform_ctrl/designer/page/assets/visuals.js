@@ -78,3 +78,21 @@ if (PlotView) {
     if (this._needs_layout || crowded(this)) layOut.call(this);
   };
 }
+
+// BokehJS sorts all points of a curve into a tree whenever they change: to find those under the mouse and those in view,
+// and for axes that follow their data by themselves. No axis here does, what is out of view the canvas leaves out, and
+// for the mouse it is time when it asks.
+if (PlotView) Object.defineProperty(PlotView.prototype, "auto_ranged_renderers", { get: () => [] });
+const { GlyphView } = loaded("models/glyphs/glyph");
+const { Indices } = loaded("core/types");
+if (GlyphView && Indices) {
+  const sort = GlyphView.prototype.index_data;
+  GlyphView.prototype.index_data = function () { this._index = null; };
+  Object.defineProperty(GlyphView.prototype, "index", {
+    get() {
+      if (this._index === null) sort.call(this);
+      return this._index;
+    },
+  });
+  GlyphView.prototype.mask_data = function () { return Indices.all_set(this.data_size); };
+}
