@@ -14,7 +14,7 @@ pytest.importorskip("bokeh", reason="Bokeh is not installed")
 from bokeh.core.validation.check import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import BoxAnnotation, Label, Model, Plot, Range1d
+from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d
 from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
@@ -227,6 +227,8 @@ def test_the_response_to_omega_is_shown_over_time_or_over_frequency(fresh: Plots
     assert [figure(plots, "Omega", k).visible for k in range(3)] == [True, True, False]
     click(toggle)
     assert [figure(plots, "Omega", k).visible for k in range(3)] == [False, False, True]
+    # Within a decade the numbers would lie over one another.
+    assert isinstance(figure(plots, "Omega", 2).yaxis[0].major_label_policy, NoOverlap)
     assert "rate Omega1" in heading(plots, "Omega")
 
 

@@ -105,6 +105,8 @@ class LocusPanel:
         self.handles = PoleHandles(plot, theme, sources, self._look_again)
         self._later: Locus | None = None
         self._message = self.panel.message(plot)
+        # Below the damping ratios at the ends of the rays.
+        self._message.y_offset -= 14
         slopes = [zeta / math.sqrt(1.0 - zeta**2) for zeta in DAMPINGS]
         sources.put(
             "rays",

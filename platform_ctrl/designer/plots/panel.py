@@ -20,6 +20,7 @@ from bokeh.models import (
     LogTickFormatter,
     Model,
     Node,
+    NoOverlap,
     PanTool,
     ResetTool,
     Row,
@@ -42,6 +43,8 @@ Key = tuple[str, str, Sequence[int], float]
 _FEW = 5
 # Steps between ticks, times powers of 360 degrees, or of 10 dB: a phase is read in parts of a turn.
 _TURNS, _DECIBELS = (1.0, 2.0, 5.0, 15.0, 45.0, 90.0, 180.0), (1.0, 2.0, 4.0)
+# Numbers at an axis that would come closer than this are left out, pixels.
+_APART = 2
 # What numbers and words below a figure take from its frame, pixels.
 _BELOW = 28
 _LEFT, _RIGHT, _TOP = 54, 12, 7
@@ -62,6 +65,8 @@ _BUTTON = """
 .bk-btn {{ padding: 0 7px; height: 18px; line-height: 16px; border: 1px solid transparent; border-radius: 3px;
   background: transparent; color: {muted}; font: {small} {font}; box-shadow: none; cursor: pointer; }}
 .bk-btn:hover, .bk-btn:focus-visible {{ border-color: {frame}; background: transparent; color: {ink}; }}
+.bk-btn:focus, .bk-btn:active {{ outline: none; }}
+.bk-btn:focus-visible {{ outline: 2px solid var(--accent, currentColor); outline-offset: 1px; }}
 .bk-btn.bk-active {{ border-color: {frame}; background: {panel}; color: {ink}; }}
 """
 
@@ -252,6 +257,8 @@ class Panel:
         if isinstance(axis, LogAxis):
             axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=0)
             axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
+            # Within a decade numbers come closer and closer together.
+            axis.major_label_policy = NoOverlap(min_distance=_APART)
         elif isinstance(axis, LinearAxis):
             axis.ticker.desired_num_ticks = 5
             axis.formatter = BasicTickFormatter(use_scientific=False)

@@ -60,6 +60,14 @@ if (GlyphRendererView) {
   };
 }
 
+// Where the focus is shows as everywhere on the page, and not after every click.
+const { CanvasView } = loaded("models/canvas/canvas");
+if (CanvasView) {
+  const sheets = CanvasView.prototype.stylesheets;
+  const own = ".bk-events:focus { outline: none; } .bk-events:focus-visible { outline: 2px solid var(--accent); outline-offset: -2px; }";
+  CanvasView.prototype.stylesheets = function () { return [...sheets.call(this), own]; };
+}
+
 // A curve's element holds nothing: where it would stand need not be said whenever the curve moves.
 if (GlyphRendererView) GlyphRendererView.prototype.update_position = () => {};
 
