@@ -516,6 +516,16 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
     assert only.complaints == []
 
 
+def test_what_is_done_for_a_page_that_is_just_going_is_dropped(workbench: Workbench) -> None:
+    document, done = Document(), []
+    session = Session(workbench, document, "")
+    document.callbacks.destroy()
+    session.later(lambda: done.append(1))
+    session.close(None)
+    session.later(lambda: done.append(2))
+    assert done == []
+
+
 @pytest.mark.parametrize("state", ["nonsense", "%00%ff", "eJwrSS0uAQAEXQHB", "A" * 5000])
 def test_nonsense_in_a_link_leaves_the_job_as_it_is(workbench: Workbench, state: str) -> None:
     session = Session(workbench, Document(), state)
@@ -530,12 +540,12 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
         None,
         {"a": 1},
         '{"n": 7, "what": "move", "moves": [{"knob": "crossover_hz", "value": NaN}], "gesture": 1}',
-        json.dumps({"n": 8, "what": "move", "moves": [{"knob": "no such", "value": 1}], "gesture": 1}),
-        json.dumps({"n": 9, "what": "move", "moves": [{"knob": "crossover_hz", "value": 1e308}], "gesture": 1}),
-        json.dumps({"n": 10, "what": "set", "name": "plant", "value": ["x"]}),
-        json.dumps({"n": 11, "what": "set", "name": "loop", "value": "__class__"}),
-        json.dumps({"n": 12, "what": "fly", "manoeuvre": "none"}),
-        json.dumps({"n": 13, "what": "close"}),
+        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "no such", "value": 1}], "gesture": 1}),
+        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "crossover_hz", "value": 1e308}], "gesture": 1}),
+        json.dumps({"n": 0, "what": "set", "name": "plant", "value": ["x"]}),
+        json.dumps({"n": 0, "what": "set", "name": "loop", "value": "__class__"}),
+        json.dumps({"n": 0, "what": "fly", "manoeuvre": "none"}),
+        json.dumps({"n": 0, "what": "close"}),
     ):
         page.evaluate("() => { document.querySelector('#line').textContent = ''; }")
         page.evaluate(send, nonsense)

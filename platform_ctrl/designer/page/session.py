@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.arguments import known_name
@@ -130,7 +131,9 @@ class Session:
         """Have something done on the server's loop; from any thread."""
         document = self.document
         if document is not None:
-            document.add_next_tick_callback(lambda: None if self.document is None else act())
+            # Bokeh takes a document apart before it says that its page is gone.
+            with suppress(AttributeError):
+                document.add_next_tick_callback(lambda: None if self.document is None else act())
 
     def soon(self, act: Callable[[], None], wait: int) -> None:
         """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
