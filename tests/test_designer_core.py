@@ -260,6 +260,19 @@ def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Workbench, settin
     assert np.abs(bench.picture(pulled).bode.crossovers - target).min() < 1e-3 * target
 
 
+@pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
+def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_one(
+    bench: Workbench, settings: Settings, picture: Picture, share: float, nearer: float
+) -> None:
+    now = float(picture.bode.crossovers[-1])
+    others = [knob.name for knob in bench.knobs(settings) if knob.name != "crossover_hz"]
+    held = settings.but(fixed=frozenset(others))
+    target = min(share * now, 0.9 * picture.bode.nyquist)
+    pulled = bench.picture(bench.pulled_crossover(held, target)).bode.crossovers
+    assert len(pulled) > 0
+    assert np.abs(np.log(pulled / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
+
+
 def test_nothing_is_pulled_where_all_is_fixed(bench: Workbench, settings: Settings, picture: Picture) -> None:
     fixed = settings.but(fixed=frozenset(knob.name for knob in bench.knobs(settings)))
     pole = complex(picture.locus.present[picture.locus.draggable][0])

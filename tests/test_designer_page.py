@@ -595,6 +595,15 @@ def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_be
     assert [one() for one in kept] == [None] * 8
 
 
+def test_what_is_no_number_is_answered_and_the_page_goes_on(page: Page) -> None:
+    typed(page, "crossover_hz", "abc")
+    assert "expected a finite number" in line(page, "abc")
+    shows(page, "crossover_hz", "40")
+    page.locator(f'{CROSSOVER} input[type="range"]').press("ArrowRight")
+    settled(page)
+    assert float(number(page, "crossover_hz").input_value()) > 40.0
+
+
 def test_messages_are_judged() -> None:
     ask = ask_of('{"n": 3, "what": "move", "moves": [{"knob": "a", "value": 2}], "gesture": 0}')
     assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", (("a", 2.0),))

@@ -191,6 +191,30 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
         assert values[result.name] == pytest.approx(result.value, rel=1e-9)
 
 
+def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["new", "mine", "-o", str(tmp_path), "-q"]) == 0
+    bench = Workbench(tmp_path / "mine.toml")
+    settings = bench.start()
+    plant = (tmp_path / "mine_plant.toml").read_text()
+    with pytest.raises(InputError, match=r"mine_plant\.toml: the job reads its plant from it"):
+        bench.saved(settings, tmp_path / "mine_plant.toml", overwrite=True)
+    assert (tmp_path / "mine_plant.toml").read_text() == plant
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(InputError, match=r"folder\.toml: is no file"):
+        bench.saved(settings, tmp_path / "folder.toml", overwrite=True)
+    before = sorted(path.name for path in tmp_path.iterdir())
+
+    def full(path: Path, text: str) -> None:
+        raise InputError(f"{path}: cannot be written: no space")
+
+    monkeypatch.setattr("platform_ctrl.designer.saving.write_whole", full)
+    with pytest.raises(InputError, match="no space"):
+        bench.saved(settings, tmp_path / "new.toml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
 def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Workbench, job_file: Path, tmp_path: Path) -> None:
     settings = bench.start()
     with pytest.raises(InputError, match="stands there already"):

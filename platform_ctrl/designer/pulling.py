@@ -26,6 +26,8 @@ Residual = Callable[[StateArrays], FloatArray]
 _WAY, _MOST, _LONGEST = 8, 12, 0.3
 # Relative distance to the target that counts as there.
 _THERE = 1e-9
+# Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
+_CROSSED, _HALVINGS = 1e-6, 5
 _DIFFERENCE = 1e-6
 
 
@@ -119,8 +121,29 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
 
         return of
 
-    way = [residual(float(w)) for w in np.geomspace(now, target, _WAY + 1)[1:]]
-    return reins.numbers(_followed(reins, way, f"the gain at {target:.4g} rad/s"))
+    what = f"the gain at {target:.4g} rad/s"
+    x, here, beyond = np.log(reins.start), now, math.nan
+    for w in np.geomspace(now, target, _WAY + 1)[1:].tolist():
+        found = _crossing(reins, x, residual(w), what)
+        if found is None:
+            beyond = w
+            break
+        x, here = found, w
+    # Where it cannot go all the way it goes as far as it can: a gain that passes 1 nowhere is not taken hold of again.
+    for _ in range(0 if math.isnan(beyond) else _HALVINGS):
+        middle = math.sqrt(here * beyond)
+        found = _crossing(reins, x, residual(middle), what)
+        if found is None:
+            beyond = middle
+        else:
+            x, here = found, middle
+    return reins.numbers(x)
+
+
+def _crossing(reins: Reins, x: FloatArray, residual: Residual, what: str) -> FloatArray | None:
+    """Return where the residual is as good as zero, from x on; None where it does not get there."""
+    found = _reached(reins, x, residual, np.log(reins.low), np.log(reins.high), what, _THERE)
+    return found if np.abs(residual(reins.controller(found))).max() <= _CROSSED else None
 
 
 def _distance(s: ComplexArray, wanted: complex) -> FloatArray:

@@ -109,15 +109,31 @@ def save(
     if path.suffix != ".toml":
         raise InputError(f"{path}: does not end in .toml; expected the name of a job file")
     beside = controllers_beside(path)
-    if not overwrite:
-        for one in (path, beside):
-            if os.path.lexists(one):
-                raise InputError(f"{one}: stands there already; expected another name, or to overwrite it")
+    plant = (source.parent / job.plant).resolve()
+    for one in (path, beside):
+        if one.resolve() == plant:
+            raise InputError(f"{one}: the job reads its plant from it; expected another name")
+        if one.exists() and not one.is_file():
+            raise InputError(f"{one}: is no file; expected another name")
+        if not overwrite and os.path.lexists(one):
+            raise InputError(f"{one}: stands there already; expected another name, or to overwrite it")
     text = job_text(source, path.parent, settings, start, used)
-    read_job(_plain(text), folder=path.parent)
+    try:
+        read_job(_plain(text), folder=path.parent)
+    except InputError as error:
+        raise InputError(str(error).replace("job given as a dict", str(path))) from None
     record = {"schema": SCHEMA, "controllers": [_entry(one, job) for one in controllers]}
+    before = beside.read_bytes() if beside.exists() else None
     write_record(plain(record), beside)
-    write_whole(path, text)
+    try:
+        write_whole(path, text)
+    except InputError:
+        # Controllers of a job that is not there are of no use.
+        if before is None:
+            beside.unlink(missing_ok=True)
+        else:
+            write_whole(beside, before)
+        raise
     return Saved(job=path, controllers=beside)
 
 

@@ -100,6 +100,31 @@ def ask_of(message: object) -> Ask:
     return Ask(count=count, what=what, more=more)
 
 
+def count_of(message: object) -> int | None:
+    """Return the count of a message, also of one that makes no sense otherwise: it has to be answered.
+
+    Parameters
+    ----------
+    message
+        JSON text.
+
+    Returns
+    -------
+    int or None
+        None where it has none.
+
+    References
+    ----------
+    RFC 8259.
+    """
+    try:
+        read = json.loads(message) if isinstance(message, str) and len(message) <= LONGEST else None
+    except (ValueError, RecursionError):
+        return None
+    count = read.get("n") if isinstance(read, dict) else None
+    return count if isinstance(count, int) and not isinstance(count, bool) and 0 <= count <= LARGEST_COUNT else None
+
+
 def number(name: str, given: object) -> float:
     """Return a finite number.
 

@@ -12,7 +12,7 @@ from platform_ctrl.designer.designs import Awaited
 from platform_ctrl.designer.history import History
 from platform_ctrl.designer.link import settings_of, text_of
 from platform_ctrl.designer.page import telling
-from platform_ctrl.designer.page.asking import Ask, ask_of
+from platform_ctrl.designer.page.asking import Ask, ask_of, count_of
 from platform_ctrl.designer.page.choosing import chosen
 from platform_ctrl.designer.page.errands import Errands, words_of
 from platform_ctrl.designer.page.newest import Newest
@@ -162,13 +162,13 @@ class Session:
 
     def _asked(self, name: str, old: object, new: object) -> None:
         """Do what a message asks for; nonsense is answered by a line."""
-        count = None
         try:
             ask = ask_of(new)
-            count = ask.count
             getattr(self, f"_ask_{ask.what}", self._errands.ask)(ask)
         except PlatformCtrlError as error:
-            self.say(str(error), "error", count)
+            # What was typed gives way to what is shown.
+            rows = {} if self.picture is None else self._rows(self.picture.settings)
+            self.answer(count_of(new), line={"text": str(error), "kind": "error"}, **rows)
 
     def _ask_ready(self, ask: Ask) -> None:
         self.change("ready", lambda settings: settings, count=ask.count, gesture="ready")
@@ -327,7 +327,7 @@ class Session:
             self._rest()
         elif self.picture is not None and out.awaits:
             # The sliders stay those of what is shown; what was chosen stays chosen.
-            told |= {"knobs": self._knobs(self.picture.settings), "parts": self._parts(self.picture.settings)}
+            told |= self._rows(self.picture.settings)
         elif self.picture is not None:
             # Everything goes back to what is shown.
             told |= self._told(self.picture)
@@ -371,6 +371,9 @@ class Session:
             "bar": telling.bar_told(picture),
             "requirements": telling.requirements_told(picture),
         }
+
+    def _rows(self, settings: Settings) -> dict[str, Any]:
+        return {"knobs": self._knobs(settings), "parts": self._parts(settings)}
 
     def _knobs(self, settings: Settings) -> list[dict[str, Any]]:
         return telling.knobs_told(self.workbench.knobs(settings), self._starts(settings))
