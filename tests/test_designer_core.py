@@ -18,6 +18,7 @@ from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.check.coupled import coupled_check
+from platform_ctrl.cli import main
 from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.designer.bounded import Bounded
@@ -467,3 +468,13 @@ def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Wo
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda one: [r.value for r in fresh.picture(one).requirements], own))
     assert together == alone
+
+
+def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
+    assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
+    slow = Workbench(tmp_path / "mine.toml")
+    settings = slow.start()
+    for share in (0.8, 1e-3):
+        now = float(slow.picture(settings).bode.crossovers[-1])
+        bode = slow.picture(slow.pulled_crossover(settings, share * now)).bode
+        assert bode.frequency[0] < bode.crossovers[-1] < now

@@ -28,6 +28,8 @@ _WAY, _MOST, _LONGEST = 8, 12, 0.3
 _THERE = 1e-9
 # Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
 _CROSSED, _HALVINGS = 1e-6, 5
+# Relative distance at which it is above on one side and below on the other.
+_BESIDE = 1e-3
 _DIFFERENCE = 1e-6
 
 
@@ -124,7 +126,7 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
     what = f"the gain at {target:.4g} rad/s"
     x, here, beyond = np.log(reins.start), now, math.nan
     for w in np.geomspace(now, target, _WAY + 1)[1:].tolist():
-        found = _crossing(reins, x, residual(w), what)
+        found = _crossing(reins, x, residual, w, what)
         if found is None:
             beyond = w
             break
@@ -132,7 +134,7 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
     # Where it cannot go all the way it goes as far as it can: a gain that passes 1 nowhere is not taken hold of again.
     for _ in range(0 if math.isnan(beyond) else _HALVINGS):
         middle = math.sqrt(here * beyond)
-        found = _crossing(reins, x, residual(middle), what)
+        found = _crossing(reins, x, residual, middle, what)
         if found is None:
             beyond = middle
         else:
@@ -140,10 +142,14 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
     return reins.numbers(x)
 
 
-def _crossing(reins: Reins, x: FloatArray, residual: Residual, what: str) -> FloatArray | None:
-    """Return where the residual is as good as zero, from x on; None where it does not get there."""
-    found = _reached(reins, x, residual, np.log(reins.low), np.log(reins.high), what, _THERE)
-    return found if np.abs(residual(reins.controller(found))).max() <= _CROSSED else None
+def _crossing(
+    reins: Reins, x: FloatArray, residual: Callable[[float], Residual], w: float, what: str
+) -> FloatArray | None:
+    """Return where the gain passes 1 at w, from x on; None where it does not get there, or only touches 1."""
+    found = _reached(reins, x, residual(w), np.log(reins.low), np.log(reins.high), what, _THERE)
+    K = reins.controller(found)
+    below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _BESIDE, 1.0, 1.0 + _BESIDE))
+    return found if abs(at) <= _CROSSED and below * above < 0.0 else None
 
 
 def _distance(s: ComplexArray, wanted: complex) -> FloatArray:

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from platform_ctrl.simulation import Trajectory
 
 
+# A crossover that is pulled stays this far, as a factor, inside the diagram.
+_INSIDE = 1.1
+
+
 class Workbench(Viewing):
     """Everything that a page needs of a job; all of it may be called from several threads.
 
@@ -127,10 +131,12 @@ class Workbench(Viewing):
         if not np.isfinite(frequency):
             raise ArgumentError(f"frequency: given {frequency}; expected a finite number, rad/s")
         if now is None:
-            found = self.picture(settings.but(band=False, overlays=())).bode.crossovers
-            if not len(found):
+            bode = self.picture(settings.but(band=False, overlays=())).bode
+            if not len(bode.crossovers):
                 raise DesignError(f"{settings.channel}: its gain does not pass 1; expected a loop that crosses over")
-            now = float(found[-1])
+            now = float(bode.crossovers[-1])
+            # Left of the diagram it could not be taken hold of again.
+            frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
         with np.errstate(all="ignore"):
             reins, plant, channel = reins_of(self._closing, settings, self.knobs(settings))
             return with_options(settings, crossover_pulled(reins, plant, channel, now, float(frequency)))
