@@ -128,7 +128,7 @@ def test_wrong_input_is_one_line_before_any_work(there: Path, capsys: pytest.Cap
     )
     # What is no file would be gone, were a file to take its place.
     os.mkfifo("pipe")
-    assert "--junit pipe: is no regular file; expected a file" in refused(capsys, *check, "--junit", "pipe")
+    assert "--junit pipe: is a device or a pipe; expected a file" in refused(capsys, *check, "--junit", "pipe")
     assert "--junit out: is a folder" in refused(capsys, *check, "--junit", "out")
     before = Path("job.toml").read_text()
     for taken in ("job.toml", "./out/result.json", "gyro.json", "check/report.html", "check/result.json"):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.held_baseline import writable
+from platform_ctrl.cli.held_baseline import way_open, writable
 from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
 from platform_ctrl.errors import InputError
 
@@ -307,28 +307,16 @@ def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str
     targets = files | folders
     for option, target in targets.items():
         others = [*inputs, *(other for name, other in targets.items() if name != option)]
-        _judge_way(option, target)
         if option in files:
-            if target.exists() and not target.is_dir() and not target.is_file():
-                # Whatever takes its place would be no device any more.
-                raise InputError(f"--{option} {target}: is a device or a pipe; expected a file, or nothing there")
             writable(f"--{option}", target, others)
             continue
+        way_open(f"--{option}", target)
         if target.resolve() in [other.resolve() for other in others]:
             raise InputError(f"--{option} {target}: is given for something else too; expected a folder of its own")
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--{option} {target}: cannot be written: {error.strerror or error}") from None
-
-
-def _judge_way(option: str, target: Path) -> None:
-    """Make sure that nothing on the way to a target is a file."""
-    for part in target.parents:
-        if part.exists():
-            if not part.is_dir():
-                raise InputError(f"--{option} {target}: {part} is a file; expected a folder, or nothing there")
-            return
 
 
 def _write_c(work: _Work, at: Path, target: Path) -> None:

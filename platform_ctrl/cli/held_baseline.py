@@ -107,7 +107,7 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
         if file.is_dir():
             raise InputError(f"{option} {file}: is a folder; expected a file")
         if file.exists() and not file.is_file():
-            raise InputError(f"{option} {file}: is no regular file; expected a file, or nothing there")
+            raise InputError(f"{option} {file}: is a device or a pipe; expected a file, or nothing there")
         way_open(option, file)
         if file.resolve() in [other.resolve() for other in others if other is not None]:
             raise InputError(f"{option} {file}: the command reads or writes that for something else; expected another")

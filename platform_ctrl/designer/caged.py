@@ -164,6 +164,8 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
     nyquist = math.pi / plant.period
     own = continuous_poles(np.linalg.eigvals(plant.A[0]), plant.period)
     low = max(min(2e-3 * plant.nutation, 0.05 * nyquist), 1e-4 * nyquist)
+    # What the loop does slowest is in the diagram.
+    low = max(min(low, 0.2 * float(np.abs(s[np.isfinite(s)]).min(initial=np.inf))), 1e-5 * nyquist)
     grid = dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
     # The band's own frequencies among them: its phases are those of this curve and a difference.
     return np.union1d(grid, plant.frequency)
