@@ -35,7 +35,7 @@ def shipped_job() -> Callable[[Path], tuple[JobResult, list[str]]]:
 
 @pytest.fixture(scope="module")
 def untraced() -> Iterator[None]:
-    """Thousands of cases, of lines that other tests cover: coverage would take twice their time."""
+    """Long computations, of lines that other tests cover: coverage would take twice their time."""
     # pytest-cov's marker no_cover comes to nothing in the processes of pytest-xdist.
     tracer = sys.gettrace()
     sys.settrace(None)

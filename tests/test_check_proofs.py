@@ -25,6 +25,8 @@ from platform_ctrl.check.records import result_record
 from platform_ctrl.design import LoopOutcome, loops
 from platform_ctrl.errors import NotCertifiedError
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 SHIPPED = sorted(Path("examples").glob("*.toml"))
 
 

@@ -12,6 +12,8 @@ from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
 from platform_ctrl.reading import platform_source
 from platform_ctrl.simulation import rollout
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 X, Y, Z = np.eye(3)
 
 

@@ -290,6 +290,7 @@ def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant,
     assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_one_controller_serves_several_measured_plants(plant, design):
     """A second plant with 15 % more momentum: every limit on both, and stable on both."""
     both = [measurement(one, points=50) for one in (plant, second_plant())]

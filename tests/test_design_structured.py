@@ -196,6 +196,7 @@ def test_static_gains_reach_the_published_norms(name: str) -> None:
     assert found.certificate.verify().proved
 
 
+@pytest.mark.slow
 def test_a_richer_structure_costs_less(best: design.Synthesis) -> None:
     pd = design.structured(gyro(), 2, 2, structure=design.PID(I="none", filter_order=1), starts=4, processes=1)
     two = design.structured(gyro(), 2, 2, structure=design.StateSpaceOrder(states=2), starts=4, processes=1)

@@ -36,6 +36,8 @@ from platform_ctrl.linearisation import linearise
 from platform_ctrl.reading import platform_source, read_job, read_platform
 from platform_ctrl.requirements import SPREAD, requirement
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_gyro_platform.toml"
 LOOPS = ("caging 4-5-7", "caging 9-10")
 
@@ -350,7 +352,7 @@ def test_a_single_gimbal_is_caged_too(structure):
     assert outcome.closed.controller.ninputs == 1
 
 
-@pytest.mark.parametrize("change", [{"spread": 0.3}, {"rate_hz": 1000}])
+@pytest.mark.parametrize("change", [{"spread": 0.3}, pytest.param({"rate_hz": 1000}, marks=pytest.mark.slow)])
 def test_a_start_that_is_not_stable_is_brought_there_first(change):
     """The classical rules of thumb fail with some plants of a wide spread, and with all of them at a low rate."""
     data = tomllib.loads(EXAMPLE.read_text(encoding="utf-8"))

@@ -380,6 +380,7 @@ def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Workbench) ->
     assert history.undo() is steps[2]
 
 
+@pytest.mark.slow
 def test_nothing_grows_while_knobs_move(bench: Workbench, settings: Settings) -> None:
     # A set of one plant is moved in no time.
     bench = Workbench(dataclasses.replace(bench.read, Omega=np.zeros(3), spread=Spread()))

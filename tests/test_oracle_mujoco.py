@@ -30,6 +30,8 @@ from platform_ctrl.description import Platform
 from platform_ctrl.mechanics import inverse_dynamics, matrices, rotor_momenta
 from platform_ctrl.mechanics.forces import element_forces
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 
 # Roundings in a row. More than with Pinocchio: MuJoCo turns by quaternions, and sums up in the world's axes.

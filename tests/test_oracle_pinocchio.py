@@ -37,6 +37,8 @@ from platform_ctrl.mechanics import (
 )
 from platform_ctrl.mechanics.forces import element_forces
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
 
 # Roundings in a row: a few for each joint between root and body.

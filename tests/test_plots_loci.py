@@ -14,6 +14,8 @@ from platform_ctrl.report import figures
 from platform_ctrl.report.branches import followed
 from platform_ctrl.report.style import LIMIT
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 PERIOD, DELAY = 0.0005, 0.0005
 NUMBERS = {"crossover_hz": 70, "integral_hz": 2, "damping_hz": 78, "damping2_hz": 92, "lead_hz": 7, "rolloff_hz": 900}
 ANGLES, TORQUES = ["alpha9", "beta10"], ["Q9", "Q10"]
