@@ -152,7 +152,6 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             high=1.1 * from_rate if plants else np.zeros(0),
             limit=1e-3,
         ),
-        crossover=crossover,
         bandwidth=asked.limit,
         margins=Margins(
             disk=0.3,
@@ -192,7 +191,6 @@ def broken(number: float) -> Picture:
     return dataclasses.replace(
         made,
         **{name: spoilt(getattr(made, name)) for name in names},
-        crossover=number,
         margins=dataclasses.replace(made.margins, crossover=number, phase=number, gain_up=number),
         stable=False,
         all_stable=False,
@@ -216,7 +214,6 @@ def empty() -> Picture:
         made,
         **{name: cut(getattr(made, name)) for name in names},
         nichols=dataclasses.replace(made.nichols, labels=(), phase=np.zeros((0, 0)), magnitude=np.zeros((0, 0))),
-        crossover=None,
         margins=dataclasses.replace(made.margins, crossover=None),
         stable=False,
     )

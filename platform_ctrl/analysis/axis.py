@@ -106,6 +106,12 @@ def largest_gains(H: ComplexArray) -> FloatArray:
     return out
 
 
+def largest(matrices: ComplexArray) -> FloatArray:
+    """Return largest singular values, (...) of (..., p, m); inf where a matrix is not finite."""
+    *batch, p, m = matrices.shape
+    return largest_gains(np.ascontiguousarray(matrices).reshape(math.prod(batch), p, m)).reshape(batch)
+
+
 def hamiltonian_crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
     """Return |Im| of all eigenvalues of the Hamiltonian for the level 1, sorted: every crossing is among them.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
+from platform_ctrl.analysis.axis import FrequencyAxis, largest
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
@@ -128,8 +128,7 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
     ----------
     As `bandwidth`.
     """
-    *batch, p, m = S.shape
-    sizes = largest_gains(np.ascontiguousarray(S).reshape(math.prod(batch), p, m)).reshape(batch) / LEVEL
+    sizes = largest(S) / LEVEL
     above = sizes >= 1.0
     first = np.argmax(above, axis=-1)
     never = ~np.any(above, axis=-1)

@@ -7,7 +7,6 @@ Peaks are largest singular values of parts of the closed loop
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Protocol
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.axis import largest_gains
+from platform_ctrl.analysis.axis import largest
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
@@ -252,12 +251,6 @@ class LoopFigures:
 def _some(stack: StateArrays, index: NDArray[np.intp]) -> StateArrays:
     A, B, C, D, dt = stack
     return StateArrays(A[index], B[index], C[index], D[index], dt)
-
-
-def largest(matrices: ComplexArray) -> FloatArray:
-    """Return largest singular values, (...); inf where a matrix is not finite."""
-    *batch, p, m = matrices.shape
-    return largest_gains(np.ascontiguousarray(matrices).reshape(math.prod(batch), p, m)).reshape(batch)
 
 
 def highest(matrices: ComplexArray) -> FloatArray:

@@ -30,7 +30,6 @@ from platform_ctrl.designer.parts import (
     POINTS,
     Band,
     ChannelMargins,
-    Drawn,
     Measured,
     Parts,
     around_in_time,
@@ -39,7 +38,7 @@ from platform_ctrl.designer.parts import (
     settling,
     step_size,
 )
-from platform_ctrl.designer.pictures import FrequencyGain, Locus, Margins, Overlay, TimeResponse
+from platform_ctrl.designer.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
@@ -122,7 +121,6 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
         step=_step(loop, shown, every, channel, s, stable),
         Omega_time=_manoeuvre(loop, shown, every, settings.axis),
         Omega_frequency=_Omega_gain(loop, shown, every, grid, settings.axis),
-        crossover=margins.crossover,
         bandwidth=next((one.limit for one in asked if one.hard and one.kind == "bandwidth"), None),
         stable=stable,
         all_stable=bool(np.all(whole.decay[inside] > 0.0)),

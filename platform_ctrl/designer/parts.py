@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.designer.curves import degrees, degrees_beside, gain_crossings, gain_range, round_up
-from platform_ctrl.designer.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, TimeResponse
+from platform_ctrl.designer.pictures import Bode, Drawn, Margins, Nichols
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import CheckResult
 
@@ -18,22 +18,6 @@ from platform_ctrl.requirements import CheckResult
 POINTS = 240
 # What is sampled is looked at up to this share of Nyquist's frequency: at its edge sensitivities say nothing.
 EDGE = 0.999
-
-
-@value
-class Drawn:
-    """What is drawn; see `Drawing`."""
-
-    bode: Bode
-    nichols: Nichols
-    locus: Locus
-    step: TimeResponse
-    Omega_time: TimeResponse
-    Omega_frequency: FrequencyGain
-    crossover: float | None
-    bandwidth: float | None
-    stable: bool
-    all_stable: bool
 
 
 @value

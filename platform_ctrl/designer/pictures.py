@@ -269,13 +269,11 @@ class Margins:
 
 
 @value
-class Drawing:
-    """What the plots of a page draw for some settings.
+class Drawn:
+    """The curves of some settings.
 
     Attributes
     ----------
-    settings
-        What it was made for.
     bode, nichols, locus
         Of the loop at the settings' channel.
     step
@@ -285,12 +283,8 @@ class Drawing:
         platform.
     Omega_frequency
         The same over frequency.
-    crossover
-        Highest frequency at which the loop's gain is 1, rad/s, or None.
     bandwidth
         That is asked of the loop, Hz, or None.
-    plants
-        Labels of all plants that may be shown.
     stable
         Whether the closed loop of the plant shown is.
     all_stable
@@ -301,18 +295,41 @@ class Drawing:
     See docs/designer.md.
     """
 
-    settings: Settings
     bode: Bode
     nichols: Nichols
     locus: Locus
     step: TimeResponse
     Omega_time: TimeResponse
     Omega_frequency: FrequencyGain
-    crossover: float | None
     bandwidth: float | None
-    plants: tuple[str, ...]
     stable: bool
     all_stable: bool
+
+    @property
+    def crossover(self) -> float | None:
+        """Highest frequency at which the loop's gain is 1, rad/s, or None."""
+        found = self.bode.crossovers
+        return float(found[-1]) if len(found) else None
+
+
+@value
+class Drawing(Drawn):
+    """What the plots of a page draw.
+
+    Attributes
+    ----------
+    settings
+        What it was made for.
+    plants
+        Labels of all plants that may be shown.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    settings: Settings
+    plants: tuple[str, ...]
 
 
 @value

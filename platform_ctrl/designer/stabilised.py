@@ -21,13 +21,12 @@ from platform_ctrl.designer.free_measures import Kept, requirements
 from platform_ctrl.designer.free_responses import rate_step, turning
 from platform_ctrl.designer.parts import (
     Band,
-    Drawn,
     Measured,
     Parts,
     channel_margins,
     frequency_parts,
 )
-from platform_ctrl.designer.pictures import Locus, Margins, Overlay
+from platform_ctrl.designer.pictures import Drawn, Locus, Margins, Overlay
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.errors import DesignError
 from platform_ctrl.frozen import FloatArray
@@ -45,11 +44,9 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     roots, name = _roots(loop, settings, torquers)
     channel = torquers.index(name)
     P = used_arrays(loop.shown.arrays, 0, at)
-    closed = closed_loop_arrays(*P[:4], *K[:4])
-    z = pole_arrays(closed[0])
+    z = pole_arrays(closed_loop_arrays(*P[:4], *K[:4])[0])
     s = continuous_poles(z, P.dt)
-    decay = -float(spectral_abscissa(s))
-    stable = decay > 0.0
+    stable = bool(spectral_abscissa(s) < 0.0)
     grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
     sensitivity = Sensitivity(P, K)
     S = sensitivity.at(grid)
@@ -59,7 +56,6 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     channel_own = channel_margins(grid, response, stable)
     reference = max(channel_own.crossover or 1.0, 1.0)
     at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
-
     inside = bool(np.all(spectral_abscissa(poles) < 0.0)) if banded else stable
     band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
     bode, nichols = frequency_parts(
@@ -88,7 +84,6 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
         step=step,
         Omega_time=rate_step(loop, settings, K, at, s, stable, banded),
         Omega_frequency=low_frequency,
-        crossover=channel_own.crossover,
         bandwidth=None,
         stable=stable,
         all_stable=inside,

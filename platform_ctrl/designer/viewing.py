@@ -15,8 +15,8 @@ from platform_ctrl.designer.background import Cancelled, Progress
 from platform_ctrl.designer.caged import caged_parts
 from platform_ctrl.designer.designs import Designs, never, silent
 from platform_ctrl.designer.influence import caged_influence, moved_knob, stabilised_influence
-from platform_ctrl.designer.parts import Drawn, Measured, Parts
-from platform_ctrl.designer.pictures import Drawing, Influence, Overlay, Picture
+from platform_ctrl.designer.parts import Measured, Parts
+from platform_ctrl.designer.pictures import Drawing, Drawn, Influence, Overlay, Picture
 from platform_ctrl.designer.settable import Settable
 from platform_ctrl.designer.stabilised import stabilised_parts
 from platform_ctrl.designer.values import Knob, Settings
