@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from importlib import resources
 from typing import Any
 
@@ -47,19 +48,27 @@ class Page:
         self.gain = 4000.0
         self.plots: Plots | None = None
         self.document: Document | None = None
+        self.root = Column()
+        self.loop: IOLoop | None = None
 
     def fill(self, document: Document) -> None:
         self.gain, self.poles, self.crossovers = 4000.0, [], []
         self.plots, self.document = Plots(), document
         roots = self.plots.layout
-        document.add_root(
-            Column(
-                Row(roots["bode"], roots["locus"], width=1000, height=420), Row(roots["nichols"], width=400, height=300)
-            )
+        self.root = Column(
+            Row(roots["bode"], roots["locus"], width=1000, height=420), Row(roots["nichols"], width=400, height=300)
         )
+        document.add_root(self.root)
         self.plots.show(picture(self.gain))
         self.plots.on_pole_pulled(self._pole)
         self.plots.on_crossover_pulled(self._crossover)
+
+    def at_rest(self) -> bool:
+        """Return whether no drag is still coming to rest, asked between two acts of the server."""
+        assert self.loop is not None
+        answer: Future[bool] = Future()
+        self.loop.add_callback(lambda: answer.set_result(not self.document.session_callbacks))  # type: ignore[union-attr]
+        return answer.result(20.0)
 
     def _pole(self, pole: complex, target: complex) -> None:
         self.poles.append((pole, target))
@@ -85,16 +94,18 @@ def served() -> Iterator[tuple[Page, str]]:
         asyncio.set_event_loop(asyncio.new_event_loop())
         server = Server({"/": Application(FunctionHandler(page.fill))}, port=0, address="127.0.0.1", num_procs=1)
         server.start()
-        found.update(port=server.port, loop=IOLoop.current(), server=server)
+        page.loop = IOLoop.current()
+        found.update(port=server.port, server=server)
         ready.set()
-        IOLoop.current().start()
+        page.loop.start()
         server.stop()
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     assert ready.wait(20.0)
     yield page, f"http://127.0.0.1:{found['port']}/"
-    found["loop"].add_callback(found["loop"].stop)
+    assert page.loop is not None
+    page.loop.add_callback(page.loop.stop)
     thread.join(10.0)
 
 
@@ -106,24 +117,31 @@ def opened(browser: Any, served: tuple[Page, str]) -> Iterator[tuple[Page, Scree
         yield page, seen
 
 
+# A word that the browser says to the server, or waits for; whatever was sent before it has arrived with it.
+SAY = "word => { Bokeh.documents[0].roots()[0].tags = [word]; }"
+HEARD = "word => Bokeh.documents[0].roots()[0].tags[0] == word && Bokeh.documents[0].is_idle"
+
+
 @pytest.fixture
 def shown(opened: tuple[Page, Screen]) -> tuple[Page, Screen]:
     """The page with its first picture again, at rest."""
     page, seen = opened
-    plots, document, ready = page.plots, page.document, threading.Event()
+    plots, document = page.plots, page.document
     assert plots is not None
     assert document is not None
+    asked, answered = f"asked {time.monotonic()}", f"answered {time.monotonic()}"
 
     def again() -> None:
         page.poles.clear()
         page.crossovers.clear()
         plots.show(picture())
-        ready.set()
+        page.root.tags = [answered]
 
-    until(lambda: len(document.session_callbacks) == 0)  # no drag is still coming to rest
+    seen.page.evaluate(SAY, asked)
+    until(lambda: page.root.tags == [asked])
+    until(page.at_rest)
     document.add_next_tick_callback(again)
-    assert ready.wait(20.0)
-    seen.page.wait_for_function("Bokeh.documents[0].is_idle")
+    seen.page.wait_for_function(HEARD, arg=answered)
     seen.page.wait_for_timeout(300)
     return page, seen
 
