@@ -7,10 +7,12 @@ import dataclasses
 import datetime
 import json
 import math
+import pickle
 import random
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,15 @@ class Seed:
     name: str
     text: str = field(repr=False)
 
+    @cached_property
+    def _read(self) -> bytes:
+        return pickle.dumps(tomllib.loads(self.text))
+
     @property
     def data(self) -> dict[str, Any]:
         """What it says: a copy that may be changed."""
-        return tomllib.loads(self.text)
+        found: dict[str, Any] = pickle.loads(self._read)
+        return found
 
 
 def _of(path: Path) -> Seed:

@@ -1,4 +1,4 @@
-"""The main job as shipped: every design meets what is asked, and the whole does."""
+"""The jobs as shipped: every claim is proved; every design of the main one meets what is asked, and the whole does."""
 
 import tomllib
 from pathlib import Path
@@ -9,6 +9,8 @@ import pytest
 
 from platform_ctrl import analysis, design
 from platform_ctrl.errors import InputError
+
+SHIPPED = sorted(Path("examples").glob("*.toml"))
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +110,42 @@ def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
     with pytest.raises(InputError, match=r"loop 'caging 9-10': gimbals: 9 and 10 are coupled"):
         design.loops(cut, said.append)
     assert said == []
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_every_claim_of_every_shipped_design_is_proved(path, shipped_job):
+    result, said = shipped_job(path)
+    for outcome in result.loops:
+        for made in outcome.designs:
+            assert made.unproved == ()
+            if made.plants is not None:
+                stable = [one for one in made.certificates if one.claim == "stability"]
+                assert [one.loops[0].label for one in stable] == list(made.plants.labels)
+            for certificate in made.certificates:
+                found = certificate.verify()
+                assert found.proved, found
+    together = result.proofs["", ""]
+    assert (together.proved, together.of) == (1, 1)
+    shown = [one for one in result.requirements if one.name == "claims proved"]
+    assert [one.value for one in shown] == [1.0] * len(shown)
+    assert {one.stage for one in shown} == {"decoupled", "coupled"}
+    assert any("certificates" in line for line in said)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_what_is_proved_is_what_is_claimed(path, shipped_job):
+    result, _ = shipped_job(path)
+    for made in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:
+        assert made.measures is not None
+        for certificate, rate in zip(made.certificates, made.measures.decay, strict=False):
+            assert 0.4 * rate < certificate.bound < rate
+        torques, pickoffs = [
+            one for one in made.certificates if one.claim == "norm" and one.loops[0].label.startswith("nominal")
+        ]
+        margin = 1 / max(torques.bound, pickoffs.bound)
+        assert margin == pytest.approx(made.measures.disk_margin[0], rel=2e-6)
+        asked = next(s.limits.disk_margin_spread for s in result.job.loops if s.name == made.loop)
+        if asked is not None:
+            over = [one for one in made.certificates if one.claim == "norm"]
+            assert len(over) == 2 * len(made.measures.decay)
+            assert all(one.bound <= 1 / asked for one in over)
