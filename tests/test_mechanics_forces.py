@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError
@@ -212,6 +212,7 @@ def test_friction_always_dissipates_and_never_exceeds_breakaway(low, high, more,
     st.floats(-3, 3).map(lambda x: 10.0**x),
     st.floats(-3, 3).map(lambda x: 10.0**x),
 )
+@example(viscous=0.0, coulomb=1.0, more=0.0, sharp=1.0, stribeck=1.0000000000000004)
 def test_no_slope_of_friction_is_steeper_than_the_steepest(viscous, coulomb, more, sharp, stribeck):
     friction = Friction(
         gimbal="arm",
@@ -223,6 +224,8 @@ def test_no_slope_of_friction_is_steeper_than_the_steepest(viscous, coulomb, mor
     )
     scale = np.geomspace(1e-6, 30.0, 600)
     rates = np.unique(np.concatenate([-scale * sharp, -scale * stribeck, scale * sharp, scale * stribeck]))
+    # Between closer rates the difference quotient is rounding; this far apart it errs by 1e-9 of the slope at most.
+    rates = rates[np.append(True, np.diff(rates) > 1e-6 * np.abs(rates[1:]))]
     torque = np.array([viscous * r + friction.dry(float(r)) for r in rates])
     steepest = np.abs(np.diff(torque) / np.diff(rates)).max()
     assert steepest <= friction.steepest_slope * (1 + 1e-6) + 1e-9
