@@ -180,4 +180,4 @@ def test_long_chains_do_not_leave_the_range_of_numbers(n: int) -> None:
     assert deviation(system, w) < 1e-9
     # And elimination has not been needed for that.
     H = np.empty((1, 1, len(w)), dtype=np.complex128)
-    assert not respond(chains(system.A, system.B, system.C), system.D, 1j * w, H, False).size
+    assert not respond(chains(system.A, system.B, system.C), system.D, 1j * w, H, False, 2.5e-10).size

@@ -22,7 +22,6 @@ from platform_ctrl.analysis.feedback import (
     closed_loop_arrays,
     gang,
     loop_transfer,
-    sensitivities,
     series_arrays,
 )
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
@@ -60,6 +59,7 @@ from platform_ctrl.analysis.sampled import (
     sampled,
     sampled_arrays,
 )
+from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.analysis.time_response import time_response
 
 __all__ = [

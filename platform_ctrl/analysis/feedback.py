@@ -192,34 +192,6 @@ def closed_loop_with_sensitivity(plant: control.StateSpace, controller: control.
     return StateArrays(A, B[:, part], C[part], D[part, part] + np.eye(D[part, part].shape[0]), P.dt)
 
 
-def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return S = (I + L)^-1 and T = I - S for given responses of the loop.
-
-    For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
-
-    Parameters
-    ----------
-    loop : complex (..., m, m)
-        L = -K P (broken at the input) or -P K (at the output), dimensionless.
-
-    Returns
-    -------
-    S, T : complex (..., m, m)
-        Dimensionless.
-
-    Notes
-    -----
-    The arguments are not judged.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
-    """
-    eye = np.eye(loop.shape[-1])
-    S = np.asarray(np.linalg.inv(eye + loop), dtype=np.complex128)
-    return S, eye - S
-
-
 def series_arrays(
     A1: FloatArray,
     B1: FloatArray,

@@ -18,7 +18,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.axis import largest
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.norms import (
     gains,
     hinf_norm_arrays,
@@ -34,6 +34,7 @@ from platform_ctrl.analysis.poles import (
     spectral_abscissa,
 )
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sensitivity import sensitivities_of_plants
 from platform_ctrl.frozen import FloatArray
 
 # Figures that peak: a grid misses what lies between its points, so a verdict takes norms.
@@ -140,12 +141,16 @@ class LoopFigures:
     @cached_property
     def S_output(self) -> ComplexArray:
         """Sensitivity at the plants' output, (N, F, p, p)."""
-        return sensitivities(-self.plants.response @ self.K)[0]
+        return self._sensitivities[0]
 
     @cached_property
     def S_input(self) -> ComplexArray:
-        """Sensitivity at the plants' input, (N, F, m, m): I + K S_output P, one inverse serves both."""
-        return np.asarray(np.eye(self.m) + self.K @ self.S_output @ self.plants.response, dtype=np.complex128)
+        """Sensitivity at the plants' input, (N, F, m, m)."""
+        return self._sensitivities[1]
+
+    @cached_property
+    def _sensitivities(self) -> tuple[ComplexArray, ComplexArray]:
+        return sensitivities_of_plants(self.plants.response, self.K)
 
     def only(self, chosen: Sequence[int]) -> LoopFigures:
         """Return the figures of some of the plants (indices): what is worked out here is taken over, none of it twice.

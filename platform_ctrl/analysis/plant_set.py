@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 BoolArray = NDArray[np.bool_]
 
+# Bound on the relative error of a response on the grid: nothing next to what is between the points of a grid.
+_TOLERATED = 1e-6
+
 # What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
 Group = Literal["nominal", "spread", "Omega", "faults"]
 
@@ -211,7 +214,7 @@ def plant_set(
     m = plants.B.shape[-1]
     B = np.concatenate([plants.B, B_Omega], axis=-1)
     D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid)
+    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid, _TOLERATED)
     return PlantSet(
         A=plants.A,
         B=plants.B,

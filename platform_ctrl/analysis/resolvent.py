@@ -48,17 +48,22 @@ LARGE, SHRINK = 2.0**400, 2.0**-200
 LARGEST, SMALLEST = 2.0**1000, 2.0**-800
 # Rounding of the recurrence, in units of |A| + |z|.
 ROUNDING = 8.0 * 2.0**-53
-# Error above which a point is left out: relative to the entry, or to FLOOR times the largest one at that point.
-TOLERATED, FLOOR = 2.5e-10, 1e-3
+# An error is relative to the entry, or to this times the largest one at that point.
+FLOOR = 1e-3
 
 
-def respond(chains: Chains, D: FloatArray, z: ComplexArray, H: ComplexArray, turned: bool) -> NDArray[np.int64]:
-    """Write D + C (z I - A)^-1 B into H (p, m, N), or (m, p, N) if `turned`; return where that is not good enough."""
+def respond(
+    chains: Chains, D: FloatArray, z: ComplexArray, H: ComplexArray, turned: bool, tolerated: float
+) -> NDArray[np.int64]:
+    """Write D + C (z I - A)^-1 B into H (p, m, N), or (m, p, N) if `turned`; return where that is not good enough.
+
+    There the error may be above what is `tolerated`.
+    """
     (p, m), N = D.shape, len(z)
     size = math.isqrt(len(chains.rows) // (m + 1))
     down, across = (1, p) if turned else (m, 1)
     poor, work = np.empty(N, dtype=np.int64), memory(4 * (size + m * p + 1) + 2 * (m + 1))
-    return poor[: _quick(z, *chains, D, H.reshape(p * m, N), size, down, across, poor, work)]
+    return poor[: _quick(z, *chains, D, H.reshape(p * m, N), size, down, across, tolerated, poor, work)]
 
 
 @compiled
@@ -72,6 +77,7 @@ def _quick(
     size: int,
     down: int,
     across: int,
+    tolerated: float,
     poor: NDArray[np.int64],
     work: FloatArray,
 ) -> int:
@@ -100,7 +106,7 @@ def _quick(
                     _put_entry(work, entry + 2, 4 * p + 2, re_2, im_2, D[i, j])
         for half in range(2):
             entry, first = entries + 2 * half, start + half * LANES
-            store(work, 0, None, _missed(at + 2 * half, norms, D, work, entry, sizes + half))
+            store(work, 0, None, _missed(at + 2 * half, norms, D, tolerated, work, entry, sizes + half))
             count = min(LANES, N - first)
             for t in range(count):
                 if load(work, 0, t) > 0.0:
@@ -208,7 +214,9 @@ def _size(numbers: FloatArray, slot: int) -> Number:
 
 
 @inlined
-def _missed(at: int, norms: FloatArray, D: FloatArray, work: FloatArray, first: int, sizes: int) -> Number:
+def _missed(
+    at: int, norms: FloatArray, D: FloatArray, tolerated: float, work: FloatArray, first: int, sizes: int
+) -> Number:
     """Return 1 for points with an entry that may be wrong by more than is tolerated, else 0."""
     p, m = D.shape
     largest = 0.0 * load(work, at, None)
@@ -221,6 +229,6 @@ def _missed(at: int, norms: FloatArray, D: FloatArray, work: FloatArray, first: 
         wrong = unit * load(work, sizes + 2 * j, None)
         for i in range(p):
             found = greater(_size(work, entry), FLOOR * largest)
-            fine = fine & (wrong * norms[i] + ROUNDING * abs(D[i, j]) <= TOLERATED * found)
+            fine = fine & (wrong * norms[i] + ROUNDING * abs(D[i, j]) <= tolerated * found)
             entry += 4
     return choose(fine, 0.0, 1.0)

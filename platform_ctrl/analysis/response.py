@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     import control
 
 
+# Error of the quick recurrence above which something better takes its place: what is found is then right to 1e-9.
+_TOLERATED = 2.5e-10
+
+
 def frequency_response(system: control.StateSpace | Sequence[control.StateSpace], frequency: ArrayLike) -> ComplexArray:
     """Return the response of `system` on the imaginary axis or on the unit circle.
 
@@ -65,7 +69,13 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
 
 
 def frequency_response_arrays(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, frequency: FloatArray
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    dt: float,
+    frequency: FloatArray,
+    tolerated: float = _TOLERATED,
 ) -> ComplexArray:
     """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0.
 
@@ -77,6 +87,8 @@ def frequency_response_arrays(
         Sample period, s; 0: continuous.
     frequency : (N,)
         rad/s.
+    tolerated
+        Bound on the error of an entry, relative to itself, above which it is worked out again with more digits.
 
     Returns
     -------
@@ -91,15 +103,23 @@ def frequency_response_arrays(
     ----------
     As `frequency_response`.
     """
-    return np.moveaxis(_whole(A, B, C, D, dt, frequency), -1, -3)
+    return np.moveaxis(_whole(A, B, C, D, dt, frequency, tolerated), -1, -3)
 
 
-def _whole(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, w: FloatArray) -> ComplexArray:
+def _whole(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    dt: float,
+    w: FloatArray,
+    tolerated: float = _TOLERATED,
+) -> ComplexArray:
     """Return the response as (..., p, m, N)."""
     z, beyond = _on_axis(w, dt)
     if dt == 0.0:
-        return _responses(A, None, B, C, D, z)
-    return _responses(*_less_one(A), B, C, D, z, beyond)
+        return _responses(A, None, B, C, D, z, tolerated=tolerated)
+    return _responses(*_less_one(A), B, C, D, z, beyond, tolerated)
 
 
 def _less_one(A: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,6 +207,7 @@ def _responses(
     D: FloatArray,
     z: ComplexArray,
     z_lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
+    tolerated: float = _TOLERATED,
 ) -> ComplexArray:
     """Return the response at z as (..., p, m, N)."""
     n, m, p, N = A.shape[-1], B.shape[-1], C.shape[-2], z.shape[0]
@@ -196,12 +217,12 @@ def _responses(
         return np.array(np.broadcast_to(D[..., None], (*batch, p, m, N)), dtype=np.complex128)
     A, B, C = scaled(A, B, C)
     if alone:
-        return Resolvent(A, B, C, D, lacks).at(z, z_lacks)
+        return Resolvent(A, B, C, D, lacks).at(z, z_lacks, tolerated)
     H = np.empty((*batch, p, m, N), dtype=np.complex128)
     for k in np.ndindex(batch):
         a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[k] for item in (A, B, C, D))
         beyond = None if lacks is None else np.broadcast_to(lacks, (*batch, n))[k]
-        H[k] = Resolvent(a, b, c, d, beyond).at(z, z_lacks)
+        H[k] = Resolvent(a, b, c, d, beyond).at(z, z_lacks, tolerated)
     return H
 
 
@@ -262,11 +283,16 @@ class Resolvent:
         self._lacks = np.zeros(len(A)) if lacks is None else _plain(lacks)
         self._quick, self._chains = respond, chains(self._A, self._B, self._C)
 
-    def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
+    def at(
+        self,
+        z: ComplexArray,
+        lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
+        tolerated: float = _TOLERATED,
+    ) -> ComplexArray:
         """Return the response at z (N,), (p, m, N); `lacks` says on demand what z has beyond its doubles."""
         (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
         H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
-        poor = self._quick(self._chains, self._D, z, H, self._turned)
+        poor = self._quick(self._chains, self._D, z, H, self._turned, tolerated)
         if poor.size:
             from platform_ctrl.analysis.refinement import refine
 

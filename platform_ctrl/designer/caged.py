@@ -9,12 +9,12 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
-from platform_ctrl.analysis.feedback import sensitivities
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.designer.curves import (
     channel_response,

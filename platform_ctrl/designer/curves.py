@@ -10,6 +10,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.designer.recurrence import recur
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.branches import followed
 
@@ -120,7 +121,7 @@ def held_responses(
 
     Notes
     -----
-    Exact: powers of A by doubling carry the state over whole intervals, within which the inputs count one by one.
+    Exact: a power of A carries the state over whole intervals, within which the inputs count one by one.
     """
     count = (len(inputs) - 1) // every + 1
     with np.errstate(all="ignore"):
@@ -130,17 +131,13 @@ def held_responses(
             driven = np.concatenate([power @ driven, driven], axis=-1)
             power = power @ power
         driven = driven[..., -every:]
-        step = np.linalg.matrix_power(A, every)
-        blocks = inputs[:-1].reshape(count - 1, every).T
-        x = np.zeros((*A.shape[:-1], count))
-        x[..., 1:] = driven @ blocks
-        # x[k] += step^(2^i) x[k - 2^i] for i = 0, 1, ...: all sums of the recurrence.
-        reach = 1
-        while reach < count:
-            x[..., reach:] = x[..., reach:] + step @ x[..., :-reach]
-            step = step @ step
-            reach *= 2
-        y = C @ x + D * inputs[::every]
+        # What comes to the state over each interval, (..., T - 1, n), and then the state after it.
+        x = inputs[:-1].reshape(count - 1, every) @ driven.swapaxes(-1, -2)
+        step = np.linalg.matrix_power(A, every).swapaxes(-1, -2)
+        n = A.shape[-1]
+        recur(np.ascontiguousarray(step).reshape(-1, n, n), x.reshape(-1, count - 1, n))
+        y = D * inputs[::every]
+        y[..., 1:] += C @ x.swapaxes(-1, -2)
     return np.asarray(
         np.clip(np.nan_to_num(y, nan=_FARTHEST, posinf=_FARTHEST, neginf=-_FARTHEST), -_FARTHEST, _FARTHEST)
     )

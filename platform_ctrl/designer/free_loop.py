@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import sensitivities
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import AxisResponse
+from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.designer.curves import arrays_of, dense_grid
 from platform_ctrl.designer.free_plants import FreePlants
 from platform_ctrl.designer.parts import EDGE

@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.designer.curves import channel_response
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.frozen import FloatArray, value

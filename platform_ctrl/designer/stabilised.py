@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.designer.curves import (
     channel_response,
     degrees,
