@@ -14,6 +14,8 @@ from platform_ctrl.reading import read_job
 from platform_ctrl.simulation import simulate
 from platform_ctrl.state_space import state_space
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 
 @pytest.fixture(scope="module")
 def job():

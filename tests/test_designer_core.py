@@ -33,6 +33,8 @@ from platform_ctrl.job import Job, LoopSpec, Spread
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.reading import read_job
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 LOOP = "caging 9-10"
 

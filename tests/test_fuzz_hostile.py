@@ -34,7 +34,7 @@ def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def plant_error(plant: dict[str, Any] | str) -> str:
     Path("plant.toml").write_text(plant if isinstance(plant, str) else written(plant), encoding="utf-8")
-    return ended("equations", "plant.toml", folder=Path()).error
+    return ended("equations", "plant.toml", "-q", folder=Path()).error
 
 
 def job_error(job: dict[str, Any] | str) -> str:
@@ -223,7 +223,7 @@ def test_paths_that_are_no_files_are_refused_by_their_name(path: str, words: str
     Path("dangling").symlink_to("nothing")
     os.mkfifo("pipe")
     given = {
-        "plant": ("equations", f"./{path}" if not path.startswith("/") else path),
+        "plant": ("equations", f"./{path}" if not path.startswith("/") else path, "-q"),
         "job": ("check", path, "-q"),
         "controllers": ("check", "every_job_key.toml", "-q", "--controllers", path, "-o", "out"),
     }[command]

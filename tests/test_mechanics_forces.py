@@ -17,6 +17,8 @@ from platform_ctrl.simulation import rollout
 from platform_ctrl.state_space import state_space, subsystems
 from tree_cases import platforms, with_torquers
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 quick = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**32 - 1)
 

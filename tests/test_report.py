@@ -42,6 +42,8 @@ from platform_ctrl.report import (
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 CAGING: dict[str, Any] = {
     "name": "caging 9-10",
     "kind": "caging",

@@ -21,6 +21,8 @@ from platform_ctrl.report.campaign_content import as_section, differences
 from platform_ctrl.report.campaign_page import campaign_document, campaign_page
 from platform_ctrl.report.verdict_words import opening, tightest
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 JOB: dict[str, Any] = {
     "schema": 1,
     "name": "one gyro & <two> gimbals",

@@ -20,6 +20,8 @@ from platform_ctrl.simulation.packing import pack
 from test_simulation_forces import a_state, along_coordinates, furnished
 from tree_cases import platforms
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 
 @numba.njit
 def _each(x, lane, y):

@@ -15,6 +15,8 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics import inverse_dynamics, matrices
 from platform_ctrl.simulation import rollout
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 CASES = json.loads((Path(__file__).parent / "data" / "dynamics-cases.json").read_text())["groups"]
 
 

@@ -15,6 +15,8 @@ from platform_ctrl import simulation
 from platform_ctrl.description import Platform
 from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
 
+pytestmark = pytest.mark.usefixtures("untraced")
+
 # Momenta change evenly during a step: what comes out is within the square of the step.
 PERIOD = 1e-3
 END = 0.1
