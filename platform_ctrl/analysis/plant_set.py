@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     import control
 
 BoolArray = NDArray[np.bool_]
-
-# Bound on the relative error of a response on the grid: nothing next to what is between the points of a grid.
-_TOLERATED = 1e-6
 
 # What a plant of a set stands for: the nominal one; other parameters; another platform rate; a part that fails.
 Group = Literal["nominal", "spread", "Omega", "faults"]
@@ -214,7 +211,7 @@ def plant_set(
     m = plants.B.shape[-1]
     B = np.concatenate([plants.B, B_Omega], axis=-1)
     D = np.concatenate([plants.D, np.zeros((*plants.D.shape[:-1], 3))], axis=-1)
-    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid, _TOLERATED)
+    response = frequency_response_arrays(plants.A, B, plants.C, D, plants.dt, grid, ON_A_GRID)
     return PlantSet(
         A=plants.A,
         B=plants.B,

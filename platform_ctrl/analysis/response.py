@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Error of the quick recurrence above which something better takes its place: what is found is then right to 1e-9.
 _TOLERATED = 2.5e-10
+# The same for curves and grids: next to what is between their points it is nothing.
+ON_A_GRID = 1e-6
 
 
 def frequency_response(system: control.StateSpace | Sequence[control.StateSpace], frequency: ArrayLike) -> ComplexArray:
@@ -239,14 +241,17 @@ class AxisResponse:
     ----------
     system
         With states, inputs and outputs.
+    tolerated
+        As of `frequency_response_arrays`.
 
     References
     ----------
     As `frequency_response`.
     """
 
-    def __init__(self, system: StateArrays) -> None:
+    def __init__(self, system: StateArrays, tolerated: float = _TOLERATED) -> None:
         A, B, C, D, self._dt = system
+        self._tolerated = tolerated
         lacks = None
         if self._dt > 0.0:
             A, lacks = _less_one(A)
@@ -254,7 +259,7 @@ class AxisResponse:
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m)."""
-        return self._resolvent.at(*_on_axis(frequency, self._dt)).transpose(2, 0, 1)
+        return self._resolvent.at(*_on_axis(frequency, self._dt), self._tolerated).transpose(2, 0, 1)
 
 
 class Resolvent:

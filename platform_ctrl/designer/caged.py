@@ -13,7 +13,7 @@ from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.designer.curves import (
@@ -171,7 +171,7 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
 
 def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: int) -> ComplexArray:
     """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
-    P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid)
+    P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid, ON_A_GRID)
     return channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
 
 
@@ -298,7 +298,7 @@ def _Omega_gain(
     m, p = shown.m, shown.p
     A, B, C, D, dt = shown.arrays
     column, rows = slice(m + axis - 1, m + axis), slice(m, m + p)
-    own = frequency_response_arrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt, grid)
+    own = frequency_response_arrays(A[0], B[0][:, column], C[0][rows], D[0][rows, column], dt, grid, ON_A_GRID)
     none = np.zeros(0)
     w, low, high = none, none, none
     if every is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.joining import joined_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.analysis.response import AxisResponse
+from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.sensitivity import sensitivities
 from platform_ctrl.designer.curves import arrays_of, dense_grid
 from platform_ctrl.designer.free_plants import FreePlants
@@ -78,7 +78,7 @@ class Sensitivity:
     """S at the plant's input over frequency; what does not depend on the frequency is worked out once."""
 
     def __init__(self, P: StateArrays, K: StateArrays) -> None:
-        self._P, self._K = AxisResponse(P), AxisResponse(K)
+        self._P, self._K = AxisResponse(P, ON_A_GRID), AxisResponse(K, ON_A_GRID)
 
     def at(self, w: FloatArray) -> ComplexArray:
         """Return S at `w` (F,), rad/s, complex (F, m, m)."""

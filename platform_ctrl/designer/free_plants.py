@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.analysis.sampled import held_input, sampled_arrays
 from platform_ctrl.check.coupled import measuring
 from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
@@ -238,7 +238,7 @@ def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlant
 def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
     if not grid.size:
         return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
-    return frequency_response_arrays(*turned, grid)
+    return frequency_response_arrays(*turned, grid, ON_A_GRID)
 
 
 def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:

@@ -8,7 +8,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.designer.curves import held_responses, sample_times
 from platform_ctrl.designer.free_loop import StabilisedLoop
 from platform_ctrl.designer.free_plants import ATTITUDE, FreePlants
@@ -57,7 +57,7 @@ def turning(
     def attitude(one: int, w: FloatArray, plants: FreePlants) -> FloatArray:
         A, B, C, D, dt = plants.turned
         a, b, c, d = closed_loop_arrays(A[one], B[one], C[one], D[one], *K[:4], torques=at, angles=list(range(p)))
-        found = frequency_response_arrays(a, b[:, column], c[k + p :], d[k + p :, column], dt, w)
+        found = frequency_response_arrays(a, b[:, column], c[k + p :], d[k + p :, column], dt, w, ON_A_GRID)
         return np.asarray(np.linalg.norm(found[..., 0], axis=-1))
 
     none = np.zeros(0)
@@ -66,7 +66,7 @@ def turning(
         w_band = loop.plants.frequency
         whole = loop.plants.response
         # What acts moves the sensors, these the torques, and both the attitude.
-        k_at = frequency_response_arrays(*K, w_band)
+        k_at = frequency_response_arrays(*K, w_band, ON_A_GRID)
         seen, acting = whole[..., :p, at], whole[..., :p, column]
         torque = np.linalg.solve(np.eye(k) - k_at @ seen, k_at @ acting)
         moved = whole[..., p:, column] + whole[..., p:, at] @ torque
