@@ -23,8 +23,10 @@ from platform_ctrl.frozen import FloatArray, value
 Build = Callable[[Mapping[str, float]], StateArrays]
 Residual = Callable[[StateArrays], FloatArray]
 
-# Steps along the way, Gauss-Newton steps for each, and the largest change of a logarithm in one.
-_WAY, _MOST, _LONGEST = 8, 12, 0.3
+# Most steps along the way, and the share of a frequency that one of fewer may be.
+_WAY, _STRIDE = 8, 0.05
+# Gauss-Newton steps for each, and the largest change of a logarithm in one.
+_MOST, _LONGEST = 12, 0.3
 # Relative distance to the target that counts as there.
 _THERE = 1e-9
 # Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
@@ -97,7 +99,7 @@ def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex
 
         return of
 
-    way = [residual(here + (goal - here) * share) for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]]
+    way = [residual(here + (goal - here) * share) for share in _shares(abs(goal - here) / scale)]
     return reins.numbers(_followed(reins, way, f"the pole at {here:.4g} rad/s"))
 
 
@@ -126,7 +128,8 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
 
     what = f"the gain at {target:.4g} rad/s"
     x, here, beyond = np.log(reins.start), now, math.nan
-    for w in np.geomspace(now, target, _WAY + 1)[1:].tolist():
+    for share in _shares(abs(math.log(target / now))):
+        w = now * (target / now) ** share
         found = _crossing(reins, x, residual, w, what)
         if found is None:
             beyond = w
@@ -141,6 +144,12 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
         else:
             x, here = found, middle
     return reins.numbers(x)
+
+
+def _shares(distance: float) -> list[float]:
+    """Return the shares of a way at which to be in turn: a hand that drags asks for a little again and again."""
+    count = min(_WAY, max(1, math.ceil(distance / _STRIDE)))
+    return [(k + 1) / count for k in range(count)]
 
 
 def _crossing(
