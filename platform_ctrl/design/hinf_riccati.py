@@ -31,6 +31,8 @@ LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
 LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
 # A slack this many times t comes from solutions of which one is nearly zero.
 FAR_COUPLING = 1e6
+# A solution larger than 1 / this hides a negative eigenvalue in its rounding; at this share of t it is smaller.
+NEARLY_INFINITE, A_LITTLE_BELOW = 1e-5, 1.0 - 1e-3
 # Free parameters that are tried, and the largest condition of the loop around D22.
 SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
 # Trials of gamma at most; about six are needed.
@@ -244,6 +246,11 @@ def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P:
     t, width = 0.3 * beyond if beyond < LARGEST_FIRST else 1.0, beyond
     for step in range(LONGEST_SEARCH):
         trial = _trial(sides, t)
+        if trial.slack is not None and min(trial.room) < NEARLY_INFINITE and A_LITTLE_BELOW * t > reached:
+            # Past its first infinity a solution has a negative eigenvalue, which the next infinity outshines.
+            below = _trial(sides, A_LITTLE_BELOW * t)
+            if below.slack is None:
+                trial, t = below, below.t
         informed = bool(trial.room)
         _note(known, trial)
         if trial.slack is not None and trial.slack > 0.0:
