@@ -144,7 +144,7 @@ def held_responses(
 
 
 def gain_locus(
-    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 110
+    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 80
 ) -> tuple[FloatArray, ComplexArray]:
     """Return factors on all of a controller from 0 to `highest`, 1 among them, and the closed-loop poles (G, n) in s.
 
