@@ -10,7 +10,6 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.designer.recurrence import recur
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.branches import followed
 
@@ -123,6 +122,8 @@ def held_responses(
     -----
     Exact: a power of A carries the state over whole intervals, within which the inputs count one by one.
     """
+    from platform_ctrl.designer.recurrence import recur
+
     count = (len(inputs) - 1) // every + 1
     with np.errstate(all="ignore"):
         # [A^(every-1) B, ..., A B, B]
