@@ -5,10 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator
-from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -21,30 +18,12 @@ settings.register_profile("same", derandomize=True)
 settings.register_profile("others", derandomize=False, print_blob=True)
 settings.load_profile("same")
 
-if TYPE_CHECKING:
-    from platform_ctrl.check import JobResult
-
 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """What is loaded by now stays to the end: to look through it for garbage again and again takes time."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
-
-
-@pytest.fixture(scope="session")
-def shipped_job() -> Callable[[Path], tuple[JobResult, list[str]]]:
-    """A shipped job designed and checked as it stands, once for all tests; and what was said while it worked."""
-    from platform_ctrl import check, design
-    from platform_ctrl.reading import read_job
-
-    @cache
-    def done(path: Path) -> tuple[JobResult, list[str]]:
-        said: list[str] = []
-        job = read_job(path)
-        return check.checked(job, design.loops(job, said.append), said.append), said
-
-    return done
 
 
 @pytest.fixture(scope="module")

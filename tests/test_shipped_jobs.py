@@ -1,26 +1,37 @@
 """The jobs as shipped: every claim is proved; every design of the main one meets what is asked, and the whole does."""
 
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis, design
+from platform_ctrl import analysis, check, design
 from platform_ctrl.errors import InputError
+from platform_ctrl.reading import read_job
 
+MAIN = Path("examples/three_gyro_platform.toml")
 SHIPPED = sorted(Path("examples").glob("*.toml"))
 
 
-@pytest.fixture(scope="module")
-def said(shipped_job):
-    return shipped_job(Path("examples/three_gyro_platform.toml"))[1]
+@cache
+def shipped(path):
+    """A job designed and checked as it stands, once for all tests; and what was said while it worked."""
+    said = []
+    job = read_job(path)
+    return check.checked(job, design.loops(job, said.append), said.append), said
 
 
 @pytest.fixture(scope="module")
-def result(shipped_job):
-    return shipped_job(Path("examples/three_gyro_platform.toml"))[0]
+def said():
+    return shipped(MAIN)[1]
+
+
+@pytest.fixture(scope="module")
+def result():
+    return shipped(MAIN)[0]
 
 
 def test_the_job_asks_for_no_less_than_it_should(result):
@@ -105,7 +116,7 @@ def test_progress_is_told_while_it_works(result, said):
 
 def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
     said = []
-    text = Path("examples/three_gyro_platform.toml").read_text(encoding="utf-8")
+    text = MAIN.read_text(encoding="utf-8")
     cut = tomllib.loads(text.replace('gimbals = ["9", "10"]', 'gimbals = ["9"]'))
     with pytest.raises(InputError, match=r"loop 'caging 9-10': gimbals: 9 and 10 are coupled"):
         design.loops(cut, said.append)
@@ -113,8 +124,8 @@ def test_a_loop_that_cuts_through_a_subsystem_is_refused_before_any_design():
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_every_claim_of_every_shipped_design_is_proved(path, shipped_job):
-    result, said = shipped_job(path)
+def test_every_claim_of_every_shipped_design_is_proved(path):
+    result, said = shipped(path)
     for outcome in result.loops:
         for made in outcome.designs:
             assert made.unproved == ()
@@ -133,8 +144,8 @@ def test_every_claim_of_every_shipped_design_is_proved(path, shipped_job):
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_what_is_proved_is_what_is_claimed(path, shipped_job):
-    result, _ = shipped_job(path)
+def test_what_is_proved_is_what_is_claimed(path):
+    result, _ = shipped(path)
     for made in [d for outcome in result.loops for d in outcome.designs if d.measures is not None]:
         assert made.measures is not None
         for certificate, rate in zip(made.certificates, made.measures.decay, strict=False):

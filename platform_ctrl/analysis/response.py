@@ -219,12 +219,12 @@ def _responses(
         return np.array(np.broadcast_to(D[..., None], (*batch, p, m, N)), dtype=np.complex128)
     A, B, C = scaled(A, B, C)
     if alone:
-        return Resolvent(A, B, C, D, lacks).at(z, z_lacks, tolerated)
+        return Resolvent(A, B, C, D, lacks, tolerated).at(z, z_lacks)
     H = np.empty((*batch, p, m, N), dtype=np.complex128)
     for k in np.ndindex(batch):
         a, b, c, d = (np.broadcast_to(item, (*batch, *item.shape[-2:]))[k] for item in (A, B, C, D))
         beyond = None if lacks is None else np.broadcast_to(lacks, (*batch, n))[k]
-        H[k] = Resolvent(a, b, c, d, beyond).at(z, z_lacks, tolerated)
+        H[k] = Resolvent(a, b, c, d, beyond, tolerated).at(z, z_lacks)
     return H
 
 
@@ -251,15 +251,14 @@ class AxisResponse:
 
     def __init__(self, system: StateArrays, tolerated: float = _TOLERATED) -> None:
         A, B, C, D, self._dt = system
-        self._tolerated = tolerated
         lacks = None
         if self._dt > 0.0:
             A, lacks = _less_one(A)
-        self._resolvent = Resolvent(*scaled(A, B, C), D, lacks)
+        self._resolvent = Resolvent(*scaled(A, B, C), D, lacks, tolerated)
 
     def at(self, frequency: FloatArray) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m)."""
-        return self._resolvent.at(*_on_axis(frequency, self._dt), self._tolerated).transpose(2, 0, 1)
+        return self._resolvent.at(*_on_axis(frequency, self._dt)).transpose(2, 0, 1)
 
 
 class Resolvent:
@@ -271,15 +270,24 @@ class Resolvent:
         Arrays of one system with states, inputs and outputs, balanced; D is zero where it is not given.
     lacks : (n,), optional
         What the diagonal of A has beyond its doubles.
+    tolerated
+        As of `frequency_response_arrays`.
     """
 
     def __init__(
-        self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray | None = None, lacks: FloatArray | None = None
+        self,
+        A: FloatArray,
+        B: FloatArray,
+        C: FloatArray,
+        D: FloatArray | None = None,
+        lacks: FloatArray | None = None,
+        tolerated: float = _TOLERATED,
     ) -> None:
         from platform_ctrl.analysis.chains import chains
         from platform_ctrl.analysis.resolvent import respond
 
         D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
+        self._tolerated = tolerated
         # One recurrence an input: of a system with fewer outputs, the transposed one.
         self._turned = C.shape[0] < B.shape[1]
         if self._turned:
@@ -288,16 +296,11 @@ class Resolvent:
         self._lacks = np.zeros(len(A)) if lacks is None else _plain(lacks)
         self._quick, self._chains = respond, chains(self._A, self._B, self._C)
 
-    def at(
-        self,
-        z: ComplexArray,
-        lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
-        tolerated: float = _TOLERATED,
-    ) -> ComplexArray:
+    def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
         """Return the response at z (N,), (p, m, N); `lacks` says on demand what z has beyond its doubles."""
         (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
         H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
-        poor = self._quick(self._chains, self._D, z, H, self._turned, tolerated)
+        poor = self._quick(self._chains, self._D, z, H, self._turned, self._tolerated)
         if poor.size:
             from platform_ctrl.analysis.refinement import refine
 

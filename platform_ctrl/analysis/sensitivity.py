@@ -33,7 +33,7 @@ def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     from platform_ctrl.analysis.sensitivity_kernel import invert
 
     eye = np.eye(loop.shape[-1])
-    S = np.array(eye + loop, dtype=np.complex128, order="C")
+    S = np.ascontiguousarray(eye + loop, dtype=np.complex128)
     invert(S.reshape(-1, *S.shape[-2:]))
     return S, eye - S
 
@@ -68,6 +68,7 @@ def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexAr
     from platform_ctrl.analysis.sensitivity_kernel import close
 
     *batch, F, p, m = P.shape
+    # Copies: numba would compile anew for what is frozen.
     plants = np.array(P, dtype=np.complex128, order="C").reshape(-1, F, p, m)
     S_output, S_input = (np.empty((len(plants), F, size, size), dtype=np.complex128) for size in (p, m))
     close(plants, np.array(K, dtype=np.complex128, order="C"), S_output, S_input)

@@ -145,7 +145,7 @@ def held_responses(
 
 
 def gain_locus(
-    plant: StateArrays, controller: StateArrays, highest: float = 2.5, points: int = 80
+    plant: StateArrays, controller: StateArrays, points: int, highest: float = 2.5
 ) -> tuple[FloatArray, ComplexArray]:
     """Return factors on all of a controller from 0 to `highest`, 1 among them, and the closed-loop poles (G, n) in s.
 
