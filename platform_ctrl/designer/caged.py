@@ -178,7 +178,7 @@ def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: in
 def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:
     plants = loop.shown
     P = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    gains, branches = gain_locus(P, loop.controller, points=80 if exact else 40)
+    gains, branches = gain_locus(P, loop.controller, points=110 if exact else 40)
     nyquist = math.pi / plants.period
     finite = np.isfinite(s)
     size = np.where(finite, np.abs(s), np.inf)
