@@ -93,6 +93,28 @@ def test_complex_factors_at_the_end_of_the_axis_are_told() -> None:
             found.destabilising()
 
 
+@pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
+@pytest.mark.parametrize(
+    ("m", "seed", "dt", "on_boundary"),
+    [(3, 11, 0.0, 0.0), (4, 2, 0.0, 0.0), (5, 25, 0.0, 0.0), (4, 2, 0.1, 1.0), (4, 22, 0.1, -1.0), (5, 59, 0.1, -1.0)],
+)
+def test_gains_alone_put_a_pole_on_the_boundary_where_the_axis_ends(
+    m: int, seed: int, dt: float, on_boundary: float, skew: float
+) -> None:
+    # The phases that reach the margin are known to about 1e-6 only; those of a system at s = 0 or z = -1 are 0 and 180
+    # degrees.
+    L = stable_loop(seed, m, 4, dt)
+    found = analysis.disk_margin(L, skew)
+    assert found.frequency == (math.pi / dt if on_boundary < 0.0 else 0.0)
+    assert found.is_real
+    np.testing.assert_array_equal(found.perturbation.imag, 0.0)
+    gains = found.destabilising()
+    assert gains.nstates == 0
+    closed = control.feedback(gains * L, control.ss([], [], [], np.eye(m), dt))
+    assert np.abs(np.linalg.eigvals(closed.A) - on_boundary).min() < 1e-9
+    assert found.upper == pytest.approx(found.lower, rel=1e-6)
+
+
 def test_an_unstable_loop_says_why_it_has_no_margin() -> None:
     found = analysis.disk_margin(control.ss([[1.0]], [[1.0]], [[0.5]], 0))
     assert (found.alpha, found.upper) == (0.0, 0.0)

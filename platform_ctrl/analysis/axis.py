@@ -43,7 +43,10 @@ class FrequencyAxis:
         self._along = AxisResponse(self.system) if A.size and B.size and C.size else None
 
     def response(self, frequency: FloatArray) -> ComplexArray:
-        """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D."""
+        """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
+
+        Real at both ends of the axis: exp(j w dt) at the Nyquist frequency is -1, whatever the rounding of w dt.
+        """
         infinite = np.isinf(frequency)
         some = bool(np.any(infinite))
         finite = np.where(infinite, 0.0, frequency) if some else frequency
@@ -51,6 +54,7 @@ class FrequencyAxis:
         out = np.ascontiguousarray(out)
         if some:
             out[infinite] = self.system.D
+        out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
         return out
 
     def gains(self, frequency: FloatArray) -> FloatArray:

@@ -63,13 +63,14 @@ def perturbation(M: ComplexArray, Q: ComplexArray) -> ComplexArray:
     if largest == 0.0:
         return np.full(len(Q), np.inf + 0j)
     if np.abs(M.imag).max() <= 1e-13 * np.abs(M.real).max():
-        signs = np.sign(np.round((Q / largest * abs(largest)).real)) + 0j
-        real = _largest_eigenvalue(signs, M.real.astype(np.complex128))
+        # Eigenvalues of a matrix of real numbers: those on the real axis are real without rounding.
+        signs = np.sign(np.round((Q / largest * abs(largest)).real))
+        real = _largest_eigenvalue(signs, M.real)
         if abs(real) >= (1.0 - 1e-9) * abs(largest) and real.imag == 0.0:
-            return signs / real
+            return np.asarray(signs / real.real, dtype=np.complex128)
     return Q / largest
 
 
-def _largest_eigenvalue(Q: ComplexArray, M: ComplexArray) -> complex:
+def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArray) -> complex:
     eigenvalues = np.linalg.eigvals(Q[:, None] * M)
     return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
