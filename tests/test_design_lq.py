@@ -8,6 +8,7 @@ import pytest
 
 from platform_ctrl.analysis.norms import h2_norm
 from platform_ctrl.design.lq import lqe, lqg, lqr
+from platform_ctrl.design.pole_placement import pole_placement
 from platform_ctrl.errors import ArgumentError, IllPosedError, NotStabilisableError
 
 DOUBLE = control.ss([[0.0, 1], [0, 0]], [[0.0], [1]], [[1.0, 0]], 0)
@@ -42,9 +43,25 @@ def random_weights(seed, n, m):
     return W[:n, :n], W[n:, n:], W[:n, n:]
 
 
+@pytest.mark.parametrize("dt", [0, 0.1])
+def test_every_state_feedback_is_minus_the_gain_times_the_state(dt):
+    system = control.ss([[1.0, 0.1], [0.3, 1.2]], [[0.0], [1.0]], np.eye(2), 0, dt)
+    with_integrals = control.ss(system.A, system.B, [[1.0, 0.0]], 0, dt)
+    A = np.block([[system.A, np.zeros((2, 1))], [np.array([[1.0, 0.0, 1.0 if dt else 0.0]])]])
+    B = np.vstack([system.B, [[0.0]]])
+    quadratic, placed = lqr(system, np.eye(2), np.eye(1)), pole_placement(system, [0.2, 0.3] if dt else [-2.0, -3.0])
+    for K, a, b in (
+        (quadratic.state_gain, system.A, system.B),
+        (placed.state_gain, system.A, system.B),
+        (lqr(with_integrals, np.eye(2), np.eye(1), integral=np.eye(1)).state_gain, A, B),
+    ):
+        poles = np.linalg.eigvals(a - b @ K)
+        assert (np.abs(poles).max() < 1.0) if dt else (poles.real.max() < 0.0)
+
+
 def test_double_integrator_has_its_textbook_gains():
     feedback = lqr(DOUBLE, np.diag([1.0, 0.0]), np.eye(1))
-    np.testing.assert_allclose(feedback.state_gain, [[-1.0, -np.sqrt(2)]], rtol=1e-12)
+    np.testing.assert_allclose(feedback.state_gain, [[1.0, np.sqrt(2)]], rtol=1e-12)
     np.testing.assert_allclose(feedback.X, [[np.sqrt(2), 1], [1, np.sqrt(2)]], rtol=1e-12)
     estimator = lqe(DOUBLE, np.diag([0.0, 1.0]), np.eye(1))
     np.testing.assert_allclose(estimator.observer_gain, [[np.sqrt(2)], [1.0]], rtol=1e-12)
@@ -57,7 +74,7 @@ def test_gains_are_those_of_python_control(seed, dt):
     Q1, Q2, Q12 = random_weights(seed + 10, 5, 2)
     K, X, poles = (control.dlqr if dt else control.lqr)(system, Q1, Q2, Q12)
     ours = lqr(system, Q1, Q2, Q12)
-    np.testing.assert_allclose(ours.state_gain, -K, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(ours.state_gain, K, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(ours.X, X, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(np.sort_complex(ours.poles), np.sort_complex(poles), rtol=1e-6)
     R1, R2, _ = random_weights(seed + 20, 5, 3)
@@ -185,7 +202,7 @@ def test_gains_of_a_torquer_in_any_unit_are_the_closed_form(gain):
     # x'' = gain u with the weights 1: poles near -1 and -gain, six decades apart.
     system = control.ss([[0.0, 1], [0, 0]], [[0.0], [gain]], [[1.0, 0]], 0)
     feedback = lqr(system, np.eye(2), np.eye(1))
-    np.testing.assert_allclose(feedback.state_gain, [[-1.0, -np.sqrt(1.0 + 2.0 / gain)]], rtol=1e-9)
+    np.testing.assert_allclose(feedback.state_gain, [[1.0, np.sqrt(1.0 + 2.0 / gain)]], rtol=1e-9)
 
 
 def test_plants_without_states_or_measurements_are_refused():

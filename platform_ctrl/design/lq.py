@@ -4,8 +4,8 @@
     noise     x' = A x + B u + v1,  y = C x + D u + v2,  v1 and v2 white with intensities R1, R2 and R12 between them
               (sampled plants: x[k + 1] in place of x', covariances in place of intensities)
 
-No gain has a hidden minus: u = state_gain x. Solved in scaled units; each result is judged by the residual of its
-Riccati equation and the poles that it leads to.
+State feedback is u = −state_gain x, as in python-control; the controller of `lqg` is u = K y (positive feedback).
+Solved in scaled units; each result is judged by the residual of its Riccati equation and the poles that it leads to.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class StateFeedback:
     system
         The plant as given.
     state_gain : (m, n + p)
-        u = state_gain [x, xi], in the plant's units; xi (p,) are the integrals (sampled: sums) of y, where they are
-        asked for.
+        K of u = −K [x, xi], as `control.lqr`, in the plant's units; xi (p,) are the integrals (sampled: sums) of y,
+        where they are asked for.
     X : (n + p, n + p)
         The least cost from the state x is x' X x, in units of the cost.
     poles : complex (n + p,)
@@ -75,7 +75,7 @@ class StateFeedback:
         """
         arrays = state_arrays(self.system, "lqr")
         A, B = _integrated(arrays, self.integrals)
-        gain = static_gain(self.state_gain, arrays.dt)
+        gain = static_gain(-self.state_gain, arrays.dt)
         return stability_certificate(A, arrays.dt, B=B, C=np.eye(len(A)), controller=gain, label="state feedback")
 
 
@@ -132,7 +132,7 @@ class LqgDesign:
     Attributes
     ----------
     controller
-        u = K y, from the plant's outputs to its inputs, integrators included.
+        u = K y (positive feedback), from the plant's outputs to its inputs, integrators included.
     feedback, estimator
         The two parts.
     synthesis
@@ -168,7 +168,7 @@ class LqgDesign:
 def lqr(
     system: StateSpace, Q1: ArrayLike, Q2: ArrayLike, Q12: ArrayLike | None = None, integral: ArrayLike | None = None
 ) -> StateFeedback:
-    """State feedback u = state_gain x of least quadratic cost (`control.lqr` returns minus this gain).
+    """State feedback u = −state_gain x of least quadratic cost, with the sign of `control.lqr`.
 
     Parameters
     ----------
@@ -209,8 +209,8 @@ def lqr(
     >>> import control, numpy as np
     >>> from platform_ctrl import design
     >>> double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0)
-    >>> design.lqr(double_integrator, np.eye(2), [[1]]).state_gain.round(4)  # u = state_gain x
-    array([[-1.    , -1.7321]])
+    >>> design.lqr(double_integrator, np.eye(2), [[1]]).state_gain.round(4)  # u = -state_gain x
+    array([[1.    , 1.7321]])
     """
     arrays = state_arrays(system, "lqr")
     weights = judged_weights(
@@ -357,7 +357,7 @@ def _feedback(
     A, B, weights, p = _with_integrals(arrays, weights, integral, where)
     _require(A, B, np.eye(len(A)), arrays.dt, where, system)
     X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
-    return StateFeedback(system=system, state_gain=F, X=X, poles=poles, integrals=p, residual=residual)
+    return StateFeedback(system=system, state_gain=-F, X=X, poles=poles, integrals=p, residual=residual)
 
 
 def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
@@ -409,7 +409,7 @@ def _joined(
 ) -> tuple[Realisation, float]:
     """The controller from [y, its integrals] to u, with the estimate as its states, and the root of the least cost."""
     n = len(arrays.A)
-    X, F, Y, L = feedback.X, feedback.state_gain, estimator.Y, estimator.observer_gain
+    X, F, Y, L = feedback.X, -feedback.state_gain, estimator.Y, estimator.observer_gain
     Fx, Fi = F[:, :n], F[:, n:]
     W = weights.second + (plant.B2.T @ X @ plant.B2 if arrays.dt else 0.0)
     cost = float(np.trace(plant.B1.T @ X @ plant.B1) + np.trace(W @ Fx @ Y @ Fx.T))

@@ -2,7 +2,7 @@
 
     w ──►┌───┐──► z
          │ P │
-    u ┌─►└───┘──┐ y        u = K y, no hidden sign
+    u ┌─►└───┘──┐ y        u = K y (positive feedback)
       │  ┌───┐  │
       └──┤ K │◄─┘
          └───┘
