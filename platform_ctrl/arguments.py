@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -52,13 +55,51 @@ def real_numbers(name: str, given: object, more: str = "") -> FloatArray:
     ArgumentError
         Not numbers, complex ones, or rows of different lengths; `more` is what else is expected.
     """
+    return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)
+
+
+def complex_numbers(name: str, given: object, nan: bool = False) -> NDArray[np.complex128]:
+    """Return `given`, real or complex, as a complex128 array of any shape; it may be infinite and, with `nan`, NaN.
+
+    Raises
+    ------
+    ArgumentError
+        Not numbers, or NaN among them.
+    """
+    array = _numbers(name, given, "iufc", "numbers").astype(np.complex128, copy=False)
+    if not nan and np.isnan(array).any():
+        raise ArgumentError(f"{name} must be numbers, got NaN among them")
+    return array
+
+
+def _numbers(name: str, given: object, kinds: str, expected: str) -> NDArray[Any]:
     try:
         array = np.asarray(given)
-        if array.dtype.kind not in "iuf":
-            raise TypeError
-        return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {short(given)}; expected real numbers{more}") from None
+        if array.dtype.kind in kinds:
+            return array
+    except Exception:  # what numpy calls to read an object of another library may raise anything
+        pass
+    raise ArgumentError(f"{name}: given {short(given)}; expected {expected}")
+
+
+def number(name: str, given: object, finite: bool = True) -> float:
+    """Return a (finite) float: of a Python or numpy number, or an array without axes; not of a complex one or a bool.
+
+    Raises
+    ------
+    ArgumentError
+        Something else, not finite, or too large for a float.
+    """
+    real = isinstance(given, Real) and not isinstance(given, bool)
+    if not real and not (isinstance(given, np.ndarray) and given.ndim == 0 and given.dtype.kind in "iuf"):
+        raise ArgumentError(f"{name}: given {short(given)}; expected a number")
+    try:
+        out = float(given)  # type: ignore[arg-type]
+    except OverflowError:
+        raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
+    if finite and not math.isfinite(out):
+        raise ArgumentError(f"{name}: given {given!r}; expected a finite number")
+    return out
 
 
 def positive(name: str, given: float, zero: bool = False) -> float:
@@ -69,15 +110,24 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     ArgumentError
         Not a number, not finite, or too small.
     """
-    try:
-        number = float(given)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name}: given {short(given)}; expected a number") from None
-    except OverflowError:
-        raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
-    if not np.isfinite(number) or number < 0.0 or (number == 0.0 and not zero):
+    out = number(name, given, finite=False)
+    if not math.isfinite(out) or out < 0.0 or (out == 0.0 and not zero):
         raise ArgumentError(f"{name}: given {given!r}; expected a finite number {'>=' if zero else '>'} 0")
-    return number
+    return out
+
+
+def not_negative(name: str, given: ArrayLike, size: int) -> FloatArray:
+    """Return `size` finite numbers >= 0, all alike where one is given.
+
+    Raises
+    ------
+    ArgumentError
+        Something else.
+    """
+    array = real_numbers(name, given)
+    if array.shape not in ((), (size,)) or not np.isfinite(array).all() or (array < 0.0).any():
+        raise ArgumentError(f"{name} must be {size} finite numbers >= 0, or one for all, got {short(given)}")
+    return np.full(size, array)
 
 
 def whole(name: str, given: object, least: int, most: int | None = None) -> int:
@@ -93,6 +143,24 @@ def whole(name: str, given: object, least: int, most: int | None = None) -> int:
         expected = f">= {least}" if most is None else f"from {least} to {most}"
         raise ArgumentError(f"{name}: given {short(given)}; expected a whole number {expected}")
     return number
+
+
+def indices(name: str, given: Sequence[int] | None, size: int) -> list[int]:
+    """Return indices from 0 to `size` - 1, each at most once; None stands for all of them.
+
+    Raises
+    ------
+    ArgumentError
+        Something else in place of a sequence of whole numbers, an index outside, or one that occurs twice.
+    """
+    if given is None:
+        return list(range(size))
+    if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
+        raise ArgumentError(f"{name} must be a sequence of whole numbers, got {short(given)}")
+    out = [whole(name, one, 0, size - 1) for one in given]
+    if len(set(out)) < len(out):
+        raise ArgumentError(f"{name} must differ from one another, got {short(out)}")
+    return out
 
 
 def one_of(name: str, given: object, options: Sequence[str]) -> None:

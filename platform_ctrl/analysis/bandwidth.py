@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, frequencies, square_responses
 from platform_ctrl.analysis.axis import FrequencyAxis, largest
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -120,14 +121,24 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
         rad/s, interpolated on logarithmic axes; the first frequency if S is that large there already, the
         last if it never gets there.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Frequencies that do not rise, or shapes that do not fit.
 
     References
     ----------
     As `bandwidth`.
     """
+    frequency = frequencies(frequency, "bandwidth_of_response")
+    S = square_responses("bandwidth_of_response: S", S)
+    if S.ndim < 3 or S.shape[-3] != frequency.size or frequency.size < 2:
+        raise ArgumentError(
+            f"bandwidth_of_response: S must be (..., {max(frequency.size, 2)}, m, m), a matrix for each frequency, "
+            f"got {S.shape}"
+        )
+    if frequency[0] <= 0.0 or not (np.diff(frequency) > 0.0).all():
+        raise ArgumentError("bandwidth_of_response: frequency must be above zero and rise")
     sizes = largest(S) / LEVEL
     above = sizes >= 1.0
     first = np.argmax(above, axis=-1)

@@ -20,8 +20,17 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays, state_space
+from platform_ctrl.analysis.arrays import (
+    ComplexArray,
+    StateArrays,
+    batch_shape,
+    frequencies,
+    state_arrays,
+    state_space,
+    system_arrays,
+)
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.arguments import indices, number, one_of
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -219,16 +228,24 @@ def series_arrays(
     A, B, C, D : (..., n1 + n2, n1 + n2), ...
         States of system 1, then of system 2, in their units.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Shapes that do not fit, or numbers that are not finite.
 
     References
     ----------
     Textbook definition.
     """
+    A1, B1, C1, D1, _ = system_arrays("series_arrays", A1, B1, C1, D1, suffix="1")
+    A2, B2, C2, D2, _ = system_arrays("series_arrays", A2, B2, C2, D2, suffix="2")
+    if D2.shape[-1] != D1.shape[-2]:
+        raise ArgumentError(
+            f"series_arrays: D2 must have {D1.shape[-2]} columns to fit D1 {D1.shape[-2:]}, got {D2.shape[-2:]}"
+        )
+    sign = number("series_arrays: sign", sign)
     n1, n2 = A1.shape[-1], A2.shape[-1]
-    batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A1, B1, C1, D1, A2, B2, C2, D2)))
+    batch = batch_shape("series_arrays", A1, B1, C1, D1, A2, B2, C2, D2)
     A = np.zeros((*batch, n1 + n2, n1 + n2))
     A[..., :n1, :n1] = A1
     A[..., n1:, :n1] = B2 @ C1
@@ -276,17 +293,21 @@ def closed_loop_arrays(
     Raises
     ------
     ArgumentError
-        If I - D_K D_P is singular for one of the plants.
+        Shapes that do not fit, numbers that are not finite, or I - D_K D_P is singular for one of the plants.
 
     References
     ----------
     As `closed_loop`.
     """
+    where = "closed_loop_arrays"
+    A, B, C, D, _ = system_arrays(where, A, B, C, D)
+    A_K, B_K, C_K, D_K, _ = system_arrays(where, A_K, B_K, C_K, D_K, suffix="_K")
     m, p = B.shape[-1], C.shape[-2]
-    at = list(range(m)) if torques is None else list(torques)
-    seen = list(range(p)) if angles is None else list(angles)
+    at, seen = indices(f"{where}: torques", torques, m), indices(f"{where}: angles", angles, p)
     n, n_K, k, q = A.shape[-1], A_K.shape[-1], len(at), len(seen)
-    batch = np.broadcast_shapes(*(item.shape[:-2] for item in (A, B, C, D, A_K, B_K, C_K, D_K)))
+    if D_K.shape[-2:] != (k, q):
+        raise ArgumentError(f"{where}: D_K must be {(k, q)}, torques by angles of the plant, got {D_K.shape[-2:]}")
+    batch = batch_shape(where, A, B, C, D, A_K, B_K, C_K, D_K)
     # u and y as functions of [x, x_K, d, n]: u = E (C_K x_K + D_K (C x + D d + n)), y = C x + D (d + u).
     direct = np.zeros((*batch, q, n + n_K + m + q))
     direct[..., :n] = C[..., seen, :]
@@ -325,8 +346,7 @@ def _solve_algebraic_loop(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _checked(at: str) -> str:
-    if at not in ("input", "output"):
-        raise ArgumentError(f"at = {at!r}, expected 'input' or 'output'")
+    one_of("at", at, ("input", "output"))
     return at
 
 

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays, system_arrays
 from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -98,14 +99,19 @@ def hinf_norm_arrays(
     norm, frequency
         In the system's units, and rad/s.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Shapes that do not fit, or numbers that are not finite.
 
     References
     ----------
     As `hinf_norm`.
     """
+    A, B, C, D, dt = system_arrays("hinf_norm_arrays", A, B, C, D, dt)
+    tolerance = positive("hinf_norm_arrays: tolerance", tolerance)
+    if not (A.ndim == B.ndim == C.ndim == D.ndim == 2):
+        raise ArgumentError("hinf_norm_arrays: A, B, C, D must be matrices of one system, got a stack of several")
     if B.shape[-1] == 0 or C.shape[-2] == 0:
         return 0.0, 0.0
     if A.shape[-1] == 0:
@@ -296,10 +302,7 @@ def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
     if dt == 0.0:
         raise ArgumentError("noise_rms: the system is continuous, expected dt > 0; sample it first")
     m = B.shape[1]
-    size = np.asarray(rms, dtype=np.float64)
-    if size.shape not in ((), (m,)) or not np.all(np.isfinite(size)) or np.any(size < 0.0):
-        raise ArgumentError(f"noise_rms: rms has shape {size.shape}, expected {m} finite numbers >= 0")
-    out = noise_rms_arrays(A, B, C, D, np.broadcast_to(size, (m,)))
+    out = noise_rms_arrays(A, B, C, D, not_negative("noise_rms: rms", rms, m))
     if not np.all(np.isfinite(out)):
         raise ArgumentError("noise_rms: the system is not stable, so its rms grows without bound")
     return out
@@ -320,14 +323,17 @@ def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     (..., p)
         In the units of the outputs; inf where a system is not stable.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Shapes that do not fit, numbers that are not finite, or an `rms` below zero.
 
     References
     ----------
     As `noise_rms`.
     """
+    A, B, C, D, _ = system_arrays("noise_rms_arrays", A, B, C, D)
+    rms = not_negative("noise_rms_arrays: rms", rms, B.shape[-1])
     A, B, C = scaled(A, B, C)
     driven = B * rms
     X = stationary_covariance(A, driven)

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled, state_arrays
+from platform_ctrl.arguments import complex_numbers, number, positive, real_numbers, short
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
@@ -80,14 +82,18 @@ def pole_arrays(A: FloatArray) -> ComplexArray:
     complex (..., n)
         Eigenvalues in the units of A.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not square matrices of finite real numbers.
 
     References
     ----------
     Textbook definition.
     """
+    A = real_numbers("pole_arrays: A", A)
+    if A.ndim < 2 or A.shape[-1] != A.shape[-2] or not all_finite(A):
+        raise ArgumentError(f"pole_arrays: A must be square matrices of finite numbers, got shape {A.shape}")
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
 
 
@@ -106,17 +112,18 @@ def continuous_poles(poles: ComplexArray, dt: float) -> ComplexArray:
     complex (..., n)
         rad/s, |Im s| <= π/dt; ``-inf`` for z = 0.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not numbers, or NaN among them; `dt` below zero.
 
     References
     ----------
     K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 2.
     """
+    z, dt = complex_numbers("continuous_poles: poles", poles), positive("continuous_poles: dt", dt, zero=True)
     if dt == 0.0:
-        return np.asarray(poles, dtype=np.complex128)
-    z = np.asarray(poles, dtype=np.complex128)
+        return z
     # By parts: no complex infinities with undefined angles, and no digits lost next to z = 1.
     with np.errstate(divide="ignore"):
         growth = np.where(
@@ -143,15 +150,16 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
     (..., n)
         Dimensionless, from -1 to 1.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not numbers along at least one axis, or NaN among them.
 
     References
     ----------
     As `damping`.
     """
-    s = np.asarray(poles, dtype=np.complex128)
+    s = complex_numbers("damping_ratio: poles", poles)
     size = np.abs(s)
     plain = np.isfinite(size) & (size > 0.0)
     out = np.where(np.isinf(size), 1.0, 0.0)
@@ -211,17 +219,25 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
     (...)
         Dimensionless, from -1 to 1; 1 where no pole is that fast.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not numbers along at least one axis, or NaN among them; `above` or `dt` below zero.
 
     References
     ----------
     As `damping`.
     """
-    s = continuous_poles(poles, dt)
+    s, above = continuous_poles(poles, dt), positive("minimum_damping: above", above, zero=True)
     counts = (np.abs(s) > above) | (s.real > 0.0)
     out: FloatArray = np.where(counts, damping_ratio(s), 1.0).min(axis=-1, initial=1.0)
+    return out
+
+
+def _judged(poles: ComplexArray, where: str) -> ComplexArray:
+    out = complex_numbers(f"{where}: poles", poles)
+    if out.ndim == 0:
+        raise ArgumentError(f"{where}: poles must be an array of poles, got the number {short(poles)}")
     return out
 
 
@@ -238,15 +254,16 @@ def spectral_radius(poles: ComplexArray) -> FloatArray:
     (...)
         Dimensionless.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not numbers along at least one axis, or NaN among them.
 
     References
     ----------
     Textbook definition.
     """
-    out: FloatArray = np.abs(poles).max(axis=-1, initial=0.0)
+    out: FloatArray = np.abs(_judged(poles, "spectral_radius")).max(axis=-1, initial=0.0)
     return out
 
 
@@ -263,15 +280,16 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     (...)
         In the units of the poles.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Not numbers along at least one axis, or NaN among them.
 
     References
     ----------
     Textbook definition.
     """
-    out: FloatArray = np.real(poles).max(axis=-1, initial=-np.inf)
+    out: FloatArray = _judged(poles, "spectral_abscissa").real.max(axis=-1, initial=-np.inf)
     return out
 
 
@@ -293,11 +311,11 @@ def is_stable(system: control.StateSpace, margin: float = 0.0) -> bool:
     Raises
     ------
     ArgumentError
-        `system` is not a `control.StateSpace` of finite numbers.
+        `system` is not a `control.StateSpace` of finite numbers, or `margin` no finite number.
 
     References
     ----------
     Textbook definition.
     """
     dt = state_arrays(system, "is_stable").dt
-    return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -margin)
+    return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))

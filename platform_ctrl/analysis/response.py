@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
+from platform_ctrl.arguments import complex_numbers, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -97,15 +98,19 @@ def frequency_response_arrays(
     complex (..., N, p, m)
         In the system's units; inf where a frequency coincides with a pole.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Shapes that do not fit, or numbers that are not finite.
 
     References
     ----------
     As `frequency_response`.
     """
-    return np.moveaxis(_whole(A, B, C, D, dt, frequency, tolerated), -1, -3)
+    where = "frequency_response_arrays"
+    system = system_arrays(where, A, B, C, D, dt)
+    tolerated = positive(f"{where}: tolerated", tolerated)
+    return np.moveaxis(_whole(*system, frequencies(frequency, where), tolerated), -1, -3)
 
 
 def _whole(
@@ -190,15 +195,20 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     complex (..., N, p, m)
         In the system's units; inf where z is an eigenvalue of A.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Shapes that do not fit, or numbers that are not finite.
 
     References
     ----------
     As `frequency_response`.
     """
-    return np.moveaxis(_responses(A, None, B, C, D, z), -1, -3)
+    A, B, C, D, _ = system_arrays("response_arrays", A, B, C, D)
+    points = complex_numbers("response_arrays: z", z)
+    if points.ndim != 1 or not np.isfinite(points).all():
+        raise ArgumentError(f"response_arrays: z must be a vector of finite numbers, got shape {points.shape}")
+    return np.moveaxis(_responses(A, None, B, C, D, points), -1, -3)
 
 
 def _responses(

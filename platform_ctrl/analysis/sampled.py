@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, scaled, state_arrays, state_scaling, state_space
-from platform_ctrl.arguments import positive
+from platform_ctrl.analysis.arrays import StateArrays, scaled, state_arrays, state_scaling, state_space, system_arrays
+from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
@@ -98,12 +98,13 @@ def sampled_arrays(
     Raises
     ------
     ArgumentError
-        `period`, `delay` or `lag` make no sense.
+        Shapes do not fit, numbers are not finite, or `period`, `delay` or `lag` make no sense.
 
     References
     ----------
     As `sampled`.
     """
+    A, B, C, D, _ = system_arrays("sampled_arrays", A, B, C, D)
     return _sampled(A, B, C, D, period, delay, lag)[:4]
 
 
@@ -113,10 +114,7 @@ def _sampled(
     period = positive("sampled: period", period)
     delay = positive("sampled: delay", delay, zero=True)
     m = B.shape[-1]
-    lags = np.zeros(m) if lag is None else np.asarray(lag, dtype=np.float64)
-    if lags.shape not in ((), (m,)) or not np.all(np.isfinite(lags)) or np.any(lags < 0.0):
-        raise ArgumentError(f"sampled: lag = {lag!r}, expected one time constant >= 0 in s for each of {m} inputs")
-    lags = np.full(m, lags)
+    lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
     A, B, C, D = with_lag(A, B, C, D, lags)
 
     whole = math.floor(delay / period + 1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, square_responses
 
 
 def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -20,11 +20,12 @@ def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     Returns
     -------
     S, T : complex (..., m, m)
-        Dimensionless; inf where I + L is singular.
+        Dimensionless; inf in a matrix where I + L is singular or not a number.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        `loop` is not square matrices of numbers.
 
     References
     ----------
@@ -32,6 +33,7 @@ def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """
     from platform_ctrl.analysis.sensitivity_kernel import invert
 
+    loop = square_responses("sensitivities: loop", loop, nan=True)
     eye = np.eye(loop.shape[-1])
     S = np.ascontiguousarray(eye + loop, dtype=np.complex128)
     invert(S.reshape(-1, *S.shape[-2:]))
