@@ -1,6 +1,6 @@
 """Fixed structure beside published norms and beside the full order: what simplicity costs, and how long it takes.
 
-    python benchmarks/structured.py [--problems AC3,HE4] [--starts 16] [--time-limit 60] [--no-static] [--no-pid]
+    python benchmarks/structured.py [--problems AC3,HE4] [--starts 16] [--evaluations 16000] [--no-static] [--no-pid]
 
 Static output feedback on problems of COMPleib (tests/data/compleib.json: numbers, their source and what `best` and
 `hifoo` are), and PID controllers on the weighted plants of the main job, where the full-order bound is that of the
@@ -48,7 +48,7 @@ def compleib(problem: dict[str, Any]) -> control.StateSpace:
     )
 
 
-def static_rows(names: list[str], starts: int, time_limit: float) -> bool:
+def static_rows(names: list[str], starts: int, evaluations: int) -> bool:
     """Print static output feedback beside the values of the file; return whether all are within the allowed excess."""
     problems = json.loads(PROBLEMS.read_text())["problems"]
     print(f"{'static gains':<10}{'best':>12}{'hifoo':>10}{'ours':>13}{'over best':>11}{'over hifoo':>11}", end="")
@@ -60,7 +60,7 @@ def static_rows(names: list[str], starts: int, time_limit: float) -> bool:
         nmeas, ncon = len(problem["C"]), len(problem["B"][0])
         began = time.perf_counter()
         try:
-            r = structured(P, nmeas, ncon, structure=Static(), starts=starts, time_limit=time_limit)
+            r = structured(P, nmeas, ncon, structure=Static(), starts=starts, evaluations=evaluations)
         except PlatformCtrlError as error:
             print(f"{name:<10}{error}")
             met = False
@@ -87,7 +87,7 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
     return out
 
 
-def pid_rows(starts: int, time_limit: float) -> bool:
+def pid_rows(starts: int, evaluations: int) -> bool:
     """Print PID controllers beside the full order; return whether every target is met."""
     print(
         f"\n{'PID, job':<14}{'structure':<10}{'numbers':>8}{'full order':>12}"
@@ -106,7 +106,8 @@ def pid_rows(starts: int, time_limit: float) -> bool:
             kinds["cross PI"] = PID(P="full", I="cross", D="diagonal", fixed=early, tied=tied, **kept)
         for kind, structure in kinds.items():
             began = time.perf_counter()
-            r = structured(P, weighted.size, weighted.size, structure=structure, starts=starts, time_limit=time_limit)
+            size = weighted.size
+            r = structured(P, size, size, structure=structure, starts=starts, evaluations=evaluations)
             taken = time.perf_counter() - began
             asked = TARGETS[name, kind]
             free = len(r.parameters) - len(structure.fixed) - sum(len(group) - 1 for group in structure.tied)
@@ -124,16 +125,16 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=16, help="starts of a static problem")
     parser.add_argument("--pid-starts", type=int, default=4)
-    parser.add_argument("--time-limit", type=float, default=60.0, help="s, of a static problem")
+    parser.add_argument("--evaluations", type=int, default=16000, help="of all starts of a problem")
     parser.add_argument("--no-static", action="store_true")
     parser.add_argument("--no-pid", action="store_true")
     chosen = parser.parse_args()
     met = []
     if not chosen.no_static:
         names = [name for name in chosen.problems.split(",") if name]
-        met.append(("static", static_rows(names, chosen.starts, chosen.time_limit)))
+        met.append(("static", static_rows(names, chosen.starts, chosen.evaluations)))
     if not chosen.no_pid:
-        met.append(("PID", pid_rows(chosen.pid_starts, 10.0)))
+        met.append(("PID", pid_rows(chosen.pid_starts, chosen.evaluations)))
     print("\n" + ", ".join(f"{name}: {'every' if good else 'not every'} target met" for name, good in met))
 
 

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import itertools
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from platform_ctrl.design.structured.objective import WorstNorm
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.power import WorstPower
 from platform_ctrl.design.structured.structures import Units
-from platform_ctrl.errors import ArgumentError, InfeasibleError, NotStabilisableError
+from platform_ctrl.errors import ArgumentError, InfeasibleError, NotStabilisableError, TimeLimitWarning
 from platform_ctrl.requirements import requirement
 
 PROBLEMS = json.loads((Path(__file__).parent / "data" / "compleib.json").read_text())["problems"]
@@ -260,6 +262,40 @@ def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pyt
     assert len(lines) == 4
 
 
+def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    P, nmeas, ncon = problem("AC17")
+    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60, "processes": 1}
+    found = design.structured(P, nmeas, ncon, **asked)
+    hours = itertools.count(0.0, 3600.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(hours))
+    slow = design.structured(P, nmeas, ncon, **asked)
+    assert np.array_equal(slow.controller.D, found.controller.D)
+    assert [s.evaluations for s in slow.searches] == [s.evaluations for s in found.searches]
+    assert max(s.evaluations for s in slow.searches) <= 60 // 3
+    assert not slow.cut
+    # A limit of time is another matter: it is said that the result depends on it.
+    with pytest.warns(TimeLimitWarning, match="depends on the load"):
+        cut = design.structured(P, nmeas, ncon, time_limit=9 * 3600.0, **asked)
+    assert cut.cut
+    assert not cut.finished
+
+
+def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    from platform_ctrl.design.side_process import Ended
+    from platform_ctrl.design.structured import side_by_side
+
+    def dies(*_: object) -> None:
+        raise Ended
+
+    P, nmeas, ncon = problem("AC17")
+    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60}
+    alone = design.structured(P, nmeas, ncon, processes=1, **asked)
+    monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
+    monkeypatch.setattr(side_by_side, "SideProcess", dies)
+    found = design.structured(P, nmeas, ncon, processes=2, **asked)
+    assert [s.value for s in found.searches] == [s.value for s in alone.searches]
+
+
 def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:
     noise, disturbance = (
         Channel(inputs=("n1", "n2"), outputs=("q1", "q2")),
@@ -312,6 +348,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
         ({"structure": "PID"}, "expected a structure such as"),
         ({"structure": design.Static(), "starts": 0}, "expected a whole number"),
         ({"structure": design.Static(), "time_limit": -1.0}, "expected a positive number of seconds"),
+        ({"structure": design.Static(), "evaluations": 0.5}, "expected a whole number"),
         ({"structure": design.Static(fixed={"k13": 1.0})}, "k13"),
         ({"structure": design.Static(bounds={"k11": (2.0, 1.0)})}, "expected lower < upper"),
         ({"structure": design.Static(tied=(("k11",),))}, "groups of two names or more"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from platform_ctrl.design.partition import Partition, Realisation, whole
 from platform_ctrl.design.synthesis import Synthesis, hinf
-from platform_ctrl.errors import DesignError
+from platform_ctrl.errors import DesignError, TimeLimitError
 from platform_ctrl.frozen import value
 
 if TYPE_CHECKING:
@@ -32,17 +32,20 @@ class Bound:
         How it was found, or why not.
     controllers
         Some near it and some far from it, in the w-plane where the plant is sampled.
+    cut
+        Whether the time limit ended a computation.
     """
 
     gamma: float
     source: str
     controllers: tuple[Realisation, ...]
+    cut: bool = False
 
 
 def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
     """Return the full-order bound of a continuous (or w-plane) plant, in the H2 norm where `power`."""
     P = _system(plant)
-    failures = []
+    failures, cut = [], False
     for method in ("riccati", "lmi"):
         if method == "lmi" and len(plant.A) > _LMI_STATES:
             failures.append(f"lmi: more than {_LMI_STATES} states")
@@ -51,16 +54,18 @@ def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
             found = _designed(P, plant, power, method, time_limit)
         except DesignError as error:
             failures.append(str(error))
+            cut = cut or isinstance(error, TimeLimitError)
             continue
         more = () if power or method == "lmi" else _simpler(P, plant, None)
         return Bound(
             gamma=found.gamma_optimal,
             source=f"{'H2' if power else 'H-infinity'} of full order, {method}",
             controllers=(_realised(found), *more),
+            cut=cut,
         )
     # No bound then, but something to start from.
     more = () if power else _simpler(P, plant, 1e-2)
-    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controllers=more)
+    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controllers=more, cut=cut)
 
 
 def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:

@@ -51,7 +51,9 @@ class Minimum:
     evaluations
         How often pieces were asked for.
     finished
-        Whether it ended by itself and not by the limit of time or of evaluations.
+        Whether it ended by itself and not by its evaluations or its deadline.
+    late
+        Whether the deadline ended it.
     history
         Largest piece after every accepted step.
     """
@@ -62,6 +64,7 @@ class Minimum:
     stability: float
     evaluations: int
     finished: bool
+    late: bool
     history: tuple[float, ...]
 
     @property
@@ -70,8 +73,8 @@ class Minimum:
         return self.stability < 0.0
 
 
-class _OutOfTime(Exception):
-    pass
+class _Stopped(Exception):
+    """The evaluations are used up, or the deadline is over."""
 
 
 class _Search:
@@ -98,14 +101,15 @@ class _Search:
         self.curvature, self.walls, self.wall_curvature = curvature, walls, wall_curvature
         self.lower, self.upper = lower, upper
         self.sharpened, self.watch = sharpened, watch
-        self.left, self.spent, self.deadline = evaluations, 0, deadline
+        self.left, self.spent, self.deadline, self.late = evaluations, 0, deadline, False
         self.target = target
         self.progress = progress
         self.history: list[float] = []
 
     def ask(self, function: Pieces, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self.spent >= self.left or time.monotonic() > self.deadline:
-            raise _OutOfTime
+        self.late = self.late or time.monotonic() > self.deadline
+        if self.late or self.spent >= self.left:
+            raise _Stopped
         self.spent += 1
         return function(x)
 
@@ -140,7 +144,7 @@ def minimise(
     settling: int = 400,
     descent: int = 400,
     radius: float = 1.0,
-    time_limit: float = np.inf,
+    deadline: float = np.inf,
     progress: Callable[[float], None] | None = None,
 ) -> Minimum:
     """Minimise the largest of `pieces` where every `stability` piece is negative and every `hard` piece at most one.
@@ -173,8 +177,10 @@ def minimise(
         End as soon as the largest piece is not above it (and no hard piece above one).
     tolerance
         Relative decrease, predicted by the model, at which the search ends.
-    evaluations, settling, descent, time_limit
-        Most evaluations in all, most iterations of the phases to stability and of descent, longest time, s.
+    evaluations, settling, descent
+        Most evaluations in all, most iterations of the phases to stability and of descent.
+    deadline
+        Time by `time.monotonic`, s, at which the search ends in any case.
     radius
         First trust region of the polish.
     progress
@@ -200,7 +206,7 @@ def minimise(
         sharpened,
         watch,
         evaluations,
-        time.monotonic() + time_limit,
+        deadline,
         target,
         progress,
     )
@@ -216,7 +222,7 @@ def minimise(
             if hard is None or np.max(hard(x)[0]) <= 1.0:
                 x = best = _descended(search, _priced(search), x, target, descent, search.note)
             x = best = _polished(search, x, tolerance, radius)
-    except _OutOfTime as ended:
+    except _Stopped as ended:
         finished = False
         best = ended.args[0] if ended.args else best
     return _judged(search, best, finished)
@@ -235,6 +241,7 @@ def _judged(search: _Search, x: FloatArray, finished: bool) -> Minimum:
         stability=abscissa,
         evaluations=search.spent,
         finished=finished,
+        late=search.late,
         history=tuple(search.history),
     )
 
@@ -348,8 +355,8 @@ def _descended(
             recent.append(level)
             if len(recent) > 25 and recent[-25] - level < 1e-5 * abs(level):
                 break
-    except _OutOfTime:
-        raise _OutOfTime(best) from None
+    except _Stopped:
+        raise _Stopped(best) from None
     return best
 
 
@@ -468,8 +475,8 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 near = new_values > merit - 0.5 * predicted
                 shift = np.maximum(seen - float(np.max(values)), 0.0)
                 cuts.append(((seen - shift)[near], new_gradients[near]))
-    except _OutOfTime:
-        raise _OutOfTime(x) from None
+    except _Stopped:
+        raise _Stopped(x) from None
     return x
 
 

@@ -68,7 +68,9 @@ class StructuredDesign:
     searches
         One record for every start that had its turn, in their order.
     finished
-        Whether every start had its turn and ended by itself.
+        Whether every start had its turn and ended by itself, not by its evaluations or by the time limit.
+    cut
+        Whether the time limit ended the search: at another load of the machine the result is another one.
     outcomes
         The requirements held against every closed loop, where any were given; those of the first plant first.
 
@@ -91,6 +93,7 @@ class StructuredDesign:
     poles: tuple[ComplexArray, ...]
     searches: tuple[SearchRecord, ...]
     finished: bool
+    cut: bool
     outcomes: tuple[CheckResult, ...] = ()
     _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
 

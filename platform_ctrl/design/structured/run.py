@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -84,8 +83,8 @@ class Outcome:
         [A_K, B_K; C_K, D_K].
     value, hard, stability
         As in `minimax.Minimum`.
-    evaluations, seconds, finished
-        What was spent, and whether the search ended by itself.
+    evaluations, seconds, finished, late
+        What was spent, whether the search ended by itself, and whether the deadline ended it.
     """
 
     x: FloatArray
@@ -96,6 +95,7 @@ class Outcome:
     evaluations: int
     seconds: float
     finished: bool
+    late: bool
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -107,20 +107,37 @@ class Outcome:
         return 0.0, self.value
 
 
-def searched(
-    problem: Problem, start: FloatArray, time_limit: float, progress: Callable[[float], None] | None = None
-) -> Outcome:
+@value
+class Limits:
+    """How far a search goes.
+
+    Attributes
+    ----------
+    evaluations
+        Most evaluations of the closed loops.
+    deadline
+        Time by `time.monotonic`, s.
+    """
+
+    evaluations: int
+    deadline: float = np.inf
+
+    def after(self, spent: int) -> Limits:
+        """Return what is left."""
+        return Limits(evaluations=min(_EVALUATIONS, self.evaluations - spent), deadline=self.deadline)
+
+
+def searched(problem: Problem, start: FloatArray, limits: Limits) -> Outcome:
     """Return what the search from `start` (search coordinates, or M where there is no pattern) finds."""
     began = time.monotonic()
     if problem.structured is not None:
-        return _patterned(problem, problem.structured, start, began, time_limit, progress)
+        return _patterned(problem, problem.structured, start, began, limits)
     M, best, spent = start, None, 0
     for cosine in _COSINES:
         last = np.inf
         for _ in range(_CHARTS):
             chart = Chart(M, *problem.units, cosine)
-            left = time_limit - (time.monotonic() - began)
-            least, moved = _minimised(problem, chart, np.zeros(M.size), None, left, progress)
+            least, moved = _minimised(problem, chart, np.zeros(M.size), None, limits.after(spent))
             spent += least.evaluations
             M = chart.matrix(least.x)
             if best is None or not best[0].stable or least.value < best[0].value:
@@ -134,28 +151,21 @@ def searched(
     return _outcome(best[1], best[0], spent, began, plain=True)
 
 
-def _patterned(
-    problem: Problem,
-    whole: Parametrised,
-    start: FloatArray,
-    began: float,
-    time_limit: float,
-    progress: Callable[[float], None] | None,
-) -> Outcome:
+def _patterned(problem: Problem, whole: Parametrised, start: FloatArray, began: float, limits: Limits) -> Outcome:
     """Return the outcome of a search among the numbers of a structure, in coordinates that are scaled anew."""
     bounds = whole.lower, whole.upper
     x, spent, last = start, 0, np.inf
     # First to stability, as far as there is no slope to scale by.
     curved = _curved(problem)
-    least = _minimised(problem, whole, x, bounds, time_limit, progress, np.inf if curved else -np.inf)[0]
+    least = _minimised(problem, whole, x, bounds, limits.after(0), np.inf if curved else -np.inf)[0]
     for _ in range(_ROUNDS if curved else 0):
         level = least.value if least.hard <= 1.0 + _TOUCHING else np.inf
         if not (least.finished and least.stable) or not (level < last * (1.0 - _WORTHWHILE) or level == np.inf):
             break
         spent, x, last = spent + least.evaluations, least.x, level
         inner = Rescaled(whole, x, step_sizes(*WorstNorm(problem.soft[0].plants, whole).pieces(x)))
-        left = time_limit - (time.monotonic() - began)
-        found = _minimised(problem, inner, np.zeros(x.size), inner.within(*bounds), left, progress, radius=_FIRST)[0]
+        left = limits.after(spent)
+        found = _minimised(problem, inner, np.zeros(x.size), inner.within(*bounds), left, radius=_FIRST)[0]
         least = dataclasses.replace(found, x=np.clip(inner.outer(found.x), *bounds))
     return _outcome(whole.matrix(least.x), least, spent + least.evaluations, began)
 
@@ -175,6 +185,7 @@ def _outcome(M: FloatArray, least: Minimum, evaluations: int, began: float, plai
         evaluations=evaluations,
         seconds=time.monotonic() - began,
         finished=least.finished,
+        late=least.late,
     )
 
 
@@ -183,8 +194,7 @@ def _minimised(
     controller: Parametrisation,
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None,
-    time_limit: float,
-    progress: Callable[[float], None] | None,
+    limits: Limits,
     target: float = -np.inf,
     radius: float = 1.0,
 ) -> tuple[Minimum, bool]:
@@ -206,11 +216,10 @@ def _minimised(
         sharpened=None if curved is None else curved.sharpened,
         watch=None if curved is None else curved.watch,
         target=target,
-        time_limit=time_limit,
+        deadline=limits.deadline,
         descent=200 if curved is None else 0,
-        evaluations=_EVALUATIONS,
+        evaluations=limits.evaluations,
         radius=radius,
-        progress=progress,
     )
     return least, bool(np.any(least.x != start))
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from platform_ctrl.design.lmi import worker
 from platform_ctrl.design.side_process import Ended, Late, SideProcess
-from platform_ctrl.design.structured.run import Outcome, Problem, searched
+from platform_ctrl.design.structured.run import Limits, Outcome, Problem, searched
 from platform_ctrl.frozen import FloatArray
 
 # Work below this is done sooner here than processes start, s.
 _WORTH_PROCESSES = 4.0
-# Longest time beyond its limit that a search gets before its process is killed, s.
+# Longest time beyond its deadline that a search gets before its process is killed, s.
 _GRACE = 5.0
 _POLL = 0.1
 
@@ -26,27 +26,31 @@ Report = Callable[[int, Outcome | None], None]
 
 
 def side_by_side(
-    problem: Problem, starts: Sequence[FloatArray], time_limit: float, processes: int | None, report: Report
-) -> tuple[list[Outcome | None], bool]:
-    """Return the outcome of every start, None where the time was over before its turn, and whether all had theirs.
+    problem: Problem, starts: Sequence[FloatArray], limits: Limits, processes: int | None, report: Report
+) -> list[Outcome | None]:
+    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn.
 
-    What a search finds does not depend on how many processes there are.
+    What a search finds does not depend on how many processes there are, nor on the order in which they end.
     """
-    end = time.monotonic() + time_limit
     count = min(processes or os.cpu_count() or 1, len(starts))
     out: list[Outcome | None] = [None] * len(starts)
     began = time.monotonic()
     k = 0
-    while k < len(starts) and time.monotonic() < end:
-        out[k] = searched(problem, starts[k], end - time.monotonic())
+    while k < len(starts) and time.monotonic() < limits.deadline:
+        out[k] = searched(problem, starts[k], limits)
         report(k, out[k])
         k += 1
         spent = time.monotonic() - began
         if count > 1 and spent / k * (len(starts) - k) > _WORTH_PROCESSES:
             break
-    if k < len(starts) and time.monotonic() < end:
-        _in_processes(problem, starts, out, k, end, count, report)
-    return out, all(one is not None for one in out)
+    if k < len(starts):
+        _in_processes(problem, starts, out, k, limits, count, report)
+    # A process may die, as when memory is short; its start is searched from here then.
+    for k in range(len(starts)):
+        if out[k] is None and time.monotonic() < limits.deadline:
+            out[k] = searched(problem, starts[k], limits)
+            report(k, out[k])
+    return out
 
 
 def _in_processes(
@@ -54,7 +58,7 @@ def _in_processes(
     starts: Sequence[FloatArray],
     out: list[Outcome | None],
     first: int,
-    end: float,
+    limits: Limits,
     count: int,
     report: Report,
 ) -> None:
@@ -62,14 +66,14 @@ def _in_processes(
     waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
     for k in range(first, len(starts)):
         waiting.put(k)
-    done: queue.SimpleQueue[tuple[int, Outcome | None] | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[int, Outcome] | None] = queue.SimpleQueue()
     running: list[SideProcess] = []
     stopped = threading.Event()
 
     def work() -> None:
         side: SideProcess | None = None
         try:
-            while not stopped.is_set() and time.monotonic() < end:
+            while not stopped.is_set() and time.monotonic() < limits.deadline:
                 try:
                     k = waiting.get_nowait()
                 except queue.Empty:
@@ -78,13 +82,12 @@ def _in_processes(
                     if side is None:
                         side = SideProcess(inspect.getsource(worker), f"{searched.__module__}:answered")
                         running.append(side)
-                    left = max(end - time.monotonic(), 0.0)
-                    question = {"problem": problem, "start": np.asarray(starts[k]), "time_limit": left}
-                    done.put((k, side.ask(question, left + _GRACE).get("outcome")))
+                    question = {"problem": problem, "start": np.asarray(starts[k]), "limits": limits}
+                    answer = side.ask(question, limits.deadline - time.monotonic() + _GRACE)
+                    if "outcome" in answer:
+                        done.put((k, answer["outcome"]))
                 except (Ended, Late, OSError):
-                    # One start less; the next gets a new process.
                     side = None
-                    done.put((k, None))
         finally:
             done.put(None)
 

@@ -7,6 +7,8 @@ judged by the closed loops of the plants as given, and set beside what a control
 
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -18,11 +20,12 @@ from platform_ctrl.design.structured.bound import Bound, full_order
 from platform_ctrl.design.structured.norm import augmented
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.result import SearchRecord, StructuredDesign
-from platform_ctrl.design.structured.run import Goal, Outcome, Problem
+from platform_ctrl.design.structured.run import Goal, Limits, Outcome, Problem
 from platform_ctrl.design.structured.side_by_side import side_by_side
 from platform_ctrl.design.structured.starts import Fit, around, fits, scattered, truncated
 from platform_ctrl.design.structured.structures import Structure, Units
-from platform_ctrl.errors import ArgumentError, InfeasibleError, NotCertifiedError, TimeLimitError
+from platform_ctrl.design.synthesis import require_time_limit
+from platform_ctrl.errors import ArgumentError, InfeasibleError, NotCertifiedError, TimeLimitError, TimeLimitWarning
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import LoopRequirement
 
@@ -58,7 +61,8 @@ def structured(
     requirements: Sequence[LoopRequirement] = (),
     starts: int = 16,
     seed: int = 0,
-    time_limit: float = 60.0,
+    evaluations: int = 16000,
+    time_limit: float | None = None,
     processes: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> StructuredDesign:
@@ -85,8 +89,12 @@ def structured(
         controllers, the others scattered.
     seed
         Of the scatter.
+    evaluations
+        Most evaluations of the closed loops (poles, norms and their gradients, of all plants at once) over all starts,
+        each of which gets the same number. The result depends on it, and not on the machine or its load.
     time_limit
-        Longest time for everything, s; the best so far is returned.
+        Longest time for everything, s; default none. A search that it ends returns the best so far with a
+        `TimeLimitWarning` and `StructuredDesign.cut`: at another load the result is another one.
     processes
         How many search side by side; default one for each processor. The result is the same for any number.
     progress
@@ -106,7 +114,7 @@ def structured(
     InfeasibleError
         No start led to a controller of this structure that stabilises every plant and meets every hard requirement.
     TimeLimitError
-        The time was over before any did.
+        `time_limit` was over before any did.
     NotCertifiedError
         The closed loops do not confirm what the search found.
 
@@ -123,12 +131,13 @@ def structured(
         raise ArgumentError(
             f"structured: structure = {structure!r}; expected a structure such as design.Static() or design.PID()"
         )
-    for name, number in (("starts", starts), ("processes", processes)):
+    for name, number in (("starts", starts), ("evaluations", evaluations), ("processes", processes)):
         counts = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
         if not counts and not (name == "processes" and number is None):
             raise ArgumentError(f"structured: {name} = {number!r}; expected a whole number from 1 on")
-    if not (isinstance(time_limit, int | float) and time_limit > 0):
-        raise ArgumentError(f"structured: time_limit = {time_limit!r}; expected a positive number of seconds")
+    seconds = np.inf if time_limit is None else time_limit
+    require_time_limit("structured", seconds)
+    began = time.monotonic()
     parts = _partitions(given, nmeas, ncon)
     flat = tuple(in_w_plane(part) for part in parts)
     scaled = [autoscale(one) for one in flat]
@@ -163,7 +172,7 @@ def structured(
         units=(left, right),
         structured=whole,
     )
-    bounds = [full_order(goal.plants[k], goal.h2, _FOR_BOUNDS * time_limit / len(flat) / len(task.soft))
+    bounds = [full_order(goal.plants[k], goal.h2, _FOR_BOUNDS * seconds / len(flat) / len(task.soft))
               for goal in task.soft for k in range(len(flat))]  # fmt: skip
     points = _points(problem, flat, bounds, order, units, starts, np.random.default_rng(seed))
 
@@ -175,12 +184,21 @@ def structured(
         else:
             say(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
 
-    found, complete = side_by_side(problem, points, (1.0 - _FOR_BOUNDS) * time_limit, processes, report)
+    limits = Limits(evaluations=max(1, evaluations // len(points)), deadline=began + seconds)
+    found = side_by_side(problem, points, limits, processes, report)
     ended = [one for one in found if one is not None]
+    cut = len(ended) < len(points) or any(one.late for one in ended) or any(one.cut for one in bounds)
     best = min(ended, key=lambda one: one.rank, default=None)
     if best is None or best.rank[0] > 0.0:
-        raise _failure(best, ended, complete, structure, given, time_limit)
-    return _judged(given, parts, structure, requirements, best, ended, complete, whole, order, bounds)
+        raise _failure(best, ended, cut, structure, given, seconds)
+    made = _judged(given, parts, structure, requirements, best, ended, cut, whole, order, bounds)
+    if cut:
+        warnings.warn(
+            f"structured: time_limit = {seconds:g} s ended the search; the result depends on the load of the machine",
+            TimeLimitWarning,
+            stacklevel=2,
+        )
+    return made
 
 
 def _plants(plants: StateSpace | Sequence[StateSpace]) -> tuple[StateSpace, ...]:
@@ -297,13 +315,13 @@ def _points(
 def _failure(
     best: Outcome | None,
     ended: Sequence[Outcome],
-    complete: bool,
+    cut: bool,
     structure: Structure,
     given: tuple[StateSpace, ...],
     time_limit: float,
 ) -> Exception:
     kind = type(structure).__name__
-    if best is None or (not complete and best.rank[0] > 1.0):
+    if best is None or (cut and best.rank[0] > 1.0):
         return TimeLimitError(
             f"structured: no stabilising {kind} controller in {time_limit:g} s; give a larger time_limit, or starting "
             "values (start=...) that stabilise",
@@ -330,7 +348,7 @@ def _judged(
     requirements: Sequence[LoopRequirement],
     best: Outcome,
     ended: Sequence[Outcome],
-    complete: bool,
+    cut: bool,
     whole: Parametrised | None,
     order: int,
     bounds: Sequence[Bound],
@@ -401,6 +419,7 @@ def _judged(
                          seconds=one.seconds, finished=one.finished)
             for one in ended
         ),
-        finished=complete and all(one.finished for one in ended),
+        finished=not cut and all(one.finished for one in ended),
+        cut=cut,
         outcomes=tuple(outcomes),
     )  # fmt: skip
