@@ -61,11 +61,11 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the site as CI does."""
+    """Build the site as CI does, and not with --quiet: it also hides warnings from --strict."""
     folder = tmp_path_factory.mktemp("site")
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": path, "NO_MKDOCS_2_WARNING": "true", "OPENBLAS_NUM_THREADS": "1"},
         capture_output=True,

@@ -74,9 +74,9 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
 
     Parameters
     ----------
-    instance_name, resources, logger
-        What PythonFMU3 passes: the instance's name and the folder of the unit's resources; where the unit runs, its
-        logger.
+    **kwargs
+        What PythonFMU3 passes: ``instance_name``, the folder of the unit's ``resources``, and where the unit runs its
+        ``logger``.
 
     Raises
     ------
