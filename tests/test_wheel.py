@@ -27,13 +27,18 @@ def run(*command: str | Path, cwd: Path, **environment: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build from a copy: a build folder left over in the checkout must not get into the wheel."""
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the sources: a build folder left over in the checkout must not get into the wheel."""
     source = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy2(HOUSE / name, source)
     for name in ("platform_ctrl", "models"):
         shutil.copytree(HOUSE / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return source
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
     run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, source, cwd=source)
     [built] = out.glob("*.whl")
@@ -92,3 +97,35 @@ def test_the_installed_command_lists_the_shipped_models(site: Path, tmp_path: Pa
     printed = run(sys.executable, "-m", "platform_ctrl", "models", cwd=tmp_path, PYTHONPATH=str(site))
     assert "three_gyro_platform" in printed
     assert len(printed.splitlines()) >= len(list((HOUSE / "models").glob("*.toml")))
+
+
+def test_type_checkers_follow_an_editable_install(source: Path, tmp_path: Path) -> None:
+    """An import hook alone they could not follow: a file outside the checkout would see Any everywhere."""
+    build = "import sys; from setuptools.build_meta import build_editable; build_editable(sys.argv[1])"
+    run(sys.executable, "-c", build, tmp_path, cwd=source)
+    run(sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv", cwd=tmp_path)
+    [python] = [path for path in (tmp_path / "venv").glob("*/python*") if path.stem == "python"]
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    site = Path(run(python, "-c", code, cwd=tmp_path).strip())
+    [built] = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(built) as archive:
+        archive.extractall(site)
+    # The dependencies come from the environment; what it may hold of the package itself comes behind.
+    (site / "zz_dependencies.pth").write_text("\n".join(path for path in sys.path if path), encoding="utf-8")
+
+    found = "import importlib.resources as r, platform_ctrl as p; print(p.__file__, r.files('platform_ctrl.models'))"
+    package, models = run(python, "-c", found, cwd=tmp_path).split()
+    assert Path(package).is_relative_to(source)
+    assert Path(models) == source / "models"
+
+    seen = tmp_path / "seen.py"
+    seen.write_text(
+        "import platform_ctrl as pc\n"
+        "from platform_ctrl import design\n"
+        "reveal_type(pc.linearise(pc.read_platform('rate_gyro')))\n"
+        "reveal_type(design.hinf)\n",
+        encoding="utf-8",
+    )
+    told = run(sys.executable, "-m", "mypy", "--strict", "--python-executable", python, seen, cwd=tmp_path)
+    assert 'Revealed type is "platform_ctrl.linearisation.LinearModel"' in told
+    assert "-> platform_ctrl.design.synthesis.Synthesis" in told
