@@ -84,7 +84,7 @@ def time_response() -> Iterator[Comparison]:
         u = np.random.default_rng(1).normal(size=(3, points))
         yield Comparison(
             name=f"16 states, 3 inputs, {points:,} points",
-            ours=partial(analysis.time_response, one, t, u, hold="foh"),
+            ours=partial(analysis.time_response, one, t, u),
             theirs={"forced_response": partial(control.forced_response, one, t, u)},
             target=25.0,
             clock="cpu",

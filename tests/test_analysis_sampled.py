@@ -65,7 +65,7 @@ def test_a_delay_of_whole_periods_up_to_rounding_adds_no_extra_state() -> None:
 def test_a_delayed_integrator_splits_its_step_between_two_samples() -> None:
     system = analysis.sampled(control.ss([[0.0]], [[1.0]], [[1.0]], 0), 1.0, delay=0.25)
     out = analysis.time_response(system, np.arange(5.0), [1.0, 0.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(out, [[0.0, 0.75, 1.0, 1.0, 1.0]], atol=1e-14)
+    np.testing.assert_allclose(out, [0.0, 0.75, 1.0, 1.0, 1.0], atol=1e-14)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.1, 0.17])

@@ -59,7 +59,7 @@ def close(system: control.StateSpace, t: FloatArray, hold: Hold, seed: int, to: 
     rng = np.random.default_rng(seed)
     u, x0 = rng.normal(size=(system.ninputs, t.size)), rng.normal(size=system.nstates)
     truth = exact(system, t, u, hold, x0)
-    out = analysis.time_response(system, t, u, hold=hold, initial_state=x0)
+    out = analysis.time_response(system, t, u, hold=hold, initial_state=x0, squeeze=False)
     np.testing.assert_allclose(out, truth, rtol=0, atol=to * np.abs(truth).max())
 
 
@@ -88,7 +88,7 @@ def test_defective_stiff_and_badly_scaled_systems() -> None:
         system = control.ss(stiff * s / s[:, None], np.ones((5, 1)) / s[:, None], np.ones((1, 5)) * s, 0)
         u, t = rng.normal(size=(1, 100)), np.arange(100) / 1024.0
         truth = exact(system, t, u, "foh", np.zeros(5))
-        out = analysis.time_response(system, t, u, hold="foh")
+        out = analysis.time_response(system, t, u, squeeze=False)
         np.testing.assert_allclose(out, truth, rtol=0, atol=1e-14 * (1.0 + fastest / 1024.0) * np.abs(truth).max())
 
 

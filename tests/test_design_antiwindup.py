@@ -79,7 +79,7 @@ def test_below_the_limits_the_response_is_that_of_the_linear_loop() -> None:
     run = limited_response(one, 0.5, b)
     assert np.array_equal(run.command, run.torque)
     linear = control.StateSpace(one.A, one.B_w, one.C, np.zeros((1, 1)), PERIOD)
-    assert np.allclose(time_response(linear, run.t, 0.5 * b[None])[0], run.angle[:, 0], atol=1e-12)
+    assert np.allclose(time_response(linear, run.t, 0.5 * b), run.angle[:, 0], atol=1e-12)
 
 
 def test_certified_is_below_simulated_is_below_static() -> None:

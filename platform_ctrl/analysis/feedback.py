@@ -25,10 +25,10 @@ from platform_ctrl.analysis.arrays import (
     StateArrays,
     batch_shape,
     frequencies,
-    state_arrays,
     state_space,
     system_arrays,
 )
+from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.arguments import indices, number, one_of
 from platform_ctrl.errors import ArgumentError
@@ -71,7 +71,7 @@ class Gang:
     torque_per_noise: ComplexArray
 
 
-def loop_transfer(plant: control.StateSpace, controller: control.StateSpace, at: At = "input") -> control.StateSpace:
+def loop_transfer(plant: StateSystem, controller: StateSystem, at: At = "input") -> control.StateSpace:
     """Return L = -K P (``at="input"``) or -P K (``at="output"``): S = (I + L)^-1.
 
     Plant and controller are joined by signal names where all of the controller's names exist in the plant, by
@@ -80,7 +80,8 @@ def loop_transfer(plant: control.StateSpace, controller: control.StateSpace, at:
     Parameters
     ----------
     plant, controller
-        With u = K y; the controller may use some of the plant's signals only.
+        With u = K y, `control.StateSpace` or `TransferFunction`; the controller may use some of the plant's signals
+        only.
     at
         Where the loop is broken: the plant's ``"input"`` or ``"output"``.
 
@@ -107,7 +108,7 @@ def loop_transfer(plant: control.StateSpace, controller: control.StateSpace, at:
     return state_space(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names)
 
 
-def closed_loop(plant: control.StateSpace, controller: control.StateSpace) -> control.StateSpace:
+def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpace:
     """Return the closed loop of u = K (y + n), y = P (u + d), as one system with every state of both.
 
     Parameters
@@ -142,11 +143,16 @@ def closed_loop(plant: control.StateSpace, controller: control.StateSpace) -> co
         StateArrays(*arrays, dt=P.dt),
         list(plant.input_labels) + [f"noise_{name}" for name in measured],
         commanded + list(plant.output_labels),
-        list(plant.state_labels) + [f"controller_{name}" for name in controller.state_labels],
+        _states(plant, P, "plant") + [f"controller_{name}" for name in _states(controller, K, "x")],
     )
 
 
-def gang(plant: control.StateSpace, controller: control.StateSpace, frequency: ArrayLike) -> Gang:
+def _states(system: StateSystem, arrays: StateArrays, prefix: str) -> list[str]:
+    """Return the states' names; those of a transfer function are numbered."""
+    return list(getattr(system, "state_labels", None) or (f"{prefix}_{k}" for k in range(len(arrays.A))))
+
+
+def gang(plant: StateSystem, controller: StateSystem, frequency: ArrayLike) -> Gang:
     """Return the sensitivities at the plant's input and output, and P S and K S.
 
     They are computed from the closed loop's own equations, not from P and K: integrators do no harm at DC.
@@ -190,7 +196,7 @@ def gang(plant: control.StateSpace, controller: control.StateSpace, frequency: A
     )
 
 
-def closed_loop_with_sensitivity(plant: control.StateSpace, controller: control.StateSpace, at: At) -> StateArrays:
+def closed_loop_with_sensitivity(plant: StateSystem, controller: StateSystem, at: At) -> StateArrays:
     """Return the arrays of S at the plant's input or output, with every state of plant and controller."""
     P, K, torques, angles = _matched(plant, controller, "sensitivity")
     P = StateArrays(P.A, P.B[:, torques], P.C[angles], P.D[np.ix_(angles, torques)], P.dt)
@@ -351,10 +357,10 @@ def _checked(at: str) -> str:
 
 
 def _matched(
-    plant: control.StateSpace, controller: control.StateSpace, where: str
+    plant: StateSystem, controller: StateSystem, where: str
 ) -> tuple[StateArrays, StateArrays, list[int], list[int]]:
     """Return both systems' arrays and the plant's inputs and outputs that the controller uses, in its order."""
-    P, K = state_arrays(plant, f"{where} (plant)"), state_arrays(controller, f"{where} (controller)")
+    P, K = linear_arrays(plant, f"{where} (plant)"), linear_arrays(controller, f"{where} (controller)")
     if plant.dt is None or controller.dt is None:
         # A static gain without a time base takes the other's.
         dt = max(P.dt, K.dt)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
 from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
 from platform_ctrl.analysis.diagonal_mu import mu_bounds, perturbation
@@ -22,6 +22,7 @@ from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.rational import LinearSystem, StateSystem, linear_arrays
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -140,7 +141,7 @@ class LoopMargins:
 
 
 def disk_margin(
-    loop_transfer: control.StateSpace | control.FrequencyResponseData,
+    loop_transfer: LinearSystem,
     skew: float = 0.0,
     frequency: ArrayLike | None = None,
 ) -> DiskMargin:
@@ -152,7 +153,8 @@ def disk_margin(
     Parameters
     ----------
     loop_transfer
-        L with negative feedback, square, continuous or discrete: S = (I + L)^-1 (see `loop_transfer`). Measured data
+        L with negative feedback, square, continuous or discrete: S = (I + L)^-1 (see `loop_transfer`), as
+        `control.StateSpace` or `TransferFunction`. Measured data
         (`control.FrequencyResponseData`) give the smallest margin among their frequencies, provided that the closed
         loop is stable: that, data cannot tell.
     skew
@@ -191,7 +193,7 @@ def disk_margin(
         raise ArgumentError(f"disk_margin: skew = {skew!r}, expected a finite number")
     if hasattr(loop_transfer, "frdata"):
         return _margin_of_data(loop_transfer, skew, frequency)
-    L = state_arrays(loop_transfer, "disk_margin")
+    L = linear_arrays(loop_transfer, "disk_margin")
     m = L.D.shape[0]
     if L.D.shape != (m, m) or m == 0:
         raise ArgumentError(
@@ -307,9 +309,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     )
 
 
-def loop_margins(
-    plant: control.StateSpace, controller: control.StateSpace, at: At = "input", skew: float = 0.0
-) -> LoopMargins:
+def loop_margins(plant: StateSystem, controller: StateSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
     """Return the disk margin of each channel, broken one at a time with all others closed.
 
     Parameters

@@ -10,34 +10,32 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays, system_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
 from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
+from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
-if TYPE_CHECKING:
-    import control
-
 # Where a climb looks around the best frequency, in widths.
 FAN = np.linspace(-1.0, 1.0, 15)
 
 
-def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple[float, float]:
+def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
 
     Parameters
     ----------
     system
-        Continuous or discrete, stable.
+        Continuous or discrete, stable: `control.StateSpace` or `TransferFunction`. Data are refused: the largest gain
+        among their frequencies is not the norm.
     allow_unstable
         Take unstable systems too and return the L-infinity norm, the peak along the frequency axis.
 
@@ -51,7 +49,7 @@ def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple
     Raises
     ------
     ArgumentError
-        If the system is unstable and `allow_unstable` is not set.
+        If the system is unstable and `allow_unstable` is not set, improper, or data.
 
     References
     ----------
@@ -68,7 +66,7 @@ def hinf_norm(system: control.StateSpace, allow_unstable: bool = False) -> tuple
     >>> round(norm, 4), round(frequency, 4)
     (5.0252, 0.9899)
     """
-    arrays = state_arrays(system, "hinf_norm")
+    arrays = linear_arrays(system, "hinf_norm")
     s, on_boundary = boundary_poles(scaled(*arrays[:3])[0], arrays.dt)
     unstable = (s.real > 0.0) & ~on_boundary
     if not allow_unstable and np.any(unstable):
@@ -224,13 +222,13 @@ def _climbed(axis: FrequencyAxis, s: ComplexArray, best: float, frequency: float
     return best, frequency
 
 
-def h2_norm(system: control.StateSpace) -> float:
+def h2_norm(system: StateSystem) -> float:
     """Return the H2 norm: the rms sum of the outputs when white noise of unit density (or variance) drives it.
 
     Parameters
     ----------
     system
-        Continuous or discrete, stable.
+        Continuous or discrete, stable: `control.StateSpace` or `TransferFunction`.
 
     Returns
     -------
@@ -246,7 +244,7 @@ def h2_norm(system: control.StateSpace) -> float:
     ----------
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 4.
     """
-    A, B, C, D, dt = state_arrays(system, "h2_norm")
+    A, B, C, D, dt = linear_arrays(system, "h2_norm")
     if dt == 0.0 and np.any(D):
         raise ArgumentError(
             "h2_norm: D is not zero, expected a strictly proper continuous system (its norm is infinite)"
@@ -274,13 +272,13 @@ def h2_norm(system: control.StateSpace) -> float:
     return math.sqrt(max(0.0, float(np.trace(C @ X @ C.T) + np.sum(D * D))))
 
 
-def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
+def noise_rms(system: StateSystem, rms: ArrayLike) -> FloatArray:
     """Return the rms of every output of a discrete system driven by white samples.
 
     Parameters
     ----------
     system
-        Discrete, stable.
+        Discrete, stable: `control.StateSpace` or `TransferFunction`.
     rms : (m,) or scalar
         Standard deviation of the independent samples at each input, in its units.
 
@@ -298,7 +296,7 @@ def noise_rms(system: control.StateSpace, rms: ArrayLike) -> FloatArray:
     ----------
     K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, ch. 10.
     """
-    A, B, C, D, dt = state_arrays(system, "noise_rms")
+    A, B, C, D, dt = linear_arrays(system, "noise_rms")
     if dt == 0.0:
         raise ArgumentError("noise_rms: the system is continuous, expected dt > 0; sample it first")
     m = B.shape[1]

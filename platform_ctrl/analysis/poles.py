@@ -7,17 +7,13 @@ axis of z oscillates at the Nyquist frequency: z = -0.5 has the damping ratio 0.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
+from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.arguments import complex_numbers, number, positive, real_numbers, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-
-if TYPE_CHECKING:
-    import control
 
 
 @value
@@ -43,7 +39,7 @@ class Damping:
     ratio: FloatArray
 
 
-def poles(system: control.StateSpace) -> ComplexArray:
+def poles(system: StateSystem) -> ComplexArray:
     """Return the poles of `system` in its own plane (s or z), computed in balanced states, (n,).
 
     Parameters
@@ -59,13 +55,13 @@ def poles(system: control.StateSpace) -> ComplexArray:
     Raises
     ------
     ArgumentError
-        `system` is not a `control.StateSpace` of finite numbers.
+        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers.
 
     References
     ----------
     Textbook definition.
     """
-    A, B, C, _, _ = state_arrays(system, "poles")
+    A, B, C, _, _ = linear_arrays(system, "poles")
     return pole_arrays(scaled(A, B, C)[0])
 
 
@@ -167,7 +163,7 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
     return out
 
 
-def damping(system: control.StateSpace) -> Damping:
+def damping(system: StateSystem) -> Damping:
     """Return natural frequency and damping ratio of every pole of `system`, slowest first.
 
     Parameters
@@ -183,7 +179,7 @@ def damping(system: control.StateSpace) -> Damping:
     Raises
     ------
     ArgumentError
-        `system` is not a `control.StateSpace` of finite numbers.
+        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers.
 
     References
     ----------
@@ -196,7 +192,7 @@ def damping(system: control.StateSpace) -> Damping:
     >>> analysis.damping(control.ss([[0, 1], [-1, -0.2]], [[0], [1]], [[1, 0]], 0)).ratio.round(3)
     array([0.1, 0.1])
     """
-    dt = state_arrays(system, "damping").dt
+    dt = linear_arrays(system, "damping").dt
     s = continuous_poles(poles(system), dt)
     s = s[np.argsort(np.abs(s), kind="stable")]
     return Damping(poles=s, natural_frequency=np.abs(s), ratio=damping_ratio(s))
@@ -293,7 +289,7 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     return out
 
 
-def is_stable(system: control.StateSpace, margin: float = 0.0) -> bool:
+def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
     """Whether every pole lies strictly inside the stability region.
 
     Parameters
@@ -311,11 +307,12 @@ def is_stable(system: control.StateSpace, margin: float = 0.0) -> bool:
     Raises
     ------
     ArgumentError
-        `system` is not a `control.StateSpace` of finite numbers, or `margin` no finite number.
+        `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers, or `margin` no finite
+        number.
 
     References
     ----------
     Textbook definition.
     """
-    dt = state_arrays(system, "is_stable").dt
+    dt = linear_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))

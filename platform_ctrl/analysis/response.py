@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
+from platform_ctrl.analysis.rational import LinearSystem, is_rational, rational_response
 from platform_ctrl.arguments import complex_numbers, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -27,7 +28,7 @@ _TOLERATED = 2.5e-10
 ON_A_GRID = 1e-6
 
 
-def frequency_response(system: control.StateSpace | Sequence[control.StateSpace], frequency: ArrayLike) -> ComplexArray:
+def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency: ArrayLike) -> ComplexArray:
     """Return the response of `system` on the imaginary axis or on the unit circle.
 
     Each entry is right to 1e-9 of itself, or to 1e-12 of the largest entry at that frequency where it is smaller than
@@ -38,8 +39,9 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
     Parameters
     ----------
     system
-        Continuous or discrete `control.StateSpace`, p outputs, m inputs; or a sequence of K systems with as many
-        outputs and inputs each (and states and sample periods of their own).
+        Continuous or discrete `control.StateSpace`, p outputs, m inputs, a `control.TransferFunction` (its polynomials
+        are evaluated) or data (`control.FrequencyResponseData`, at frequencies of its own); or a sequence of K systems
+        with as many outputs and inputs each (and states and sample periods of their own).
     frequency : (N,)
         rad/s, >= 0.
 
@@ -51,7 +53,7 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
     Raises
     ------
     ArgumentError
-        If `system` or `frequency` is not what is expected.
+        If `system` or `frequency` is not what is expected, or data have no value at one of the frequencies.
 
     References
     ----------
@@ -61,14 +63,38 @@ def frequency_response(system: control.StateSpace | Sequence[control.StateSpace]
     """
     w = frequencies(frequency, "frequency_response")
     if not isinstance(system, Sequence):
-        return _whole(*state_arrays(system, "frequency_response"), w)
-    every = [state_arrays(one, "frequency_response") for one in system]
-    if len({one.D.shape for one in every}) != 1:
+        return _response_of(system, w)
+    every = [_response_of(one, w) for one in system]
+    if len({one.shape for one in every}) != 1:
         raise ArgumentError(
-            f"frequency_response: outputs x inputs of the systems are {sorted({one.D.shape for one in every})}, "
+            f"frequency_response: outputs x inputs of the systems are {sorted({one.shape[:2] for one in every})}, "
             "expected the same for all of at least one"
         )
-    return np.stack([_whole(*one, w) for one in every])
+    return np.stack(every)
+
+
+def _response_of(system: LinearSystem, w: FloatArray) -> ComplexArray:
+    if hasattr(system, "frdata"):
+        return _measured(system, w)
+    if is_rational(system):
+        return rational_response(system, w)
+    return _whole(*state_arrays(system, "frequency_response"), w)
+
+
+def _measured(data: control.FrequencyResponseData, w: FloatArray) -> ComplexArray:
+    """Return the values of data at frequencies of their own."""
+    own = np.asarray(data.omega, dtype=np.float64)
+    if not own.size:
+        raise ArgumentError("frequency_response: the data have no frequencies; expected at least one")
+    nearest = np.abs(w[:, None] - own).argmin(axis=1)
+    far = np.abs(own[nearest] - w) > 1e-9 * np.abs(w)
+    if np.any(far):
+        k = int(np.argmax(far))
+        raise ArgumentError(
+            f"frequency_response: the data have no value at {w[k]:g} rad/s, the nearest is at {own[nearest[k]]:g}; "
+            "expected frequencies of the data, which are not interpolated"
+        )
+    return np.asarray(data.frdata, dtype=np.complex128)[..., nearest]
 
 
 def frequency_response_arrays(

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import all_finite, state_arrays, state_scaling
+from platform_ctrl.analysis.arrays import StateArrays, all_finite, state_scaling
+from platform_ctrl.analysis.rational import StateSystem, is_rational, linear_arrays
 from platform_ctrl.arguments import one_of, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-
-if TYPE_CHECKING:
-    import control
 
 Hold = Literal["zoh", "foh", "impulse"]
 
@@ -25,46 +23,51 @@ TOGETHER = 256
 
 
 def time_response(
-    system: control.StateSpace,
+    system: StateSystem,
     timepts: ArrayLike,
     inputs: ArrayLike,
-    hold: Hold = "zoh",
+    hold: Hold = "foh",
     initial_state: ArrayLike | None = None,
+    squeeze: bool | None = None,
 ) -> FloatArray:
-    """Return the outputs at `timepts`, exact to rounding for inputs that are as `hold` says between the samples.
+    """Return the outputs at `timepts`, as `control.forced_response`: exact to rounding for inputs linear between them.
 
     Rounding is that of exp(A h) for steps h, about 1e-15 (1 + |A| h) of the largest output, |A| in balanced states.
 
     Parameters
     ----------
     system
-        Continuous, or discrete with the sample period that `timepts` have.
+        Continuous, or discrete with the sample period that `timepts` have. A transfer function gets states of its own.
     timepts : (N,)
         Increasing times, s. Equal steps are fastest, those of a discrete system have to be.
     inputs : (m, N), or (N,) for one input
         Inputs at those times, in the system's units.
     hold
-        ``"zoh"``: held from each sample to the next; ``"foh"``: linear between samples; ``"impulse"``: impulses of
-        that area at the samples, each in the output of its own time already. Without meaning for a discrete system.
+        ``"foh"``: linear between samples; ``"zoh"``: held from each sample to the next; ``"impulse"``: impulses of
+        that area at the samples, each in the output of its own time already. Without meaning for a discrete system,
+        whose inputs are samples.
     initial_state : (n,), optional
-        State at the first time (before its impulse), in the system's units; default zero.
+        State at the first time (before its impulse), in the system's units; default zero. Not of a transfer function.
+    squeeze
+        As in python-control. None: one input and one output give (N,); True: axes of length one are left out; False:
+        always (p, N).
 
     Returns
     -------
-    (p, N)
-        In the units of the outputs.
+    (p, N), or (N,)
+        In the units of the outputs; see `squeeze`.
 
     Raises
     ------
     ArgumentError
-        If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period, or
-        impulses would reach an output at once (D is not zero).
+        If shapes do not fit, times do not increase, the steps differ from a discrete system's sample period,
+        impulses would reach an output at once (D is not zero), or the system is improper or data.
 
     References
     ----------
     K. J. Åström, B. Wittenmark, Computer-Controlled Systems, 1997, sec. 2.3.
     """
-    A, B, C, D, dt = state_arrays(system, "time_response")
+    A, B, C, D, dt = linear_arrays(system, "time_response")
     times, steps = _times(timepts, dt)
     u = real_numbers("time_response: inputs", inputs)
     u = u[None, :] if u.ndim == 1 else u
@@ -72,10 +75,26 @@ def time_response(
         raise ArgumentError(
             f"time_response: inputs has shape {np.shape(inputs)}, expected finite ({B.shape[1]}, {times.size})"
         )
+    if initial_state is not None and is_rational(system):
+        raise ArgumentError(
+            "time_response: initial_state: a transfer function has no states of its own; convert it first"
+        )
     x0 = np.zeros(len(A)) if initial_state is None else real_numbers("time_response: initial_state", initial_state)
     if x0.shape != (len(A),) or not all_finite(x0):
         raise ArgumentError(f"time_response: initial_state has shape {x0.shape}, expected finite ({len(A)},)")
-    one_of("time_response: hold", hold, ("zoh", "foh", "impulse"))
+    one_of("time_response: hold", hold, ("foh", "zoh", "impulse"))
+    if not (squeeze is None or isinstance(squeeze, bool)):
+        raise ArgumentError(f"time_response: squeeze: given {squeeze!r}; expected None, True or False")
+    y = _outputs(StateArrays(A, B, C, D, dt), times, steps, u, x0, hold)
+    if squeeze:
+        return np.squeeze(y)
+    return y[0] if squeeze is None and D.shape == (1, 1) else y
+
+
+def _outputs(
+    system: StateArrays, times: FloatArray, steps: FloatArray, u: FloatArray, x0: FloatArray, hold: Hold
+) -> FloatArray:
+    A, B, C, D, dt = system
     if not len(A):
         return np.asarray(D @ u)
     # In balanced states none is lost in a product beside larger ones.

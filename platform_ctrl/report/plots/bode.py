@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import known_name, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
@@ -29,7 +30,7 @@ from platform_ctrl.report.plots.panels import (
     phase_panel,
 )
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.systems import DrawnSystem, LinearSystem, drawable, drawn_systems, unit_of_gain
+from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, SERIES, standalone
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_to_gain_phase
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -27,7 +28,6 @@ from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import (
     DrawnSystem,
-    LinearSystem,
     as_state_space,
     drawable,
     drawn_systems,

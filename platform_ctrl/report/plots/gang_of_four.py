@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.feedback import Gang, closed_loop, gang
 from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.frequencies import grid
@@ -31,7 +32,6 @@ from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.singular_values import largest
 from platform_ctrl.report.plots.systems import (
     DrawnSystem,
-    LinearSystem,
     as_state_space,
     drawn_systems,
     ratio_unit,

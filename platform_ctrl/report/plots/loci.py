@@ -26,7 +26,7 @@ from platform_ctrl.state_space import state_space
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.report.plots.systems import LinearSystem
+    from platform_ctrl.analysis.rational import LinearSystem
 
 # A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
 _ON = 1e-9

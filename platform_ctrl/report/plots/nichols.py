@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import positive, short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -20,7 +21,7 @@ from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import blocks, curve_style, gains, legend, line_array
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.systems import LinearSystem, drawable, drawn_systems
+from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
 

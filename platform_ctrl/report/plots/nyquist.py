@@ -44,7 +44,7 @@ from platform_ctrl.report.style import (
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.report.plots.systems import LinearSystem
+    from platform_ctrl.analysis.rational import LinearSystem
 
 # How far from the origin the view goes; larger |L| lies on the rim.
 _REACH = 3.0

@@ -25,7 +25,7 @@ from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, legen
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.report.plots.systems import LinearSystem
+    from platform_ctrl.analysis.rational import LinearSystem
 
 _HEIGHT = 5.4
 # Poles of a system whose damping is written, at most, and up to which damping ratio.

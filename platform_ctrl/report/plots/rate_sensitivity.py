@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.poles import is_stable
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.description import OMEGA_NAMES, is_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.greek import greek
@@ -30,7 +31,7 @@ from platform_ctrl.report.plots.panels import (
     no_response,
     shade,
 )
-from platform_ctrl.report.plots.systems import DrawnSystem, LinearSystem, as_state_space, drawable, drawn_systems
+from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems
 from platform_ctrl.report.style import REFERENCE, standalone
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels,
 if TYPE_CHECKING:
     import control
 
+    from platform_ctrl.analysis.rational import LinearSystem
     from platform_ctrl.description import Platform
-    from platform_ctrl.report.plots.systems import LinearSystem
 
 Plane = Literal["s", "z"]
 

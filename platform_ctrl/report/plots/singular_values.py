@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import (
@@ -24,7 +25,7 @@ from platform_ctrl.report.plots.panels import (
     line_array,
     shade,
 )
-from platform_ctrl.report.plots.systems import LinearSystem, drawn_systems, unit_of_gain
+from platform_ctrl.report.plots.systems import drawn_systems, unit_of_gain
 from platform_ctrl.report.style import standalone
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from platform_ctrl.report.style import (
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.report.plots.systems import LinearSystem
+    from platform_ctrl.analysis.rational import LinearSystem
 
 # Time constants of a decay or growth, and periods of an undamped motion, that are worth seeing.
 _DECAYS, _GROWTHS, _PERIODS = 6.0, 3.0, 6.0
@@ -114,7 +114,7 @@ def step_response(
             step = np.zeros((m, len(t)))
             step[j] = 1.0
             with np.errstate(all="ignore"):
-                y = time_response(made, t, step)
+                y = time_response(made, t, step, hold="zoh", squeeze=False)
                 y = np.where(np.abs(y) < _GROWN, y, np.nan)
             final = _final(system)
             for i in range(p):

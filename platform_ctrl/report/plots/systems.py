@@ -9,14 +9,15 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.rational import LinearSystem, is_proper, is_rational, linear_arrays, rational_response
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.arguments import short
 from platform_ctrl.description import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
@@ -26,8 +27,6 @@ from platform_ctrl.greek import LETTERS
 
 if TYPE_CHECKING:
     import control
-
-LinearSystem: TypeAlias = "control.StateSpace | control.TransferFunction | control.FrequencyResponseData"
 
 # States up to which poles next to the stability boundary are worked out in more digits, and effort, entries times cubed
 # states, up to which the zeros of entries are sought: beyond that the grid does without.
@@ -104,7 +103,7 @@ class DrawnSystem:
         """Return the response of a system that is no data at `frequency` (N,), rad/s, as (p, m, N)."""
         if self.arrays is not None:
             return gaps(np.moveaxis(frequency_response_arrays(*self.arrays, frequency), 0, -1))
-        return gaps(_rational(self.source, frequency, self.dt))
+        return gaps(rational_response(self.source, frequency))
 
 
 def drawn_systems(
@@ -189,12 +188,10 @@ def _drawn(where: str, system: Any, label: str, square: bool, data: bool) -> Dra
             raise ArgumentError(f"{where}: given data; expected a control.StateSpace or TransferFunction")
         if not np.any(sorted_data(system)[0]):
             raise ArgumentError(f"{where}: the data have no frequency above 0; expected at least one")
-    elif hasattr(system, "num_list"):
-        arrays = _companion(where, system, dt)
-        if arrays is None:
-            poles, zeros = (_finite_roots(rows, dt) for rows in (system.den_list, system.num_list))
+    elif is_rational(system) and not is_proper(system, where):
+        poles, zeros = (_finite_roots(rows, dt) for rows in (system.den_list, system.num_list))
     else:
-        arrays = state_arrays(system, where)
+        arrays = linear_arrays(system, where)
     if arrays is not None:
         poles, zeros, undamped = features(arrays)
     return DrawnSystem(
@@ -264,45 +261,6 @@ def _trimmed(polynomial: Any) -> FloatArray:
 def _finite_roots(rows: Any, dt: float) -> ComplexArray:
     every = [np.roots(_trimmed(polynomial)).astype(np.complex128) for row in rows for polynomial in row]
     return _finite(continuous_poles(np.concatenate(every), dt))
-
-
-def _companion(where: str, system: Any, dt: float) -> StateArrays | None:
-    """Return state-space arrays of a transfer function, entry by entry; None where an entry is improper."""
-    p, m = system.noutputs, system.ninputs
-    blocks, D = [], np.zeros((p, m))
-    for i in range(p):
-        for j in range(m):
-            num, den = _trimmed(system.num_list[i][j]), _trimmed(system.den_list[i][j])
-            if not (den.size and np.all(np.isfinite(num)) and np.all(np.isfinite(den))):
-                raise ArgumentError(f"{where}: a coefficient is not finite, or a denominator is 0; check the system")
-            n = len(den) - 1
-            if len(num) > n + 1:
-                return None
-            num = np.concatenate([np.zeros(n + 1 - len(num)), num]) / den[0]
-            den = den / den[0]
-            D[i, j] = num[0]
-            blocks.append((i, j, den[1:], num[1:] - num[0] * den[1:]))
-    size = sum(len(den) for _, _, den, _ in blocks)
-    A, B, C = np.zeros((size, size)), np.zeros((size, m)), np.zeros((p, size))
-    at = 0
-    for i, j, den, num in blocks:
-        n = len(den)
-        if n and np.any(num):
-            A[at, at : at + n] = -den
-            A[np.arange(at + 1, at + n), np.arange(at, at + n - 1)] = 1.0
-            B[at, j] = 1.0
-            C[i, at : at + n] = num
-            at += n
-    return StateArrays(A[:at, :at], B[:at], C[:, :at], D, dt)
-
-
-def _rational(system: Any, frequency: FloatArray, dt: float) -> ComplexArray:
-    point = np.exp(1j * frequency * dt) if dt else 1j * frequency
-    out = np.empty((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)
-    with np.errstate(all="ignore"):
-        for i, j in np.ndindex(out.shape[:2]):
-            out[i, j] = np.polyval(system.num_list[i][j], point) / np.polyval(system.den_list[i][j], point)
-    return out
 
 
 def sorted_data(system: Any) -> tuple[FloatArray, ComplexArray]:

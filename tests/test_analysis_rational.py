@@ -1,0 +1,130 @@
+"""Responses, norms and margins of transfer functions and of data, against polynomials and python-control."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import analysis
+from platform_ctrl.analysis.rational import linear_arrays
+from platform_ctrl.errors import ArgumentError
+
+s = control.tf("s")
+RESONANCE = control.tf([4.0], [1.0, 0.2, 4.0])
+# A gyro about its two gimbals: all four entries share the pole at zero and the nutation.
+GYRO = control.tf([[[1.0], [-5.0]], [[5.0], [1.0]]], [[[1, 0, 25], [1, 0, 25, 0]], [[1, 0, 25, 0], [1, 0, 25]]])
+
+
+@pytest.mark.parametrize("squeeze", [None, True, False])
+@pytest.mark.parametrize(("p", "m"), [(1, 1), (1, 2), (2, 1), (2, 2)])
+def test_inputs_and_shapes_are_those_of_forced_response(p: int, m: int, squeeze: bool | None) -> None:
+    rng = np.random.default_rng(p + 2 * m)
+    system = control.ss(
+        rng.normal(size=(4, 4)) - 3.0 * np.eye(4), rng.normal(size=(4, m)), rng.normal(size=(p, 4)), np.ones((p, m))
+    )
+    t = np.linspace(0.0, 3.0, 31)
+    u = rng.normal(size=(m, 31)) if m > 1 else rng.normal(size=31)
+    expected = control.forced_response(system, t, u, squeeze=squeeze).outputs
+    found = analysis.time_response(system, t, u, squeeze=squeeze)
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_a_sine_is_drawn_as_lines_between_its_samples() -> None:
+    # 1/(s + 1) driven by sin(2 t): the interpolation's own error is h²/8 of the input's curvature.
+    t = np.arange(0.0, 10.0, 0.1)
+    exact = (np.sin(2 * t) - 2 * np.cos(2 * t) + 2 * np.exp(-t)) / 5
+    lag = control.ss(-1.0, 1.0, 1.0, 0.0)
+    assert np.abs(analysis.time_response(lag, t, np.sin(2 * t)) - exact).max() < 0.1**2 / 8 * 4
+    assert np.abs(analysis.time_response(lag, t, np.sin(2 * t), hold="zoh") - exact).max() > 0.04
+
+
+def test_squeeze_is_one_of_three() -> None:
+    with pytest.raises(ArgumentError, match="squeeze: given 'yes'; expected None, True or False"):
+        analysis.time_response(control.ss(-1, 1, 1, 0), [0, 1], [0, 1], squeeze="yes")  # type: ignore[arg-type]
+
+
+def test_a_transfer_function_responds_as_its_polynomials() -> None:
+    w = np.array([0.0, 0.3, 2.0, 7.0])
+    np.testing.assert_allclose(analysis.frequency_response(RESONANCE, w)[0, 0], RESONANCE(1j * w), rtol=1e-14)
+    np.testing.assert_allclose(analysis.frequency_response(s, w)[0, 0], 1j * w)  # improper: it has a response
+    sampled = control.sample_system(RESONANCE, 0.1)
+    np.testing.assert_allclose(analysis.frequency_response(sampled, w)[0, 0], sampled(np.exp(0.1j * w)), rtol=1e-12)
+    assert np.isinf(analysis.frequency_response(1 / s, [0.0])[0, 0, 0])
+    t = np.linspace(0.0, 5.0, 200)
+    u = np.sin(t)
+    expected = control.forced_response(RESONANCE, t, u).outputs
+    np.testing.assert_allclose(analysis.time_response(RESONANCE, t, u), expected, atol=1e-10)
+
+
+def test_norms_and_poles_of_a_transfer_function() -> None:
+    ratio = 0.05
+    norm, frequency = analysis.hinf_norm(RESONANCE)
+    assert norm == pytest.approx(1 / (2 * ratio * np.sqrt(1 - ratio**2)), rel=1e-9)
+    assert frequency == pytest.approx(2 * np.sqrt(1 - 2 * ratio**2), rel=1e-6)
+    assert analysis.h2_norm(1 / (s + 1)) == pytest.approx(np.sqrt(0.5))
+    assert analysis.noise_rms(control.tf([1.0], [1.0, -0.5], 1), 1.0) == pytest.approx(np.sqrt(1 / 0.75))
+    assert analysis.damping(RESONANCE).ratio == pytest.approx([ratio, ratio])
+    assert analysis.is_stable(RESONANCE)
+    assert not analysis.is_stable(1 / s)
+
+
+def test_poles_that_entries_share_are_there_as_often_as_the_system_has_them() -> None:
+    # Entries built one by one have ten states, the gyro has two angles and two momenta.
+    assert len(linear_arrays(GYRO, "test").A) == 4
+    np.testing.assert_allclose(np.sort(analysis.poles(GYRO).imag), [-5.0, 0.0, 0.0, 5.0], atol=1e-7)
+    small = control.tf([[[1.0], [1e-6]], [[1e6], [1.0]]], [[[1, 0], [1, 0]], [[1, 0], [1, 0]]])
+    assert len(linear_arrays(small, "test").A) == 1
+    w = np.array([0.1, 1.0, 4.9, 30.0])
+    A, B, C, D, _ = linear_arrays(GYRO, "test")
+    truth = analysis.frequency_response(GYRO, w)
+    np.testing.assert_allclose(analysis.frequency_response(control.ss(A, B, C, D), w), truth, rtol=1e-9)
+
+
+def test_a_loop_of_a_transfer_function_has_the_margin_of_its_states() -> None:
+    L = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
+    inside = control.ss([[-10.0, -10, -10], [1, 0, 0], [0, 1, 0]], [[1.0], [0], [0]], [[0, 0, 25.0]], 0)
+    assert analysis.disk_margin(L).alpha == pytest.approx(analysis.disk_margin(inside).alpha, rel=1e-9)
+    # An integrator behind each of two equal channels, of rank one: the loop moves it, so there is a margin.
+    both = control.tf([[[1.0], [0.5]], [[1.0], [0.5]]], [[[1.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [1.0, 0.0]]])
+    one = control.ss(0.0, [[1.0, 0.5]], [[1.0], [1.0]], np.zeros((2, 2)))
+    assert analysis.disk_margin(both).alpha == pytest.approx(analysis.disk_margin(one).alpha, rel=1e-6)
+    assert analysis.disk_margin(one).alpha > 0.5
+
+
+def test_plants_and_controllers_may_be_transfer_functions() -> None:
+    plant, controller = 1 / (s**2 + s), -(2 * s + 1) / (0.1 * s + 1)
+    states = control.ss(plant), control.ss(controller)
+    found, expected = (analysis.loop_margins(*pair).alpha for pair in ((plant, controller), states))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    loop = analysis.closed_loop(plant, controller)
+    assert analysis.is_stable(loop)
+    assert loop.state_labels == ["plant_0", "plant_1", "controller_x_0"]
+    assert analysis.bandwidth(plant, controller) == pytest.approx(analysis.bandwidth(*states))
+
+
+def test_data_are_what_they_are_at_their_frequencies_and_nothing_else() -> None:
+    w = np.array([0.5, 1.0, 2.0])
+    data = control.frd(RESONANCE, w)
+    np.testing.assert_allclose(analysis.frequency_response(data, [2.0, 0.5])[0, 0], RESONANCE(1j * w)[[2, 0]])
+    with pytest.raises(ArgumentError, match=r"no value at 1\.5 rad/s, the nearest is at 1.*; expected frequencies of"):
+        analysis.frequency_response(data, [1.0, 1.5])
+    for function in (analysis.hinf_norm, analysis.h2_norm, analysis.poles, analysis.damping, analysis.is_stable):
+        with pytest.raises(ArgumentError, match=r"data say nothing between their frequencies; expected a control\.St"):
+            function(data)
+    with pytest.raises(ArgumentError, match="data say nothing"):
+        analysis.time_response(data, [0, 1], [0, 1])
+
+
+@pytest.mark.parametrize("ask", [analysis.hinf_norm, analysis.h2_norm, analysis.poles, analysis.disk_margin])
+def test_improper_and_undated_transfer_functions_are_refused(ask) -> None:
+    with pytest.raises(ArgumentError, match="improper transfer function; expected no more zeros than poles"):
+        ask(s)
+    with pytest.raises(ArgumentError, match="dt=True"):
+        ask(control.tf([1.0], [1.0, 0.5], True))
+
+
+def test_a_transfer_function_has_no_initial_state() -> None:
+    with pytest.raises(ArgumentError, match="a transfer function has no states of its own; convert it first"):
+        analysis.time_response(RESONANCE, [0, 1], [0, 1], initial_state=[1.0, 0.0])
