@@ -116,8 +116,13 @@ class CheckResult:
 
     @property
     def margin(self) -> float:
-        """Relative distance to the limit, positive when met."""
-        return 1.0 - self.ratio
+        """Distance to the limit, relative to the limit, positive when met; infinite where that is no number."""
+        distance = self.value - self.limit if self.sense == "at least" else self.limit - self.value
+        if distance == 0.0:
+            return 0.0
+        if not np.isfinite(self.value) or not np.isfinite(self.limit) or self.limit == 0.0:
+            return float("inf") if self.passed else float("-inf")
+        return distance / abs(self.limit)
 
 
 @value
@@ -164,6 +169,8 @@ class Requirement:
         measured = float(measured)
         if not np.isfinite(measured):
             return float("inf")
+        if self.limit == 0.0:
+            return 1.0 if (measured <= 0.0 if self.sense == "at most" else measured >= 0.0) else float("inf")
         if self.sense == "at most":
             return measured / self.limit
         return self.limit / measured if measured > 0.0 else float("inf")

@@ -36,6 +36,7 @@ from platform_ctrl.export.fixed.norms import gains
 from platform_ctrl.export.fixed.ranges import input_ranges
 from platform_ctrl.export.fixed.values import FixedPoint
 from platform_ctrl.job import manoeuvre_scenario
+from platform_ctrl.rounding import at_most
 
 NUMBERS = ("q31", "q15")
 JOB = pc.read_job(
@@ -618,7 +619,7 @@ def test_the_header_states_every_format_and_the_proof(programmes: dict[str, Fixe
             assert f"{form.name} int{form.bits} {form.q}, bit {form.bit:.6g}" in flat
             assert f"({'+-'}{form.largest})" in flat
         for output in fixed.scheme.outputs:
-            assert f"Error: {output} at most {fixed.error[output]:.3g} N m" in flat
+            assert f"Error: {output} at most {at_most(fixed.error[output], 3)} N m" in flat
         assert "No overflow:" in flat
         assert max(map(len, text.splitlines())) <= 120
         assert text == header(Unit(fixed=fixed, prefix=name, signals=signals))

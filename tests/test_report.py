@@ -8,6 +8,7 @@ import io
 import os
 import re
 import tomllib
+from fractions import Fraction
 from html.parser import HTMLParser
 from itertools import pairwise
 from typing import Any
@@ -39,8 +40,12 @@ from platform_ctrl.report import (
     style,
     tables,
 )
+from platform_ctrl.report.campaign_tables import chances
+from platform_ctrl.report.failure_text import value_and_limit
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
+from platform_ctrl.requirements import CheckResult, Requirement, Sense
+from platform_ctrl.rounding import Rounding, at_least
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -261,7 +266,7 @@ def test_names_are_text_and_never_markup(page: str) -> None:
 
 
 def test_numbers_written_in_figures_are_not_cut(result: JobResult, page: str) -> None:
-    assert f"{result.coupled.simultaneous.lower:.3f} at " in page
+    assert f"{at_least(result.coupled.simultaneous.lower, 3)} at " in page
 
 
 def test_the_page_is_small_enough_to_send(page: str) -> None:
@@ -445,7 +450,7 @@ def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: Jo
     rows = {row.name: row for row in comparison.goal_rows(outcome)}
     for cell, design in zip(rows["disk margin"].cells, outcome.designs, strict=True):
         [goal] = [one for one in design.goals if one.name == "goal: disk margin"]
-        assert (cell.text, cell.met) == (f"{plain(goal.value)} ({percent(goal.margin)})", None)
+        assert (cell.text, cell.met) == (f"{plain(goal.value, rounding='down')} ({percent(goal.margin)})", None)
     assert [cell.met for cell in rows["bandwidth"].cells][:1] == [True]
 
 
@@ -524,8 +529,8 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
     assert "4\u00a0% above the least" in sentences[-1]
-    lost = 100.0 * (1.0 - price.bandwidth_hz(outcome.closed) / 80.0)
-    assert f"{plain(lost, 2)}\u00a0% is all that any other could add" in sentences[-2]
+    gained = 100.0 * (80.0 / price.bandwidth_hz(outcome.closed) - 1.0)
+    assert f"{plain(gained, 2, 'up')}\u00a0% is all that any other could add" in sentences[-2]
     for sentence in sentences:
         assert sentence in visible_text(compared_page)
 
@@ -642,23 +647,71 @@ def test_the_gimbal_tree_names_axis_and_inertia(result: JobResult) -> None:
     assert tables.axis_text([0.0, 0.6, 0.8]) == "(0, 0.6, 0.8)"
 
 
-@given(st.floats(1e-12, 1e12), st.sampled_from([-1.0, 1.0]), st.integers(3, 7))
-def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, digits: int) -> None:
+def number_in(text: str) -> Fraction:
     raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
-    text = plain(sign * size, digits)
     mantissa, _, exponent = text.partition("·10")
-    back = float(mantissa.translate(raised)) * 10.0 ** int(exponent.translate(raised) or 0)
-    assert back == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
+    return Fraction(mantissa.translate(raised)) * Fraction(10) ** int(exponent.translate(raised) or 0)
+
+
+def asked(measured: float, limit: float, unit: str, sense: Sense = "at least") -> CheckResult:
+    one = Requirement(name="figure", limit=limit, unit=unit, sense=sense)
+    return one.judge(measured, subject="loop", stage="decoupled", evidence="")
+
+
+@given(
+    st.floats(1e-12, 1e12), st.sampled_from([-1.0, 1.0]), st.integers(3, 7), st.sampled_from(["nearest", "down", "up"])
+)
+def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, digits: int, to: Rounding) -> None:
+    shown, exact = number_in(plain(sign * size, digits, to)), Fraction(repr(sign * size))
+    assert shown == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
+    assert to == "nearest" or (shown <= exact if to == "down" else shown >= exact)
 
 
 def test_what_is_no_number_is_called_unstable() -> None:
-    assert plain(float("nan")) == quantity(float("inf"), "N m") == compared(float("nan"), 1.0, "Hz")[0] == "unstable"
+    assert (
+        plain(float("nan"))
+        == quantity(float("inf"), "N m")
+        == compared(asked(float("nan"), 1.0, "Hz"))[0]
+        == "unstable"
+    )
     assert percent(float("-inf")) == "–"
 
 
 def test_value_and_limit_that_differ_are_printed_differently() -> None:
-    assert compared(0.4999999, 0.5, "") == ("0.4999999", "0.5")
-    assert compared(0.0045, 0.005, "N m") == ("4.5 mN m", "5 mN m")
+    assert compared(asked(0.4999999, 0.5, "")) == ("0.4999999", "0.5")
+    assert compared(asked(0.0045, 0.005, "N m")) == ("4.5 mN m", "5 mN m")
+
+
+@given(
+    st.floats(1e-9, 1e9), st.floats(1e-9, 1e9), st.sampled_from(["at least", "at most"]), st.sampled_from(["", "rad"])
+)
+def test_a_judged_value_is_never_printed_better_than_it_is(value: float, limit: float, sense: Sense, unit: str) -> None:
+    one = asked(value, limit, unit, sense)
+    for text in (compared(one)[0], value_and_limit(one)[0]):
+        words, _, shown_unit = text.partition(" ")
+        shown = number_in(words)
+        exact = Fraction(repr(value)) * (1000 if shown_unit == "mrad" else 1)
+        assert shown <= exact if sense == "at least" else shown >= exact
+        assert shown == pytest.approx(float(exact), rel=1e-3)
+
+
+@given(st.floats(1e-9, 1.0), st.floats(0.0, 1.0))
+def test_an_interval_of_probabilities_is_printed_no_narrower_than_it_is(high: float, share: float) -> None:
+    low = share * high
+    text = chances(low, high)
+    # What is no power of ten is in per cent.
+    shown = [number_in(word) / (1 if "·" in word else 100) for word in text.split() if word[0].isdigit()]
+    assert text.startswith("above") or shown[-1] >= Fraction(repr(high))
+    assert text.startswith("below") or shown[0] <= Fraction(repr(low))
+
+
+def test_a_rate_that_is_proved_is_rounded_down_and_a_norm_up() -> None:
+    assert claimed("survived Omega1, rad/s", 1.59978) == ("survived Omega1", "1.599 rad/s")
+    assert claimed("survived Omega1 over the spread, rad/s", 1.6) == ("survived Omega1 over the spread", "1.6 rad/s")
+    assert claimed("gamma", 1.59971)[1] == "1.6"
+    assert claimed("gamma_optimal", 1.59978)[1] == "1.599"
+    assert claimed("bandwidth_bound_hz", 59.9961)[1] == "60 Hz"
+    assert claimed("intersample torque rejection, rad/(N m)", 0.0100004)[1] == "0.01001 rad/(N m)"
 
 
 # Figures of several designs

@@ -24,6 +24,7 @@ from platform_ctrl.requirements import (
     NOMINAL,
     SPREAD,
     Kind,
+    Requirement,
     hard_and_soft,
     loop_requirements,
     requirement,
@@ -108,11 +109,35 @@ def test_a_ratio_of_at_most_one_means_met_for_every_kind(kind, limit, measured):
     one = asked(kind, limit)
     result = one.judge(measured, subject="loop", stage="decoupled", evidence="")
     assert result.passed is (one.ratio(measured) <= 1.0)
-    assert result.margin == 1.0 - result.ratio
     if not np.isfinite(measured):
         assert not result.passed
+        assert result.margin == -np.inf
     elif abs(measured / limit - 1.0) > 1e-12:
         assert result.passed is (measured < limit if one.sense == "at most" else measured > limit)
+        assert result.passed is (result.margin > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("sense", "measured", "limit", "margin"),
+    [
+        ("at least", 0.1496, 0.5, -0.7008),
+        ("at least", 30.46, 25.0, 0.2184),
+        ("at least", -0.5, 0.5, -2.0),
+        ("at most", 0.75, 0.5, -0.5),
+        ("at most", 0.4, 0.5, 0.2),
+        ("at most", 0.5, 0.5, 0.0),
+        ("at most", 0.0, 0.0, 0.0),
+        ("at most", 1e-9, 0.0, -np.inf),
+        ("at least", 1e-9, 0.0, np.inf),
+        ("at most", 7.0, np.inf, np.inf),
+        ("at least", 7.0, np.inf, -np.inf),
+    ],
+)
+def test_the_margin_is_the_distance_to_the_limit_relative_to_the_limit(sense, measured, limit, margin):
+    one = Requirement(name="damping", limit=limit, unit="", sense=sense)
+    result = one.judge(measured, subject="loop", stage="decoupled", evidence="")
+    assert result.margin == pytest.approx(margin, rel=1e-12)
+    assert result.passed is (margin >= 0.0)
 
 
 @given(kind=st.sampled_from(KINDS), limit=st.floats(1e-3, 1e3))

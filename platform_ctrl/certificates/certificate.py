@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import field
-from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Literal
 
 import flint
@@ -29,6 +28,7 @@ from platform_ctrl.certificates.balls import Ball, Balls, balls, blocks, identit
 from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop, is_matrix
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.rounding import at_least, at_most
 
 Claim = Literal["stability", "norm", "h2", "region"]
 
@@ -120,12 +120,12 @@ class Certificate:
         """The claim in words."""
         order, many = len(self.X), len(self.loops)
         if self.claim == "stability":
-            rate = _rounded(self.bound, 6, ROUND_FLOOR)
+            rate = at_least(self.bound, 6)
             text = f"stable, every solution decays at {rate} 1/s or faster" if self.bound else "stable"
         elif self.claim == "region":
             text = "such that every pole lies in the region"
         else:
-            bound = _rounded(self.bound, 9, ROUND_CEILING)
+            bound = at_most(self.bound, 9)
             text = f"stable with {'H-infinity' if self.claim == 'norm' else 'H2'} norm below {bound}"
         label = next((loop.label for loop in self.loops if many == 1 and loop.label), "")
         where = f"every system between {many} vertices" if many > 1 else "the closed loop"
@@ -275,11 +275,6 @@ def inequality(claim: Claim, system: BallSystem, X: Balls, bound: float, dt: flo
     else:
         cross = -1 * (X * B + C.transpose() * D)
     return blocks([[rest, cross], [cross.transpose(), corner]])
-
-
-def _rounded(bound: float, digits: int, direction: str) -> str:
-    """Return `bound` to a number of digits, to the side on which it is still proved."""
-    return f"{float(Context(prec=digits, rounding=direction).create_decimal(Decimal(bound))):.{digits}g}"
 
 
 def _is_region(L: FloatArray | None, M: FloatArray | None) -> bool:

@@ -25,6 +25,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.requirements import STABLE, CheckResult, Requirement
+from platform_ctrl.rounding import at_most
 from platform_ctrl.state_space import state_space as linear_state_space
 from platform_ctrl.state_space import subsystems
 
@@ -276,7 +277,7 @@ def coupled_results(
     limits = job.coupled
     if limits.disk_margin is not None:
         asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
-        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {simultaneous[1]:.3f}"
+        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
         hold(asked, simultaneous[0], guaranteed)
     if limits.coupling_cost is not None:
         asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")

@@ -197,11 +197,13 @@ def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
 def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
     from rich.text import Text
 
+    from platform_ctrl.report.failure_text import value_and_limit
+
     for one in results:
         style = "dim" if not one.hard else "green" if one.passed else "bold red"
         mark = Text("met    " if one.passed else "NOT MET" if one.hard else "not met", style)
-        found, limit = f"{one.value:.4g} {one.unit}".rstrip(), f"{one.sense} {one.limit:.6g}"
-        console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({limit})"))
+        found, limit = value_and_limit(one)
+        console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({one.sense} {limit})"))
 
 
 def _show_verdict(console: Console, results: Sequence[CheckResult]) -> None:

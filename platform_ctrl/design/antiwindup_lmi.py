@@ -26,6 +26,7 @@ from platform_ctrl.certificates import Verification
 from platform_ctrl.design.antiwindup_loop import LimitedLoop
 from platform_ctrl.errors import DesignError, InfeasibleError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.rounding import at_least
 
 # Slack of the matrix inequality in the solver's own units: what a proof has to work with.
 _SLACK = 1e-7
@@ -86,7 +87,8 @@ class InvariantEllipsoid:
         from platform_ctrl.certificates.balls import positive_definite
 
         statement = (
-            f"a state of order {len(self.Q)} inside the ellipsoid stays there while |Omega| <= {self.Omega:.6g} rad/s"
+            f"a state of order {len(self.Q)} inside the ellipsoid stays there while |Omega| <= "
+            f"{at_least(self.Omega, 6)} rad/s"
         )
         margin = 1.0
         with flint.ctx.workprec(precision):

@@ -15,7 +15,8 @@ from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import DIVERGED, FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.campaign.worst import RunFigure
 from platform_ctrl.frozen import value
-from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity
+from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity, times
+from platform_ctrl.rounding import Rounding, rounded
 from platform_ctrl.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, figures relative to their limits"
@@ -89,32 +90,35 @@ def figure_words(figure: float, unit: str, like: float | None) -> str:
     return DIVERGED if math.isinf(figure) else quantity(figure, unit, 3, like)
 
 
-def chance(probability: float) -> str:
+def chance(probability: float, rounding: Rounding = "nearest") -> str:
     """Return a probability: in per cent down to a hundredth of one, below that as a power of ten."""
     if not math.isfinite(probability):
         return DASH
     if probability == 0.0:
         return "0"
-    return f"{_percent(probability)} %" if probability >= 1e-4 else plain(probability, 2)
+    return f"{_percent(probability, rounding)} %" if probability >= 1e-4 else plain(probability, 2, rounding)
 
 
 def chances(low: float, high: float) -> str:
-    """Return a range of probabilities."""
+    """Return an interval of probabilities, as printed no narrower than it is."""
     if low == 0.0:
-        return f"below {chance(high)}"
+        return f"below {chance(high, 'up')}"
     if high == 1.0:
-        return f"above {chance(low)}"
+        return f"above {chance(low, 'down')}"
     if high >= 1e-4 and low >= 1e-6:
-        return f"{_percent(low)} to {_percent(high)} %"
-    return f"{chance(low)} to {chance(high)}"
+        return f"{_percent(low, 'down')} to {_percent(high, 'up')} %"
+    return f"{chance(low, 'down')} to {chance(high, 'up')}"
 
 
-def _percent(probability: float) -> str:
+def _percent(probability: float, rounding: Rounding) -> str:
     """Return per cent with two digits that matter; near 100 with those that tell it from 100."""
-    shown = 100.0 * probability
-    if shown > 99.0 and probability < 1.0:
-        return f"{min(shown, 99.9999):.{min(4, -math.floor(math.log10(100.0 - shown + 1e-9)))}f}"
-    return f"{shown:.{max(0, 1 - math.floor(math.log10(shown)))}f}" if shown < 99.5 else "100"
+    if probability >= 1.0:
+        return "100"
+    shown = times(100.0, probability)
+    place = math.floor(math.log10(shown))
+    decimals = max(0, 1 - place) if shown <= 99.0 else min(4, -math.floor(math.log10(100.0 - shown + 1e-9)))
+    text = f"{rounded(shown, decimals + place + 1, rounding):.{decimals}f}"
+    return text if float(text) < 100.0 else "100" if rounding == "up" else "99.9999"
 
 
 def verdict(summary: Summary) -> str:

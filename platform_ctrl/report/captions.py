@@ -91,8 +91,8 @@ def _margins(design: LoopDesign) -> str:
     for groups, where in ((SPREAD, "over spread and platform rates"), (FAULTS, "with a fault")):
         chosen = measures.of(groups)
         if chosen.sum() > 1:
-            parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3)} {where}")
-    return f" From {plain(float(measures.disk_margin[0]), 3)} it falls to {listed(parts)}." if parts else ""
+            parts.append(f"{plain(float(measures.disk_margin[chosen].min()), 3, 'down')} {where}")
+    return f" From {plain(float(measures.disk_margin[0]), 3, 'down')} it falls to {listed(parts)}." if parts else ""
 
 
 def _goal_lines(goals: Sequence[float | None]) -> str:
@@ -138,13 +138,13 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
     share = float(np.nanmax(closed.torque_share, initial=0.0))
     if share > 0.0:
         text += (
-            f" The torque that a sinusoidal rate of the job's size asks for comes to at most {plain(share, 3)} of a "
-            "torquer's limit (grey line: 1), at any frequency."
+            f" The torque that a sinusoidal rate of the job's size asks for comes to at most {plain(share, 3, 'up')} "
+            "of a torquer's limit (grey line: 1), at any frequency."
         )
     return (
         "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift "
         f"away at low frequency and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate "
-        f"moves them by more than {plain(worst, 3)} mrad per rad/s.{text}"
+        f"moves them by more than {plain(worst, 3, 'up')} mrad per rad/s.{text}"
     )
 
 
@@ -209,20 +209,21 @@ def coupled_summary(result: JobResult) -> str:
     decay = -float(spectral_abscissa(continuous_poles(check.poles, result.job.sampling.period)))
     if not check.stable:
         return (
-            f"The coupled system is unstable: its slowest decay is {plain(decay, 3)} 1/s, expected above 0. "
+            f"The coupled system is unstable: its slowest decay is {plain(decay, 3, 'down')} 1/s, expected above 0. "
             "Margins and noise have no meaning until it is stable; try slower loops, or caging loops and servo "
             "further apart in bandwidth."
         )
     poles = count(len(check.poles), "pole")
     text = (
-        f"With all loops closed the coupled system is stable: {poles}, the slowest decays with {plain(decay, 3)} 1/s."
+        f"With all loops closed the coupled system is stable: {poles}, the slowest decays with "
+        f"{plain(decay, 3, 'down')} 1/s."
     )
     proofs = result.proofs["", ""]
     if 0 < proofs.of == proofs.proved:
         text += " That it is stable is proved in interval arithmetic."
     if np.isfinite(check.cost).any():
         k = int(np.nanargmax(check.cost))
-        cost = plain(100.0 * max(float(check.cost[k]), 0.0), 2)
+        cost = plain(100.0 * max(float(check.cost[k]), 0.0), 2, "up")
         text += f" Coupling costs at most {cost} % of a disk margin (channel {check.channels[k]})."
     return text
 
@@ -278,7 +279,7 @@ def run(one: Run) -> str:
             "leaves its limits, and for torques at theirs."
         )
     worst = 1e3 * float(np.abs(trajectory.q).max(initial=0.0))
-    text = f"No gimbal leaves ±{plain(worst, 3)} mrad."
+    text = f"No gimbal leaves ±{plain(worst, 3, 'up')} mrad."
     saturated = int(trajectory.saturated.sum())
     if trajectory.mode == "caged":
         text += (

@@ -109,7 +109,7 @@ def goal_rows(outcome: LoopOutcome) -> list[Row]:
 
 def _number(one: CheckResult) -> str:
     """Return the figure in the unit that the limit beside it shows."""
-    text, limit = compared(one.value, one.limit, one.unit)
+    text, limit = compared(one)
     unit = limit.partition(" ")[2]
     return text.removesuffix(f" {unit}") if unit else text
 
@@ -121,7 +121,7 @@ def _results(columns: Sequence[Sequence[CheckResult]]) -> list[tuple[str, list[C
 
 def _judged(name: str, found: Sequence[CheckResult | None], cell: Callable[[CheckResult], Cell]) -> Row:
     first = next(one for one in found if one is not None)
-    limit = f"{BOUND[first.sense]} {compared(first.value, first.limit, first.unit)[1]}"
+    limit = f"{BOUND[first.sense]} {compared(first)[1]}"
     cells = tuple(Cell(text=DASH) if one is None else cell(one) for one in found)
     return Row(name=name, limit=limit, cells=cells)
 
@@ -136,16 +136,16 @@ def measured_rows(outcome: LoopOutcome) -> list[Row]:
 def _measured(measures: LoopMeasures) -> dict[str, str]:
     """Return all figures by the names that requirements give them."""
     out = {
-        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz"),
-        "disk margin": plain(float(measures.disk_margin[0])),
-        "damping": plain(float(measures.damping[0])),
-        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m"),
+        "bandwidth": quantity(measures.bandwidth / (2.0 * np.pi), "Hz", rounding="down"),
+        "disk margin": plain(float(measures.disk_margin[0]), rounding="down"),
+        "damping": plain(float(measures.damping[0]), rounding="down"),
+        "torque noise, rms": quantity(float(measures.torque_noise.max(initial=0.0)), "N m", rounding="up"),
     }
     for groups, where in ((SPREAD, "over the spread"), (FAULTS, "with a fault")):
         chosen = measures.of(groups)
         if chosen.sum() > 1:
-            out[f"disk margin {where}"] = plain(float(measures.disk_margin[chosen].min()))
-            out[f"damping {where}"] = plain(float(measures.damping[chosen].min()))
+            out[f"disk margin {where}"] = plain(float(measures.disk_margin[chosen].min()), rounding="down")
+            out[f"damping {where}"] = plain(float(measures.damping[chosen].min()), rounding="down")
     return out
 
 
@@ -180,12 +180,15 @@ def _proved(design: LoopDesign, proofs: Proofs) -> dict[str, Cell]:
         )
     }
     if whole:
-        out["slowest decay over all plants"] = Cell(text=f"≥ {quantity(min(decay.values()), '1/s', 3)}")
+        least = quantity(min(decay.values()), "1/s", 3, rounding="down")
+        out["slowest decay over all plants"] = Cell(text=f"≥ {least}")
     if plants.labels[0] in margins:
-        out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]])}")
+        out["disk margin of the nominal plant"] = Cell(text=f"≥ {plain(margins[plants.labels[0]], rounding='down')}")
     others = [margins[label] for label in plants.labels[1:] if label in margins]
     if others:
-        out["disk margin with others"] = Cell(text=f"≥ {plain(min(others))}, {count(len(others), 'plant')}")
+        out["disk margin with others"] = Cell(
+            text=f"≥ {plain(min(others), rounding='down')}, {count(len(others), 'plant')}"
+        )
     bits = max((found.precision for found in proofs.verifications), default=0)
     all_of = proofs.proved == proofs.of
     out["claims proved"] = Cell(
@@ -227,9 +230,9 @@ def group_rows(design: LoopDesign) -> list[tuple[str, str, str, str, str, str]]:
             (
                 name,
                 str(int(chosen.sum())),
-                quantity(float(measures.decay[chosen].min()), "1/s"),
-                plain(float(measures.damping[chosen].min())),
-                plain(margin),
+                quantity(float(measures.decay[chosen].min()), "1/s", rounding="down"),
+                plain(float(measures.damping[chosen].min()), rounding="down"),
+                plain(margin, rounding="down"),
                 where,
             )
         )

@@ -33,6 +33,7 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
+from platform_ctrl.rounding import at_least
 from platform_ctrl.state_space import state_space as linear_state_space
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
         labels.append(f"limit {limit:g}")
     axes.plot([margin.frequency * HZ], [margin.lower], "o", color=SERIES[0], markersize=5)
     axes.annotate(
-        f"{margin.lower:.3f} at {margin.frequency * HZ:.3g} Hz",
+        f"{at_least(margin.lower, 3)} at {margin.frequency * HZ:.3g} Hz",
         (margin.frequency * HZ, margin.lower),
         (0, -11),
         textcoords="offset points",

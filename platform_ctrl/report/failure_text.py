@@ -8,21 +8,33 @@ from pathlib import Path
 
 from platform_ctrl.baselines import Change, Comparison, LoopMatrices
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.report.quantities import count, handy_unit, listed
+from platform_ctrl.report.quantities import count, handy_unit, listed, times, told_apart, unfavourable
 from platform_ctrl.requirements import CheckResult
+from platform_ctrl.rounding import rounded
 
 # Digits until two numbers are told apart.
 _DIGITS = (4, 6, 9)
 # Lines for what is better, new or missing; a baseline of another job has nothing else.
 _LINES = 8
+UNSTABLE = "none (unstable)"
 
 
 def requirement_text(one: CheckResult) -> str:
     """Return a requirement with value, limit and margin in one line."""
-    shown = shown_alike((one.value, one.limit), one.unit)
+    shown = value_and_limit(one)
     where = f"{one.subject}, {one.design}" if one.design else one.subject
     verdict = "met" if one.passed else "not met"
     return f"{where}: {one.name} {shown[0]}, {one.sense} {shown[1]}: {verdict}, margin {margin_text(one)}"
+
+
+def value_and_limit(one: CheckResult) -> tuple[str, str]:
+    """Return value and limit in the same unit; the value is never printed better than it is."""
+    finite = [abs(number) for number in (one.value, one.limit) if math.isfinite(number)]
+    factor, name = handy_unit(one.unit, max(finite, default=1.0))
+    digits = told_apart(one)
+    value, limit = rounded(times(factor, one.value), digits, unfavourable(one)), times(factor, one.limit)
+    shown = f"{value:.{digits}g} {name}".rstrip() if math.isfinite(value) else UNSTABLE
+    return shown, f"{limit:.{max(digits, 6)}g} {name}".rstrip()
 
 
 def margin_text(one: CheckResult) -> str:
@@ -47,7 +59,7 @@ def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requ
         return ""
     rows = [("", "value", "limit", "margin", "")]
     for one in missed:
-        shown = shown_alike((one.value, one.limit), one.unit)
+        shown = value_and_limit(one)
         where = f"{one.subject}, {one.design}" if one.design else one.subject
         rows.append((f"{where}: {one.name}", shown[0], f"{one.sense} {shown[1]}", margin_text(one), one.evidence))
     head = f"{title}: {len(missed)} of {count(len(requirements), of)} not met"
@@ -111,7 +123,7 @@ def shown_alike(numbers: Sequence[float | None], unit: str) -> list[str]:
     def words(number: float | None) -> str:
         if number is None:
             return ""
-        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else "none (unstable)"
+        return f"{factor * number:.{digits}g} {name}".rstrip() if math.isfinite(number) else UNSTABLE
 
     return [words(number) for number in numbers]
 

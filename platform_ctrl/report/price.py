@@ -7,6 +7,7 @@ import numpy as np
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.report.quantities import count, plain, quantity
+from platform_ctrl.rounding import Rounding
 
 # Of two ratios to a limit; less is not worth a sentence.
 _WORTH_TELLING = 1.05
@@ -79,19 +80,15 @@ def _against_bounds(design: LoopDesign) -> list[str]:
     own, claims = bandwidth_hz(design), design.claims
     bound = claims.get("bandwidth_bound_hz", np.nan)
     if np.isfinite(bound) and own > 0.0:
-        share = _percent(1.0 - own / bound)
-        out.append(
-            f"No controller within these limits reaches more than {quantity(bound, 'Hz', 3)}: {share} is all that "
-            "any other could add."
-            if own < bound
-            else f"No controller within these limits reaches more than {quantity(bound, 'Hz', 3)}."
-        )
+        most = quantity(bound, "Hz", 3, rounding="up")
+        share = f": {_percent(bound / own - 1.0, 'up')} is all that any other could add" if own < bound else ""
+        out.append(f"No controller within these limits reaches more than {most}{share}.")
     gamma, least = claims.get("gamma", np.nan), claims.get("gamma_optimal", np.nan)
     told = claims.get("price", gamma / least - 1.0)
     if np.isfinite(told) and np.isfinite(gamma) and np.isfinite(least):
         out.append(
-            f"On its weights the norm is {plain(gamma)}, {_percent(told)} above the least that any controller of "
-            f"whatever order reaches, {plain(least)}."
+            f"On its weights the norm is {plain(gamma, rounding='up')}, {_percent(told)} above the least that any "
+            f"controller of whatever order reaches, {plain(least, rounding='down')}."
         )
     elif np.isfinite(told):
         out.append(f"Its simplicity costs {_percent(told)} against the best controller of whatever order.")
@@ -102,5 +99,5 @@ def _states(design: LoopDesign) -> str:
     return count(design.controller.nstates, "state")
 
 
-def _percent(share: float) -> str:
-    return f"{plain(100.0 * share, 2)}\u00a0%"
+def _percent(share: float, rounding: Rounding = "nearest") -> str:
+    return f"{plain(100.0 * share, 2, rounding)}\u00a0%"

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from decimal import Decimal
+
+from platform_ctrl.requirements import CheckResult
+from platform_ctrl.rounding import Rounding, rounded
 
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -17,6 +21,9 @@ BOUND = {"at least": "\u2265", "at most": "\u2264"}
 
 # Units that the name of a claim may end in, after a comma as on an axis.
 _UNITS = frozenset({"Hz", "rad/s", "rad", "s", "1/s", "N m", "N m/rad", "rad/(N m)", "rad s/rad", "N m s/rad"})
+# Claims that are bounds from below and from above, by the first words of their names.
+_LEAST = ("survived", "gamma_optimal", "disk_margin", "damping")
+_MOST = ("gamma", "bandwidth_bound", "intersample", "limit_ratio", "goal_ratio")
 # Claims whose names are not words yet; the second is a share.
 _CLAIMED = {
     "gamma": "norm on the weights, γ",
@@ -32,10 +39,16 @@ def handy_unit(unit: str, size: float) -> tuple[float, str]:
     return 1.0, unit
 
 
-def plain(number: float, digits: int = 4) -> str:
-    """Return `number` with `digits` significant digits and a real minus sign; ``unstable`` where it is not finite."""
+def plain(number: float, digits: int = 4, rounding: Rounding = "nearest") -> str:
+    """Return `number` with `digits` significant digits and a real minus sign; ``unstable`` where it is not finite.
+
+    A proved bound is rounded ``"down"`` or ``"up"``, to the side on which it still holds.
+    """
     if not math.isfinite(number):
         return "unstable"
+    if rounding != "nearest":
+        whole = 1 + math.floor(math.log10(abs(number))) if 1.0 <= abs(number) < 1e6 else 0
+        number = rounded(number, max(digits, whole), rounding)
     if number != 0.0 and not 1e-3 <= abs(number) < 1e6:
         mantissa, exponent = f"{number:.{max(digits - 1, 0)}e}".split("e")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
@@ -46,30 +59,51 @@ def plain(number: float, digits: int = 4) -> str:
     return text.replace("-", MINUS)
 
 
-def quantity(number: float, unit: str, digits: int = 4, like: float | None = None) -> str:
+def quantity(
+    number: float, unit: str, digits: int = 4, like: float | None = None, rounding: Rounding = "nearest"
+) -> str:
     """Return `number` with its unit, in the unit that suits `like` (default: the number itself)."""
     factor, name = handy_unit(unit, number if like is None else like)
     if not math.isfinite(number):
         return "unstable"
-    return f"{plain(factor * number, digits)} {name}".rstrip()
+    return f"{plain(times(factor, number), digits, rounding)} {name}".rstrip()
 
 
-def compared(number: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return value and limit in the same unit, with digits enough to tell them apart."""
-    factor, name = handy_unit(unit, limit)
-    shown_limit = f"{plain(factor * limit, 6)} {name}".rstrip()
-    if not math.isfinite(number):
-        return "unstable", shown_limit
+def times(factor: float, number: float) -> float:
+    """Return a multiple, without the last digit's error that would turn 0.3 into 0.29 when rounded down."""
+    exact = math.isfinite(number) and factor != 1.0
+    return float(Decimal(repr(float(number))) * Decimal(factor)) if exact else number
+
+
+def unfavourable(one: CheckResult) -> Rounding:
+    """Return the direction in which a judged value is rounded: it is never printed better than it is."""
+    return "down" if one.sense == "at least" else "up"
+
+
+def told_apart(one: CheckResult) -> int:
+    """Return how many digits show that a judged value is not its limit."""
     for digits in (4, 6, 9):
-        if number == limit or float(f"{number:.{digits - 1}e}") != float(f"{limit:.{digits - 1}e}"):
+        if one.value == one.limit or rounded(one.value, digits) != rounded(one.limit, digits):
             break
-    return f"{plain(factor * number, digits)} {name}".rstrip(), shown_limit
+    return digits
+
+
+def compared(one: CheckResult) -> tuple[str, str]:
+    """Return value and limit of a requirement in the same unit, with digits enough to tell them apart."""
+    factor, name = handy_unit(one.unit, one.limit)
+    shown_limit = f"{plain(times(factor, one.limit), 6)} {name}".rstrip()
+    if not math.isfinite(one.value):
+        return "unstable", shown_limit
+    shown = plain(times(factor, one.value), told_apart(one), unfavourable(one))
+    return f"{shown} {name}".rstrip(), shown_limit
 
 
 def percent(share: float) -> str:
-    """Return `share` in per cent with its sign; a dash where it is not finite."""
+    """Return `share` in per cent with its sign, at most 999; a dash where it is not finite."""
     if not math.isfinite(share):
         return DASH
+    if abs(share) >= 9.995:
+        return "> +999 %" if share > 0.0 else f"< {MINUS}999 %"
     text = f"{100.0 * share:+.1f}" if abs(share) < 0.0995 else f"{100.0 * share:+.0f}"
     return f"{text} %".replace("-", MINUS)
 
@@ -84,13 +118,14 @@ def claimed(name: str, number: float) -> tuple[str, str]:
     number
         In that unit.
     """
+    rounding: Rounding = "down" if name.startswith(_LEAST) else "up" if name.startswith(_MOST) else "nearest"
     words, _, unit = name.rpartition(", ")
     if unit not in _UNITS:
         words, unit = (name.removesuffix("_hz"), "Hz") if name.endswith("_hz") else (name, "")
     words = _CLAIMED.get(words, words.replace("_", " "))
     if not math.isfinite(number):
         return words, DASH if math.isnan(number) else "∞"
-    return words, percent(number) if name == "price" else quantity(number, unit)
+    return words, percent(number) if name == "price" else quantity(number, unit, rounding=rounding)
 
 
 def count(number: int, noun: str, plural: str = "") -> str:

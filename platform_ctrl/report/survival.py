@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import ROUND_FLOOR, Context, Decimal
 
 from platform_ctrl.check.simulated import Run
 from platform_ctrl.design.caging_claims import survived_name
@@ -17,16 +16,11 @@ def survival(run: Run, loops: Sequence[LoopOutcome]) -> str:
     held, spread = (_least(loops, survived_name(axis, spread=over)) for over in (False, True))
     if run.manoeuvre.mode != "caged" or held is None:
         return ""
-    varied = "" if spread is None else f", {_below(spread)} over the parameter spread"
+    varied = "" if spread is None else f", {plain(spread, 3, 'down')} over the parameter spread"
     return (
-        f"Up to {_below(held)} rad/s about this axis{varied}, torques and angles of the linear loops are proved to "
-        f"keep within their limits, noise apart; this run goes to {plain(run.manoeuvre.rate, 3)}."
+        f"Up to {plain(held, 3, 'down')} rad/s about this axis{varied}, torques and angles of the linear loops are "
+        f"proved to keep within their limits, noise apart; this run goes to {plain(run.manoeuvre.rate, 3)}."
     )
-
-
-def _below(rate: float) -> str:
-    """Return a proved rate in three digits, never more than was proved."""
-    return plain(float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal(Decimal(rate))), 3)
 
 
 def _least(loops: Sequence[LoopOutcome], name: str) -> float | None:

@@ -87,7 +87,7 @@ def _ordered(result: JobResult, judged: Sequence[CheckResult]) -> tuple[Requirem
 
 
 def _row(result: JobResult, one: CheckResult) -> RequirementRow:
-    number, limit = compared(one.value, one.limit, one.unit)
+    number, limit = compared(one)
     limit, margin = f"{BOUND[one.sense]} {limit}", percent(one.margin)
     if one.name == PROVED.name:
         # A share of claims is a number of them, and all are asked for: there is no margin.

@@ -95,7 +95,7 @@ def _whose(one: CheckResult) -> str:
 
 def _against(one: CheckResult) -> str:
     """Return value, limit and margin."""
-    number, limit = compared(one.value, one.limit, one.unit)
+    number, limit = compared(one)
     share = percent(abs(one.margin)).removeprefix("+")
     margin = f", {'missed' if one.margin < 0.0 else 'met'} by {share}" if abs(one.margin) < 10.0 else ""
     return f"{number} where {BOUND[one.sense]} {limit} is asked{margin}"

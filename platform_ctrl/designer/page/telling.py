@@ -173,7 +173,7 @@ def requirements_told(picture: Picture) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        One a row: name, what is asked and reached with units, ratio, whether it is met and whether it counts.
+        One a row: name, what is asked and reached with units, margin, whether it is met and whether it counts.
 
     References
     ----------
@@ -209,14 +209,13 @@ def influence_told(influence: Influence) -> dict[str, Any]:
 
 
 def _row(one: CheckResult) -> dict[str, Any]:
-    reached, asked = compared(one.value, one.limit, one.unit)
-    ratio = one.ratio if math.isfinite(one.ratio) else None
+    reached, asked = compared(one)
     return {
         "name": one.name,
         "full": f"{one.subject}, {one.design}: {one.name}" if one.design else f"{one.subject}: {one.name}",
         "asked": f"{BOUND[one.sense]} {asked}",
         "reached": reached,
-        "ratio": ratio,
+        "margin": one.margin if math.isfinite(one.margin) else None,
         "passed": bool(one.passed),
         "hard": one.hard,
     }
@@ -233,7 +232,7 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
         return "bad", f"{len(missed)} of {count} missed", ", ".join(missed)
     if count == 0:
         return "good", "Stable", "nothing is asked of this loop"
-    least = max(picture.requirements, key=lambda one: one.ratio)
+    least = min(picture.requirements, key=lambda one: one.margin)
     left = f"least left: {least.name}, {100 * least.margin:.1f} %"
     return "good", "Met" if count == 1 else f"All {count} requirements met", left
 

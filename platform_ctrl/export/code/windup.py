@@ -17,6 +17,7 @@ from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.export.code.scheme import Scheme, arrays
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
+from platform_ctrl.rounding import at_least
 
 # A state integrates if it forgets less than this share in a sample.
 _KEPT = 1e-3
@@ -183,8 +184,8 @@ def proved(job: Job, scheme: Scheme) -> Windup:
     remark = (
         "Anti-windup: the static gain E of platform_ctrl.design.anti_windup, x+ = A x + B y + E (limited - commanded). "
         "Proved for the nominal linear plant with its torque limits: after a torque impulse of up to "
-        f"{found.reach:.4g} N m s on any axis of the loop it comes back to rest; without E: "
-        f"{found.reach_without:.4g} N m s."
+        f"{at_least(found.reach, 4)} N m s on any axis of the loop it comes back to rest; without E: "
+        f"{at_least(found.reach_without, 4)} N m s."
     )
     return Windup(gain=found.gain, remark=remark)
 

@@ -21,6 +21,7 @@ from platform_ctrl.export.code.scheme import Provenance, Scheme, excess_gain
 from platform_ctrl.export.code.windup import Windup, back_calculation, proved
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
+from platform_ctrl.rounding import at_most
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
         f"{name} {size:.3g} {what}" for (name, size), what in zip(ranges.items(), scheme.input_units, strict=True)
     )
     outputs = ", ".join(
-        f"{name} {size:.2g} {what}"
+        f"{name} {at_most(size, 2)} {what}"
         for name, size, what in zip(scheme.outputs, error.bound, scheme.output_units, strict=True)
     )
     differ = (
@@ -178,8 +179,8 @@ def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
     )
     said = (
         f"Float against double: {differ}. Rounded "
-        f"coefficients change the response by at most {error.response:.2g} of its size, and a pole by "
-        f"{error.pole:.2g} of its distance from z = 1."
+        f"coefficients change the response by at most {at_most(error.response, 2)} of its size, and a pole "
+        f"by {at_most(error.pole, 2)} of its distance from z = 1."
     )
     notes = []
     if error.unseen.any():
@@ -280,7 +281,8 @@ def _integer_texts(
 def _integer_note(made: FixedPoint) -> str:
     scheme = made.scheme
     worst = ", ".join(
-        f"{name} {made.error[name]:.2g} {what}" for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
+        f"{name} {at_most(made.error[name], 2)} {what}"
+        for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
     )
     return f"{scheme.name}: {made.number}, no overflow; torques, integrals aside, are off by at most {worst}"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from platform_ctrl.export.fixed.values import FixedPoint, Format
+from platform_ctrl.rounding import at_most
 
 
 def format_lines(fixed: FixedPoint) -> tuple[str, ...]:
@@ -94,7 +95,8 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
             f"{wide.target}, {wide.largest} of {2 ** (wide.accumulator - 1) - 1}."
         )
     for name, size in fixed.poles.items():
-        lines.append(f"Poles: {name}  at most {size:.9g} in z as rounded, inside the unit circle (exact arithmetic).")
+        largest = at_most(size, 9)
+        lines.append(f"Poles: {name}  at most {largest} in z as rounded, inside the unit circle (exact arithmetic).")
     for name in leaks:
         form = fixed.formats[name]
         # Bounds of what is zero are no smaller than the smallest numbers.
@@ -102,14 +104,15 @@ def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...
         lines.append(
             f"Integral: {name}  not asymptotically stable; kept in 64 bits, so that nothing it gains is lost, and ends "
             f"at +-{form.range:.6g}; while no limit acts it parts from that of the controller in real arithmetic by at "
-            f"most {drift:.2g} in a second, {drift / form.range:.1g} of its end."
+            f"most {at_most(drift, 2)} in a second, {at_most(drift / form.range, 1)} of its end."
             + (f" Its pole, given {leaks[name]:.1e} from 1, is 1." if leaks[name] else "")
         )
     for name, unit in zip(fixed.scheme.outputs, fixed.scheme.output_units, strict=True):
+        error, conversion = (f"{at_most(bound[name], 3)} {unit}" for bound in (fixed.error, fixed.conversion))
         lines.append(
-            f"Error: {name}  at most {fixed.error[name]:.3g} {unit} from the same controller in real arithmetic with "
-            f"the same counts as inputs and equal integrals; rounding the inputs adds at most "
-            f"{fixed.conversion[name]:.3g} {unit}. Before its limit it is at most {fixed.commanded[name]} counts."
+            f"Error: {name}  at most {error} from the same controller in real arithmetic with the same counts as "
+            f"inputs and equal integrals; rounding the inputs adds at most {conversion}. Before its limit it is at "
+            f"most {fixed.commanded[name]} counts."
         )
     if fixed.excess_limits:
         lines.append(

@@ -4,8 +4,6 @@ import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
 const LEAST = 0.002, MOST = 0.1;
-// What is left of a limit, signed; a missed one is below zero.
-const left = (one) => (one.ratio === null ? null : 1 - one.ratio);
 const percent = (share) => (share === null ? "–" : `${share < 0 ? "−" : "+"}${shown(Math.min(999, 100 * Math.abs(share)), Math.abs(share) < 0.1 ? 2 : 3)} %`);
 let influence = null;
 
@@ -15,7 +13,7 @@ const bar = () => {
 };
 
 const paintBar = (row, one) => {
-  const share = left(one);
+  const share = one.margin;
   // Roots, so that the last per cent before a limit can be seen.
   const margin = Math.sign(share ?? -1) * Math.sqrt(Math.min(1, Math.abs(share ?? 1)));
   const place = `left: ${(margin >= 0 ? 50 : 50 + 50 * margin).toFixed(1)}%; width: ${Math.max(0.8, 50 * Math.abs(margin)).toFixed(1)}%`;
@@ -78,7 +76,7 @@ const paintTable = () => {
       if (one.passed) row.reached.removeAttribute("aria-label");
       else row.reached.setAttribute("aria-label", `missed: ${one.reached}`);
     }
-    write(row.left, percent(left(one)));
+    write(row.left, percent(one.margin));
     paintBar(row, one);
   }
 };
