@@ -71,6 +71,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             t=t,
             signals=("alpha4", "beta5", "Q4"),
             units=("rad", "rad", "N m"),
+            series=(0, 1, 0),
             values=steps[0],
             low=steps.min(axis=0) if plants else np.zeros((3, 0)),
             high=steps.max(axis=0) if plants else np.zeros((3, 0)),

@@ -123,9 +123,7 @@ def test_a_held_step_and_a_ramp_have_their_closed_forms() -> None:
     lag = control.ss([[-2.0]], [[2.0]], [[1.0]], 0)
     t = np.linspace(0.0, 3.0, 13)
     np.testing.assert_allclose(analysis.time_response(lag, t, np.ones(13), hold="zoh"), -np.expm1(-2.0 * t), rtol=1e-12)
-    np.testing.assert_allclose(
-        analysis.time_response(lag, t, t), t + 0.5 * np.expm1(-2.0 * t), rtol=1e-11, atol=1e-15
-    )
+    np.testing.assert_allclose(analysis.time_response(lag, t, t), t + 0.5 * np.expm1(-2.0 * t), rtol=1e-11, atol=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,7 +15,7 @@ pytest.importorskip("bokeh", reason="Bokeh is not installed")
 from bokeh.core.validation.check import check_integrity
 from bokeh.document import Document
 from bokeh.events import ButtonClick
-from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d
+from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d, Span
 from bokeh.protocol import Protocol
 
 from designer_pictures import DAMPING, broken, empty, picture
@@ -58,6 +59,40 @@ def figure(plots: Plots, panel: str, k: int = 0) -> Any:
 
 def heading(plots: Plots, panel: str) -> str:
     return " ".join(one.text for one in plots.layout[panel].select({"tags": "heading"}))
+
+
+def keys(plots: Plots, panel: str) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Return colour and dashes of each key of a panel, by its words."""
+    found = re.findall(r'stroke="(#\w+)" stroke-width="[^"]*"(?: stroke-dasharray="([^"]*)")?/></svg>([^<]*)</span>',
+                       heading(plots, panel))  # fmt: skip
+    return {words: (colour, tuple(map(int, dashes.split()))) for colour, dashes, words in found}
+
+
+def looks(plots: Plots, panel: str) -> set[tuple[str, tuple[int, ...]]]:
+    """Return colour and dashes of everything that is drawn as a line or a mark in a panel."""
+    out = set()
+    for plot in plots.layout[panel].select({"type": Plot}):
+        for one in plot.renderers:
+            glyph, data = one.glyph, one.data_source.data
+            if not any(map(len, data.values())) or not hasattr(glyph, "line_color"):
+                continue
+            n = len(next(iter(data.values())))
+            drawn = {}
+            for name in ("line_color", "line_dash"):
+                given = getattr(glyph, name)
+                column = (
+                    given.field
+                    if hasattr(given, "field")
+                    else given
+                    if isinstance(given, str) and given in data
+                    else None
+                )
+                drawn[name] = data[column] if column is not None else [given] * n
+            out |= {(c, tuple(d)) for c, d in zip(drawn["line_color"], drawn["line_dash"], strict=True)}
+        for span in plot.select({"type": Span}):
+            if span.location is not None:
+                out.add((span.line_color, tuple(span.line_dash)))
+    return out
 
 
 def messages(plots: Plots) -> dict[str, str]:
@@ -197,6 +232,47 @@ def test_limits_are_shaded_where_the_job_has_one(plots: Plots) -> None:
     none = dataclasses.replace(shown.Omega_time, limit=None)
     plots.show(dataclasses.replace(shown, Omega_time=none))
     assert not any(one.visible for one in figure(plots, "Omega").select({"type": BoxAnnotation}))
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_key_has_colour_and_dashes_of_a_curve_that_is_drawn(fresh: Plots, dark: bool) -> None:
+    fresh.dark(dark)
+    shown = picture(overlays=("one", "two"))
+    shown = dataclasses.replace(
+        shown,
+        bandwidth=5.0,
+        Omega_frequency=dataclasses.replace(shown.Omega_frequency, limit=1e-3),
+        Omega_time=dataclasses.replace(shown.Omega_time, limit=1e-3),
+    )
+    fresh.show(shown)
+    fresh._rate.choose(True)
+    over_frequency = keys(fresh, "Omega"), looks(fresh, "Omega")
+    fresh._rate.choose(False)
+    for named, drawn in (
+        over_frequency,
+        *((keys(fresh, panel), looks(fresh, panel)) for panel in ("bode", "nichols", "locus", "step", "Omega")),
+    ):
+        assert named
+        for words, (colour, dashes) in named.items():
+            if colour == colours(dark)["muted"]:
+                # Another design has the colours of its signals: its key shows the dashes.
+                assert dashes in {dash for _, dash in drawn}, words
+            else:
+                assert (colour, dashes) in drawn, words
+
+
+def test_a_signal_has_one_colour_in_angles_and_torques_by_its_name_not_by_its_row(fresh: Plots) -> None:
+    shown = picture()
+    step = shown.step
+    row = [0, 1, 1]
+    values, low, high = (one[row] for one in (step.values, step.low, step.high))
+    signals, units = ("alpha9", "Q9", "M2"), ("rad", "N m", "N m")
+    step = dataclasses.replace(step, signals=signals, units=units, series=(3, 3, 6), values=values, low=low, high=high)
+    fresh.show(dataclasses.replace(shown, step=step))
+    light = colours(False)
+    assert fresh.sources["step"].data["colour"] == [light["series-4"]]
+    assert fresh.sources["step_1"].data["colour"] == [light["series-4"], light["series-7"]]
+    assert keys(fresh, "step") == {"α9, Q9": (light["series-4"], ()), "M2": (light["series-7"], ())}
 
 
 def test_other_designs_have_colours_and_dashes_of_their_own(plots: Plots) -> None:

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import platform_ctrl as pc
+from legend_entries import without_a_curve
 from platform_ctrl import report
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.check import JobResult, checked
@@ -739,6 +740,21 @@ def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResul
     assert levels(right, style.LIMIT) == {2.5}
     assert levels(right, style.MUTED) == {round(1 / 3, 6)}
     assert levels(shares, style.LIMIT) == {5.0}
+
+
+def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
+    result: JobResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong: list[str] = []
+    plain_svg = style.svg
+
+    def judged(figure: Any, description: str) -> str:
+        wrong.extend(without_a_curve(figure))
+        return plain_svg(figure, description)
+
+    monkeypatch.setattr(style, "svg", judged)
+    report.page(result)
+    assert wrong == []
 
 
 def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None:

@@ -42,6 +42,7 @@ from platform_ctrl.designer.pictures import Drawn, FrequencyGain, Locus, Margins
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.report.quantities import signal_series
 from platform_ctrl.requirements import CheckResult
 from platform_ctrl.scenario import HalfCosine
 
@@ -214,10 +215,12 @@ def _step(
     order = [*range(m, m + shown.p), *range(m)]
     own = responses(shown)[0][order]
     low, high = around_in_time(None if every is None else responses(every)[:, order], own)
+    signals, colour = (*plants.angles, *plants.torques), signal_series(loop.job.platform)
     return TimeResponse(
         title=f"{1e3 * size:g} mN m step at {plants.torques[channel]}",
         t=t,
-        signals=(*plants.angles, *plants.torques),
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
         units=("rad",) * shown.p + ("N m",) * m,
         values=own,
         low=low,
@@ -243,10 +246,12 @@ def _manoeuvre(loop: CagedLoop, shown: LoopFigures, every: LoopFigures | None, a
     order = [*range(m, m + p), *range(m)]
     own = responses(shown)[0][order]
     low, high = around_in_time(None if every is None else responses(every)[:, order], own)
+    signals, colour = (*plants.angles, *plants.torques), signal_series(loop.job.platform)
     return TimeResponse(
         title=title,
         t=t,
-        signals=(*plants.angles, *plants.torques),
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
         units=("rad",) * p + ("N m",) * m,
         values=own,
         low=low,

@@ -16,6 +16,7 @@ from platform_ctrl.designer.parts import POINTS, around_in_time, settling, step_
 from platform_ctrl.designer.pictures import FrequencyGain, TimeResponse
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.quantities import signal_series
 
 
 def turning(
@@ -38,10 +39,12 @@ def turning(
     low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
     torquers = [loop.shown.torquers[k] for k in at]
     rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
+    signals, colour = (*ATTITUDE, *loop.shown.sensors, *torquers), signal_series(loop.job.platform)
     step = TimeResponse(
         title=title,
         t=t,
-        signals=(*ATTITUDE, *loop.shown.sensors, *torquers),
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
         units=("rad",) * 3
         + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors)
         + ("N m",) * len(torquers),
@@ -97,10 +100,12 @@ def rate_step(
     rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
     drive = np.zeros(len(t))
     drive[0] = 1.0
+    signals, colour = (*ATTITUDE, *loop.shown.sensors), signal_series(loop.job.platform)
     return TimeResponse(
         title=f"impulse of torque: 1 mrad/s about axis {axis}",
         t=t,
-        signals=(*ATTITUDE, *loop.shown.sensors),
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
         units=("rad",) * 3 + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors),
         values=own[kept],
         low=low[kept],

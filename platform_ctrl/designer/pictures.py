@@ -25,6 +25,8 @@ class TimeResponse:
         s.
     signals, units
         Names and units of the k signals.
+    series
+        Which colour of the palette each has, from 0 on: by its name, as `report.quantities.signal_series` says.
     values : (k, T)
         Of the plant shown.
     low, high : (k, T)
@@ -43,6 +45,7 @@ class TimeResponse:
     t: FloatArray
     signals: tuple[str, ...]
     units: tuple[str, ...]
+    series: tuple[int, ...]
     values: FloatArray
     low: FloatArray
     high: FloatArray

@@ -19,7 +19,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
 from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.pole_figures import upper
-from platform_ctrl.report.quantities import HZ
+from platform_ctrl.report.quantities import HZ, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,
     LIMIT,
@@ -222,11 +222,12 @@ def servo_figure(result: JobResult) -> Figure | None:
     S = gang(check.plant, check.controller, w).S_input
     figure, [[gain, phase]] = panels(1, 2, 3.0, legend=1)
     curves, handles = [], []
-    for n, k in enumerate(channels):
-        loop = 1.0 / S[k, k] - 1.0
+    series = signal_series(result.job.platform)
+    for k in channels:
+        loop, style = 1.0 / S[k, k] - 1.0, line_style(series[check.channels[k]])
         curves.append(np.abs(loop))
-        handles += gain.plot(w * HZ, np.abs(loop), **line_style(n))
-        phase.plot(w * HZ, phase_in_degrees(loop), **line_style(n))
+        handles += gain.plot(w * HZ, np.abs(loop), **style)
+        phase.plot(w * HZ, phase_in_degrees(loop), **style)
     frequency_axes(gain, w[0] * HZ, w[-1] * HZ)
     gain_limits(gain, curves, low=1e-3, high=1e4)
     gain.axhline(1.0, color=REFERENCE, linewidth=0.8)
@@ -267,10 +268,9 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     handles, labels = [], []
     f = w * HZ
     for axis in range(3):
-        platform.plot(
-            f, opened[:, -3 + axis, axis], color=REFERENCE, linewidth=0.9, linestyle=line_style(axis)["linestyle"]
-        )
-        handles += platform.plot(f, closed[:, -3 + axis, axis], **line_style(axis))
+        style = line_style(root_series(axis + 1))
+        platform.plot(f, opened[:, -3 + axis, axis], **style | {"color": REFERENCE, "linewidth": 0.9})
+        handles += platform.plot(f, closed[:, -3 + axis, axis], **style)
         labels.append(f"torque about axis {axis + 1}")
     handles += platform.plot([], [], color=REFERENCE, linewidth=0.9)
     labels.append("no controller")
@@ -282,7 +282,7 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     for gimbals in others:
         moved = np.linalg.norm(closed[:, :-3], axis=1)
         for axis in range(3):
-            gimbals.plot(f, moved[:, axis], **line_style(axis))
+            gimbals.plot(f, moved[:, axis], **line_style(root_series(axis + 1)))
         frequency_axes(gimbals, f[0], f[-1])
         gain_limits(gimbals, [moved], low=1e-6 * float(moved.max(initial=1e-12)))
         gimbals.set_ylabel("mrad per mN m")

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from decimal import Decimal
+from typing import TYPE_CHECKING
 
 from platform_ctrl.requirements import CheckResult
 from platform_ctrl.rounding import Rounding, rounded
+
+if TYPE_CHECKING:
+    from platform_ctrl.description import Platform
 
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -30,6 +35,29 @@ _CLAIMED = {
     "gamma_optimal": "least γ of any controller",
     "price": "price of simplicity",
 }
+
+# The first gimbals have the first five colours of the palette, the root axes the last three.
+_ROOT_SERIES = 5
+
+
+def root_series(axis: int) -> int:
+    """Return which colour of the palette, from 0 on, whatever belongs to root axis 1, 2 or 3 has in every plot."""
+    return _ROOT_SERIES + axis - 1
+
+
+def signal_series(platform: Platform) -> Mapping[str, int]:
+    """Return which colour of the palette, from 0 on, each signal of a plant has in every plot, by its name.
+
+    A gimbal's angle, rate and torque share one; so do the angle, rate and torque about a root axis.
+    """
+    out = {angle: k for k, angle in enumerate(platform.angle_names)}
+    for axis in (1, 2, 3):
+        out |= dict.fromkeys((f"Omega{axis}", f"M{axis}", f"attitude{axis}"), root_series(axis))
+    for pickoff in platform.pickoffs:
+        out[pickoff.name] = platform.gimbal(pickoff.gimbal)
+    for part in (*platform.torquers, *platform.rate_sensors):
+        out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
+    return out
 
 
 def handy_unit(unit: str, size: float) -> tuple[float, str]:

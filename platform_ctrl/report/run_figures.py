@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from platform_ctrl.check.simulated import Run
 from platform_ctrl.description import Platform, Torquer
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.style import (
     BEYOND,
     LIMIT,
@@ -56,12 +57,14 @@ def run_figure(run: Run, platform: Platform) -> Figure:
     ----------
     See docs/simulation.md.
     """
-    return trajectory_figure(run.trajectory, platform.torquers, run.manoeuvre.limits, run.manoeuvre.duration)
+    limits, duration = run.manoeuvre.limits, run.manoeuvre.duration
+    return trajectory_figure(run.trajectory, platform.torquers, signal_series(platform), limits, duration)
 
 
 def trajectory_figure(
     t: Trajectory,
     torquers: Sequence[Torquer],
+    series: Mapping[str, int],
     limits: Mapping[str, float],
     duration: float,
     unlimited: str = "no torquer has a limit",
@@ -74,6 +77,8 @@ def trajectory_figure(
         The run.
     torquers
         In the order of its columns.
+    series
+        Which colour each angle and torque has, by its name: see `signal_series`.
     limits
         By the names of a manoeuvre's limits: ``angle``, ``attitude``, rad; ``torque_share``.
     duration
@@ -86,16 +91,17 @@ def trajectory_figure(
     roots = [k for k, torquer in enumerate(torquers) if torquer.root_axis is not None]
     gimbals = [k for k in range(len(torquers)) if k not in roots]
 
-    _angles(rows[0][0], t.t, t.q, t.angle_names, limits.get("angle"), "gimbal angles")
-    _torques(rows[0][1], t, torquers, gimbals, "gimbal torques")
+    angles = {name: series[name] for name in t.angle_names}
+    _angles(rows[0][0], t.t, t.q, angles, limits.get("angle"), "gimbal angles")
+    _torques(rows[0][1], t, torquers, gimbals, series, "gimbal torques")
     if free:
-        _torques(rows[0][2], t, torquers, roots, "platform torques")
+        _torques(rows[0][2], t, torquers, roots, series, "platform torques")
         title = "inertial platform angles"
-        _angles(rows[1][0], t.t, t.attitude_angles, _axes_names("θ"), limits.get("attitude"), title)
+        _angles(rows[1][0], t.t, t.attitude_angles, _of_axes("θ"), limits.get("attitude"), title)
     rate = rows[1][1 if free else 0]
     factor, unit = (1e3, "mrad/s") if np.nanmax(np.abs(t.Omega), initial=0.0) < 0.5 else (1.0, "rad/s")
     title = "platform rate" if free else "platform rate, prescribed"
-    _traces(rate, t.t, factor * t.Omega, _axes_names("Ω"), None, title, unit)
+    _traces(rate, t.t, factor * t.Omega, _of_axes("Ω"), None, title, unit)
     _shares(rows[1][-1], t, torquers, gimbals + roots if free else gimbals, limits.get("torque_share"), unlimited)
     if not t.completed:
         for axes in [axes for row in rows for axes in row][:-1]:
@@ -107,7 +113,9 @@ def trajectory_figure(
     return figure
 
 
-def _angles(axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None, title: str) -> None:
+def _angles(
+    axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str
+) -> None:
     """Draw angles in mrad, in μrad where they are tiny and nothing is asked of them."""
     small = limit is None and 0.0 < float(np.nanmax(np.abs(y), initial=0.0)) < _TINY
     factor, unit = (1e6, "μrad") if small else (1e3, "mrad")
@@ -115,14 +123,15 @@ def _angles(axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], li
 
 
 def _traces(
-    axes: Axes, t: FloatArray, y: FloatArray, names: tuple[str, ...], limit: float | None, title: str, unit: str
+    axes: Axes, t: FloatArray, y: FloatArray, names: Mapping[str, int], limit: float | None, title: str, unit: str
 ) -> None:
+    """Draw the columns of `y` (N, k) under their names, each in the colour of the palette that its name has."""
     # The noisiest trace lies at the back, so that it hides no other.
     noise = np.argsort(np.argsort(-np.nan_to_num(np.abs(np.diff(y, axis=0))).sum(axis=0)))
     handles: list[Any] = []
-    for k in range(len(names)):
+    for k, colour in enumerate(names.values()):
         good = np.isfinite(y[:, k])
-        handles += axes.plot(*envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **signal_style(k))
+        handles += axes.plot(*envelope(t[good], y[good, k]), zorder=2.0 + 0.01 * noise[k], **signal_style(colour))
     finite = y[np.isfinite(y)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
     largest = max(-low, high)
@@ -145,7 +154,7 @@ def _traces(
     axes.set_ylabel(unit)
     axes.legend(
         handles,
-        names,
+        list(names),
         loc="upper right",
         ncols=min(columns, len(names)),
         handlelength=1.1,
@@ -155,8 +164,15 @@ def _traces(
     )
 
 
-def _torques(axes: Axes, t: Trajectory, torquers: Sequence[Torquer], columns: list[int], title: str) -> None:
-    names = tuple(t.torquer_names[k] for k in columns)
+def _torques(
+    axes: Axes,
+    t: Trajectory,
+    torquers: Sequence[Torquer],
+    columns: list[int],
+    series: Mapping[str, int],
+    title: str,
+) -> None:
+    names = {t.torquer_names[k]: series[t.torquer_names[k]] for k in columns}
     allowed = {torquers[k].limit for k in columns}
     largest = float(np.nanmax(np.abs(t.torque[:, columns]), initial=0.0)) if columns else 0.0
     factor, unit = (1e3, "mN m") if largest < 1.0 else (1.0, "N m")
@@ -212,5 +228,6 @@ def _note(axes: Axes, text: str) -> None:
     )
 
 
-def _axes_names(symbol: str) -> tuple[str, ...]:
-    return tuple(f"{symbol}{index}" for index in ("₁", "₂", "₃"))
+def _of_axes(symbol: str) -> dict[str, int]:
+    """Return a symbol with the index of each root axis, and the colour of that axis."""
+    return {f"{symbol}{index}": root_series(axis) for axis, index in ((1, "₁"), (2, "₂"), (3, "₃"))}

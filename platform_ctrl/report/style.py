@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from platform_ctrl.frozen import FloatArray
@@ -36,7 +37,7 @@ DASHES: tuple[Any, ...] = (
     (0, (6, 1.4, 1.2, 1.4, 1.2, 1.4)),
     (0, (3, 1)),
     "-",
-    "-",
+    (0, (9, 2)),
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 INK, MUTED, GRID, FRAME = "#1b2430", "#5c6675", "#e4e7ec", "#b9c0ca"
@@ -166,7 +167,7 @@ def line_style(k: int) -> dict[str, Any]:
 
 
 def signal_style(k: int) -> dict[str, Any]:
-    """Return colour and line of the k-th recorded signal: thinner, noise would fill the panel."""
+    """Return colour and line of a recorded signal, by its place in the palette: thinner, noise fills the panel."""
     return line_style(k) | {"linewidth": 1.0}
 
 
@@ -184,7 +185,7 @@ def legend_rows(labels: Sequence[str], width: float = FULL_WIDTH) -> int:
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend for all panels into the strip above them."""
+    """Put one legend for all panels into the strip above them; a tuple of handles is drawn side by side."""
     rows = legend_rows(labels, float(figure.get_size_inches()[0]))
     figure.legend(
         handles,
@@ -196,6 +197,7 @@ def legend_above(figure: Figure, handles: Sequence[Any], labels: Sequence[str]) 
         borderpad=0.1,
         handlelength=2.6,
         columnspacing=1.8,
+        handler_map={tuple: HandlerTuple(ndivide=None)},
     )
 
 

@@ -13,6 +13,7 @@ from platform_ctrl.designer.pictures import Bode, Drawing
 from platform_ctrl.designer.plots.columns import column, decibels, extent, finite
 from platform_ctrl.designer.plots.crossover_handle import CrossoverHandle
 from platform_ctrl.designer.plots.overlays import OverlayCurves, overlay_keys
+from platform_ctrl.designer.plots.palette import ASKED
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View, stepped
@@ -61,7 +62,7 @@ class BodePanel:
             plot.add_layout(level_line)
             plot.add_layout(nyquist)
             self._nyquist.append(nyquist)
-            asked = Span(dimension="height", location=None, line_width=1.5, line_dash=[6, 3])
+            asked = Span(dimension="height", location=None, line_width=1.5, line_dash=list(ASKED))
             paint(asked, line_color="limit")
             plot.add_layout(asked)
             self._asked.append(asked)
@@ -128,7 +129,7 @@ class BodePanel:
             [
                 *keys,
                 *overlay_keys(bode.overlays),
-                *([("asked bandwidth", "limit", (6, 3), 1.5)] if asked is not None else []),
+                *([("asked bandwidth", "limit", ASKED, 1.5)] if asked is not None else []),
             ]
         )
         empty = not (np.isfinite(gain).any() and np.isfinite(phase).any())

@@ -13,7 +13,7 @@ from platform_ctrl.designer.pictures import Drawing, Locus
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.breakaways import rounded
 from platform_ctrl.designer.plots.columns import column, strung, thinned
-from platform_ctrl.designer.plots.palette import FONT, series
+from platform_ctrl.designer.plots.palette import ASKED, FONT, series
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.pole_handles import PoleHandles
 from platform_ctrl.designer.plots.sources import Sources
@@ -74,7 +74,7 @@ class LocusPanel:
             axis = Span(dimension=dimension, location=0.0, line_width=1)
             paint(axis, line_color="reference")
             plot.add_layout(axis)
-        edge = plot.line("x", "y", source=asked, line_width=1.5, line_dash=[6, 3])
+        edge = plot.line("x", "y", source=asked, line_width=1.5, line_dash=list(ASKED))
         paint(edge.glyph, line_color="limit")
         cloud = plot.scatter("re", "im", source=others, marker="dot", size=8, line_alpha=0.0, fill_alpha=0.35)
         paint(cloud.glyph, fill_color="series-1")
@@ -159,7 +159,7 @@ class LocusPanel:
         self.panel.keys(
             [
                 ("gain from 0", "series-3", (), 1.4),
-                *([(f"asked damping {locus.damping:g}", "limit", (6, 3), 1.5)] if locus.damping is not None else []),
+                *([(f"asked damping {locus.damping:g}", "limit", ASKED, 1.5)] if locus.damping is not None else []),
                 *[(one.design, series(1 + k), (), 1.5) for k, one in enumerate(overlays)],
             ]
         )

@@ -8,6 +8,8 @@ from importlib import resources
 
 # Dashes of the k-th design in pixels; empty is a solid line.
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (9, 3, 2, 3), (9, 3, 2, 3, 2, 3), (5, 2), (14, 4), (4, 4))
+# Dashes of what the job asks for, pixels.
+ASKED = (6, 3)
 FONT = 'system-ui, -apple-system, "Segoe UI", "Helvetica Neue", "Noto Sans", "Liberation Sans", Arial, sans-serif'
 SMALL, NORMAL = "11px", "12px"
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from bokeh.models.annotations.geometry import BoxAnnotation
+from bokeh.models.annotations.geometry import BoxAnnotation, Span
 
 from platform_ctrl.designer.pictures import Drawing
 from platform_ctrl.designer.plots.bode import HZ
 from platform_ctrl.designer.plots.columns import column, extent, finite
 from platform_ctrl.designer.plots.overlays import overlay_keys
-from platform_ctrl.designer.plots.palette import dashes, series
+from platform_ctrl.designer.plots.palette import ASKED, dashes, series
 from platform_ctrl.designer.plots.panel import Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.time_response import TimePanel
@@ -48,6 +48,9 @@ class RatePanel:
         self._limit = BoxAnnotation(bottom=1.0, visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
         theme.paint(self._limit, fill_color="beyond")
         plot.add_layout(self._limit)
+        self._edge = Span(dimension="width", location=None, line_width=1.5, line_dash=list(ASKED))
+        theme.paint(self._edge, line_color="limit")
+        plot.add_layout(self._edge)
         area = plot.varea("frequency", "low", "high", source=band, fill_alpha=0.16)
         theme.paint(area.glyph, fill_color="series-1")
         plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.5)
@@ -119,6 +122,7 @@ class RatePanel:
         if limit is not None:
             self._limit.bottom = scale * limit
         self._limit.visible = limit is not None
+        self._edge.location = None if limit is None else scale * limit
         if top is not None:
             # A limit close by is shown too.
             high_end = size if limit is None or not size / 30.0 < limit < 30.0 * size else max(size, 1.5 * limit)
@@ -126,7 +130,7 @@ class RatePanel:
         self.plot.yaxis[0].axis_label = unit
         tell(self._message, "no finite response" if top is None else "" if picture.stable else "closed loop not stable")
         self.panel.say(response.title)
-        limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", (), 1.5)]
+        limits = [] if limit is None else [(f"limit {quantity(limit, response.unit)}", "limit", ASKED, 1.5)]
         self.panel.keys([(picture.settings.design, "series-1", (), 2.2), *overlay_keys(overlays), *limits])
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
-from bokeh.models.annotations.geometry import BoxAnnotation
+from bokeh.models.annotations.geometry import BoxAnnotation, Span
 
 from platform_ctrl.designer.pictures import Drawing, Overlay, TimeResponse
 from platform_ctrl.designer.plots.columns import Column, column, extent, finite, thinned
-from platform_ctrl.designer.plots.palette import dashes, series
+from platform_ctrl.designer.plots.palette import ASKED, dashes, series
 from platform_ctrl.designer.plots.panel import Key, Panel, Theme, tell
 from platform_ctrl.designer.plots.sources import Sources
 from platform_ctrl.designer.plots.views import View
@@ -28,6 +28,8 @@ _NOTHING, _ROUNDING = 1e-4, 1e-12
 _DWARFED = 0.03
 # What grows without bound is shown to this many times its size in the first eighth.
 _BEGUN = 2.0
+# Of a curve, pixels.
+_WIDTH = 2.0
 # Figures: the first unit of a response, and the second.
 _FIGURES = 2
 
@@ -84,14 +86,19 @@ class TimePanel:
         """
         units = list(dict.fromkeys(response.units))[:_FIGURES] or [""]
         overlays = picture.bode.overlays
-        keys: list[Key] = []
+        words: dict[str, list[str]] = {}
+        limits: list[Key] = []
         for k, trace in enumerate(self._traces):
             rows = [i for i, unit in enumerate(response.units) if k < len(units) and unit == units[k]][:_SIGNALS]
             trace.show(picture, response, rows, units[k] if k < len(units) else "", None if k else response.limit, own)
-            keys += trace.keys
+            for name, colour in trace.signals:
+                words.setdefault(colour, []).append(name)
+            limits += trace.limits
         self._time.fit(extent([column(response.t)]))
         self._arrange()
-        return keys + [(one.design, "muted", dashes(1 + j), 1.3) for j, one in enumerate(overlays)]
+        # A gimbal's torque has the colour of its angle. Other designs have the colours of the signals, and dashes.
+        keys: list[Key] = [(", ".join(names), colour, (), _WIDTH) for colour, names in words.items()]
+        return [*keys, *limits, *((one.design, "muted", dashes(1 + j), 1.3) for j, one in enumerate(overlays))]
 
     def _arrange(self) -> None:
         first, second = self._traces
@@ -112,8 +119,12 @@ class _Trace:
         bands = sources.new(f"{name}_bands", lists=("xs", "ys", "colour"))
         others = sources.new(f"{name}_overlays", lists=("xs", "ys", "name", "colour", "dash"))
         drive = sources.new(f"{name}_drive", "t", "share")
-        self._limits = []
+        self._limits, self._edges = [], []
         for edge in ("bottom", "top"):
+            line = Span(dimension="width", location=None, line_width=1.5, line_dash=list(ASKED))
+            theme.paint(line, line_color="limit")
+            plot.add_layout(line)
+            self._edges.append(line)
             beyond: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
             setattr(beyond, edge, 0.0)
             theme.paint(beyond, fill_color="beyond")
@@ -124,14 +135,16 @@ class _Trace:
         theme.paint(acts.glyph, line_color="reference")
         plot.patches("xs", "ys", source=bands, fill_color="colour", fill_alpha=0.16, line_alpha=0.0)
         plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
-        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=2.0)
+        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=_WIDTH)
         rows = [("@name", "$snap_y{0.[000]} @unit"), ("time", "$snap_x{0.[0000]} s")]
         panel.hover(plot, [curves], rows, line_policy="interp")
         self._message = panel.message(plot)
         self._unit = Unit()
         self._begun = False
         self.used = True
-        self.keys: list[Key] = []
+        # Names of the signals with their colours, and the key of the limit.
+        self.signals: list[tuple[str, str]] = []
+        self.limits: list[Key] = []
 
     def show(
         self, picture: Drawing, response: TimeResponse, rows: list[int], unit: str, limit: float | None, own: str
@@ -156,7 +169,8 @@ class _Trace:
         plain = unit
         self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
         scale, unit = self._unit.scale, self._unit.name
-        colours = [self._theme.colours[series(k)] for k in range(len(rows))]
+        own_series = [series(response.series[i]) for i in rows]
+        colours = [self._theme.colours[one] for one in own_series]
         names = [greek(response.signals[i]) for i in rows]
         put = self._sources.put
         put(
@@ -193,15 +207,15 @@ class _Trace:
         if limit is not None:
             above.bottom, below.top = scale * limit, -scale * limit
         above.visible = below.visible = limit is not None
+        for sign, line in zip((1.0, -1.0), self._edges, strict=True):
+            line.location = None if limit is None else sign * scale * limit
         if rows and not np.isfinite(column(values)).any():
             tell(self._message, "no finite response")
         else:
             troubled = not (picture.stable or self._last)
             tell(self._message, "closed loop not stable" if troubled else "")
-        # Torques have the colours of the angles above them, in the same order.
-        self.keys = [] if self._last else [(name, series(k), (), 2.0) for k, name in enumerate(names)]
-        if limit is not None:
-            self.keys.append((f"limit {quantity(limit, plain)}", "limit", (), 1.5))
+        self.signals = list(zip(names, own_series, strict=True))
+        self.limits = [] if limit is None else [(f"limit {quantity(limit, plain)}", "limit", ASKED, 1.5)]
 
 
 def _fitting(overlay: Overlay, own: str, response: TimeResponse) -> TimeResponse | None:

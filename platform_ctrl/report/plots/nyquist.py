@@ -163,9 +163,9 @@ def nyquist(
         axes.set_axis_off()
     for row in panel_grid:
         row[0].set_ylabel("imaginary part of L")
-    handles: list[Any] = [Line2D([], [], **line_style(k)) for k in range(len(systems))]
+    handles: list[Any] = [Line2D([], [], **_style(k)) for k in range(len(systems))]
     handles += [
-        Line2D([], [], color=MUTED, linewidth=0.7),
+        tuple(Line2D([], [], **_style(k, mirrored=True)) for k in range(len(systems))),
         Line2D([], [], marker="+", color=LIMIT, linestyle="none", markersize=9, markeredgewidth=1.6),
         *([Patch(facecolor=BAND, edgecolor=MUTED)] if with_disk else []),
         Line2D([], [], color=REFERENCE, linewidth=0.8, linestyle=(0, (1.2, 1.8))),
@@ -266,6 +266,11 @@ def _on_rim(L: ComplexArray, radius: float) -> ComplexArray:
     return np.insert(out, leaps + 1, complex(np.nan, np.nan))
 
 
+def _style(k: int, *, mirrored: bool = False) -> dict[str, Any]:
+    """Return the look of the k-th loop; that of its mirror image at negative frequencies is thinner."""
+    return line_style(k) | ({"linewidth": 0.7, "zorder": 2} if mirrored else {"linewidth": 1.5, "zorder": 3})
+
+
 def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) -> list[Line2D]:
     half = 1.06 * radius
     axes.set_aspect("equal")
@@ -286,8 +291,8 @@ def _panel(axes: Axes, curves: list[ChannelCurve], radius: float, alpha: float) 
     lines = []
     for k, curve in enumerate(curves):
         shown = _on_rim(curve.loop_transfer, radius)
-        [line] = axes.plot(shown.real, shown.imag, **line_style(k) | {"linewidth": 1.5, "zorder": 3})
-        axes.plot(shown.real, -shown.imag, **line_style(k) | {"linewidth": 0.7, "zorder": 2})
+        [line] = axes.plot(shown.real, shown.imag, **_style(k))
+        axes.plot(shown.real, -shown.imag, **_style(k, mirrored=True))
         lines.append(line)
         _arrow(axes, shown, radius, SERIES[k % len(SERIES)])
     places = Places(axes, [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in axes.lines])

@@ -95,11 +95,13 @@ def pole_map(
     nyquist = max((system.nyquist for system in drawn if system.dt), default=np.inf)
     nothing = np.zeros(0, dtype=np.complex128)
     view = view_of(every, nothing, nyquist, None if reach is None else positive("pole_map: reach", reach))
-    names = [system.label or "poles" for system in drawn] + (["zeros of the same colour"] if zeros else [])
+    roots = [_in_plane(_zeros(system, s), system.dt, plane) for system, s in zip(drawn, poles, strict=True) if zeros]
+    names = [system.label or "poles" for system in drawn] + (["zeros"] if any(map(len, roots)) else [])
     rows = legend_rows(names)
     figure, [[axes]] = panels(1, 1, _HEIGHT + 0.22 * rows, legend=rows, titles=False)
     places = z_plane(axes, periods.pop()) if plane == "z" else s_plane(axes, view)
-    lines = []
+    lines: list[Line2D] = []
+    drawn_zeros: list[Line2D] = []
     for k, (system, s) in enumerate(zip(drawn, poles, strict=True)):
         own: dict[str, Any] = {
             "color": SERIES[k % len(SERIES)],
@@ -112,9 +114,9 @@ def pole_map(
         lines += axes.plot(shown.real, shown.imag, marker=marker, markersize=6.5, zorder=4, **own)
         for at in shown:
             places.reserve(at.real, at.imag, 3.5)
-        if zeros:
-            shown = _in_plane(_zeros(system, s), system.dt, plane)
-            axes.plot(shown.real, shown.imag, marker="o", markersize=5.0, zorder=3, **own | {"markeredgewidth": 0.9})
+        for shown in roots[k : k + 1]:
+            circle = own | {"marker": "o", "markersize": 5.0, "markeredgewidth": 0.9}
+            drawn_zeros += axes.plot(shown.real, shown.imag, zorder=3, **circle) if len(shown) else []
             for at in shown:
                 places.reserve(at.real, at.imag, 3.0)
     for system, s in zip(drawn, poles, strict=True):
@@ -122,8 +124,7 @@ def pole_map(
     places.settle()
     _outside(axes, every, plane)
     handles: list[Any] = list(lines)
-    if zeros:
-        handles.append(Line2D([], [], marker="o", color=MUTED, linestyle="none", markerfacecolor="none", markersize=5))
+    handles += [tuple(drawn_zeros)] if drawn_zeros else []
     legend_above(figure, handles, names)
     panel = np.array([[axes]])
     every_line = line_array(panel)

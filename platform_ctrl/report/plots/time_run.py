@@ -12,6 +12,7 @@ from platform_ctrl.arguments import known_name, positive, short
 from platform_ctrl.check import Run
 from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform, Torquer, expect_platform
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.run_figures import trajectory_figure
 from platform_ctrl.report.style import standalone
 from platform_ctrl.simulation import Trajectory
@@ -68,9 +69,11 @@ def time_run(
     names = recorded.torquer_names
     if platform is None:
         torquers = [Torquer(name=name, **_place(name)) for name in names]
+        series = _series(recorded)
     else:
         expect_platform(platform)
         torquers = list(platform.torquers)
+        series = signal_series(platform)
         own = tuple(torquer.name for torquer in torquers)
         if own != names or platform.angle_names != recorded.angle_names:
             raise ArgumentError(
@@ -81,7 +84,15 @@ def time_run(
     if not duration > 0.0:
         duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
     unknown = {} if platform is not None else {"unlimited": "give the platform to see the torquers' limits"}
-    return trajectory_figure(recorded, torquers, asked, duration, **unknown)
+    return trajectory_figure(recorded, torquers, series, asked, duration, **unknown)
+
+
+def _series(run: Trajectory) -> Mapping[str, int]:
+    """Return the colours of a run's signals where the platform is not known: torquers in the order of the gimbals."""
+    out = {name: k for k, name in enumerate(run.angle_names)}
+    gimbals = [name for name in run.torquer_names if name not in ROOT_TORQUE_NAMES]
+    roots = {name: root_series(axis) for axis, name in enumerate(ROOT_TORQUE_NAMES, 1)}
+    return out | roots | {name: k for k, name in enumerate(gimbals)}
 
 
 def _place(name: str) -> dict[str, Any]:
