@@ -195,6 +195,15 @@ def state_space(
     )
 
 
+def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequence[str]) -> control.StateSpace:
+    """Return `system` from some inputs to some outputs; with the names of its states, which ``system[...]`` loses."""
+    rows = [list(system.output_labels).index(name) for name in outputs]
+    columns = [list(system.input_labels).index(name) for name in inputs]
+    A, B, C, D, dt = state_arrays(system, "selected")
+    arrays = StateArrays(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], dt)
+    return state_space(arrays, inputs, outputs, list(system.state_labels))
+
+
 def _distinct(names: Sequence[str]) -> list[str]:
     used: set[str] = set()
     out = []

@@ -105,7 +105,9 @@ def loop_transfer(plant: StateSystem, controller: StateSystem, at: At = "input")
         first, second, names = P, K, list(controller.output_labels)
     else:
         first, second, names = K, P, list(controller.input_labels)
-    return state_space(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names)
+    of_plant, of_controller = _states(plant, P, controller, K)
+    states = of_plant + of_controller if first is P else of_controller + of_plant
+    return state_space(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names, states)
 
 
 def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpace:
@@ -139,17 +141,20 @@ def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpa
     arrays = closed_loop_arrays(*P[:4], *K[:4], torques=torques, angles=angles)
     measured = [plant.output_labels[i] for i in angles]
     commanded = [plant.input_labels[i] for i in torques]
+    of_plant, of_controller = _states(plant, P, controller, K)
     return state_space(
         StateArrays(*arrays, dt=P.dt),
         list(plant.input_labels) + [f"noise_{name}" for name in measured],
         commanded + list(plant.output_labels),
-        _states(plant, P, "plant") + [f"controller_{name}" for name in _states(controller, K, "x")],
+        of_plant + of_controller,
     )
 
 
-def _states(system: StateSystem, arrays: StateArrays, prefix: str) -> list[str]:
-    """Return the states' names; those of a transfer function are numbered."""
-    return list(getattr(system, "state_labels", None) or (f"{prefix}_{k}" for k in range(len(arrays.A))))
+def _states(plant: StateSystem, P: StateArrays, controller: StateSystem, K: StateArrays) -> tuple[list[str], list[str]]:
+    """Return the names of the plant's states and, each behind ``controller_``, of the controller's."""
+    own = getattr(plant, "state_labels", None) or [f"plant_{k}" for k in range(len(P.A))]
+    its = getattr(controller, "state_labels", None) or [f"x_{k}" for k in range(len(K.A))]
+    return list(own), [f"controller_{name}" for name in its]
 
 
 def gang(plant: StateSystem, controller: StateSystem, frequency: ArrayLike) -> Gang:

@@ -45,7 +45,8 @@ def joined(
     ----------
     See docs/job-file.md.
     """
-    return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, name="all loops")
+    states = [name for K in controllers for name in K.state_labels]
+    return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, states, name="all loops")
 
 
 def joined_arrays(

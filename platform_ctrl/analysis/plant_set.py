@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
+from platform_ctrl.arguments import whole
+from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
@@ -54,6 +56,8 @@ class PlantSet:
         Of the plants on `frequency`, torques → angles, rad/(N m).
     Omega_response : complex (N, F, p, 3)
         Of the plants on `frequency`, platform rate → angles, s.
+    states
+        Names of the n states.
 
     References
     ----------
@@ -77,6 +81,32 @@ class PlantSet:
     frequency: FloatArray
     response: ComplexArray
     Omega_response: ComplexArray
+    states: tuple[str, ...]
+
+    def system(self, k: int = 0) -> control.StateSpace:
+        """Return plant `k` with its signals by name, the platform's rate among its inputs.
+
+        Parameters
+        ----------
+        k
+            Index of the plant; 0 is the nominal one.
+
+        Returns
+        -------
+        control.StateSpace
+            Inputs: the torques, then Omega1 to Omega3, rad/s, held between the samples; outputs: the angles.
+            ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
+            loop of a controller u = K y.
+
+        Raises
+        ------
+        ArgumentError
+            There is no plant `k`.
+        """
+        k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
+        B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], np.zeros((len(self.angles), 3))])
+        arrays = StateArrays(self.A[k], B, self.C[k], D, self.period)
+        return state_space(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller in the order of this set's angles and torques.
@@ -198,6 +228,7 @@ def plant_set(
     B_Omega: FloatArray | None = None,
     Omega: FloatArray | None = None,
     torque_limit: FloatArray | None = None,
+    states: Sequence[str] | None = None,
 ) -> PlantSet:
     """Return the set, its responses worked out once on `tuning_grid`.
 
@@ -230,4 +261,5 @@ def plant_set(
         frequency=grid,
         response=np.ascontiguousarray(response[..., :m]),
         Omega_response=np.ascontiguousarray(response[..., m:]),
+        states=tuple(f"x{k}" for k in range(plants.A.shape[-1])) if states is None else tuple(states),
     )

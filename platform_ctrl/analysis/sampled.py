@@ -8,6 +8,7 @@ into two intervals of constant input, and each is integrated with the matrix exp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,10 +65,15 @@ def sampled(
         raise ArgumentError(f"sampled: the system has dt = {arrays.dt} s already, expected a continuous system")
     A, B, C, D, lags = _sampled(arrays.A, arrays.B, arrays.C, arrays.D, period, delay, lag)
     inputs = list(system.input_labels)
-    states = list(system.state_labels) + [f"lag_{name}" for name, one in zip(inputs, lags, strict=True) if one > 0.0]
-    held = (A.shape[-1] - len(states)) // max(len(inputs), 1)
-    states += [f"{name}_held{j + 1}" for j in range(held) for name in inputs]
+    states = sampled_states(list(system.state_labels), inputs, lags, A.shape[-1])
     return state_space(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
+
+
+def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArray, order: int) -> list[str]:
+    """Return the names of the states of a sampled system of that order: its own, the lags' and the held inputs'."""
+    out = [*states, *(f"lag_{name}" for name, one in zip(inputs, lags, strict=True) if one > 0.0)]
+    held = (order - len(out)) // max(len(inputs), 1)
+    return out + [f"{name}_held{j + 1}" for j in range(held) for name in inputs]
 
 
 def sampled_arrays(
@@ -235,8 +241,7 @@ def bilinear_to_continuous(system: control.StateSpace) -> control.StateSpace:
     arrays = state_arrays(system, "bilinear_to_continuous")
     if arrays.dt == 0.0:
         raise ArgumentError("bilinear_to_continuous: the system is continuous already, expected dt > 0")
-    A, B, C, D = to_w_plane(arrays.A, arrays.B, arrays.C, arrays.D, arrays.dt)
-    return state_space(StateArrays(A, B, C, D, 0.0), list(system.input_labels), list(system.output_labels))
+    return _mapped(system, arrays, _to_w_plane, arrays.dt, 0.0)
 
 
 def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.StateSpace:
@@ -267,15 +272,34 @@ def bilinear_to_discrete(system: control.StateSpace, period: float) -> control.S
     if arrays.dt != 0.0:
         raise ArgumentError(f"bilinear_to_discrete: the system has dt = {arrays.dt} s, expected a continuous system")
     period = positive("bilinear_to_discrete: period", period)
-    A, B, C, D = from_w_plane(arrays.A, arrays.B, arrays.C, arrays.D, period)
-    return state_space(StateArrays(A, B, C, D, period), list(system.input_labels), list(system.output_labels))
+    return _mapped(system, arrays, _from_w_plane, period, period)
+
+
+def _mapped(
+    system: control.StateSpace,
+    arrays: StateArrays,
+    bilinear: Callable[..., tuple[FloatArray, FloatArray, FloatArray, FloatArray]],
+    period: float,
+    dt: float,
+) -> control.StateSpace:
+    """Return a system mapped by `_to_w_plane` or `_from_w_plane`; its states keep their names and units."""
+    s = state_scaling(*arrays[:3])
+    A, B, C = arrays.A * s / s[:, None], arrays.B / s[:, None], arrays.C * s
+    A, B, C, D = bilinear(A, B, C, arrays.D, period)
+    out = StateArrays(A * s[:, None] / s, B * s[:, None], C / s, D, dt)
+    return state_space(out, list(system.input_labels), list(system.output_labels), list(system.state_labels))
 
 
 def to_w_plane(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the arrays of `bilinear_to_continuous`, in balanced states."""
-    A, B, C = scaled(A, B, C)
+    return _to_w_plane(*scaled(A, B, C), D, period)
+
+
+def _to_w_plane(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     eye = np.eye(A.shape[-1])
     inverse = _inverse(A + eye, "bilinear_to_continuous: the system has a pole at z = -1")
     root = 2.0 / math.sqrt(period)
@@ -286,7 +310,12 @@ def from_w_plane(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the arrays of `bilinear_to_discrete`, in balanced states."""
-    A, B, C = scaled(A, B, C)
+    return _from_w_plane(*scaled(A, B, C), D, period)
+
+
+def _from_w_plane(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     half, root, eye = 0.5 * period, math.sqrt(period), np.eye(A.shape[-1])
     inverse = _inverse(eye - half * A, f"bilinear_to_discrete: the system has a pole at 2/period = {2.0 / period:g}")
     return inverse @ (eye + half * A), root * (inverse @ B), root * (C @ inverse), D + half * (C @ inverse @ B)

@@ -163,7 +163,7 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     outputs = [*angles, *rates]
     part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = state_space(arrays, [t.name for t in torquers], outputs)
+    named = state_space(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
@@ -178,7 +178,7 @@ def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.Sta
     rows |= dict(zip(system.output_labels, system.C, strict=True))
     C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
     arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
-    return state_space(arrays, system.input_labels, signals)
+    return state_space(arrays, system.input_labels, signals, list(system.state_labels))
 
 
 def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
@@ -239,7 +239,8 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
             B[n:, column] = mobility[:, torquer.root_axis - 1]
     C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
     arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
-    named = state_space(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES])
+    states = [*system.state_labels, *OMEGA_NAMES]
+    named = state_space(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
     named = measuring(named, [*model.angle_names, *rates])
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 

@@ -212,4 +212,5 @@ def with_excess(controller: StateSpace, gain: FloatArray) -> StateSpace:
     K = state_arrays(controller, "with_excess")
     outputs = list(controller.output_labels)
     arrays = StateArrays(K.A, np.hstack([K.B, gain]), K.C, np.hstack([K.D, np.zeros((len(outputs),) * 2)]), K.dt)
-    return state_space(arrays, [*controller.input_labels, *(f"excess_{name}" for name in outputs)], outputs)
+    inputs = [*controller.input_labels, *(f"excess_{name}" for name in outputs)]
+    return state_space(arrays, inputs, outputs, list(controller.state_labels))

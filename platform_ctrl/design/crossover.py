@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays, state_space
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates import Certificate, margin_certificates
+from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.design.channels import Channels, channels
 from platform_ctrl.design.classical import classical_controller, starting_values
+from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError
 from platform_ctrl.frozen import value
 from platform_ctrl.linearisation import LinearModel, expect_model
@@ -47,9 +49,11 @@ class CrossoverDesign:
     Attributes
     ----------
     plant
-        The pair, sampled, from its torques to its angles.
+        The pair, sampled, from its torques and Omega1 to Omega3, rad/s, held between the samples, to its angles.
     controller
-        u = K y, sampled; inputs are the pair's angles, outputs its torques.
+        u = K y (positive feedback), sampled; inputs are the pair's angles, outputs its torques.
+        ``control.interconnect([plant, controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)`` closes the
+        loop by the signals' names.
     options
         Of the method ``classical``, complete: what a job file would take, in the units of the job file.
     disk_margin
@@ -76,7 +80,8 @@ class CrossoverDesign:
         NotCertifiedError
             One was not found.
         """
-        return margin_certificates(state_arrays(self.plant, "plant"), state_arrays(self.controller, "controller"))
+        acting = selected(self.plant, self.controller.input_labels, self.controller.output_labels)
+        return margin_certificates(state_arrays(acting, "plant"), state_arrays(self.controller, "controller"))
 
 
 def from_crossover_and_margin(
@@ -150,7 +155,7 @@ def from_crossover_and_margin(
 
     def controller(strength: float) -> control.StateSpace:
         K = StateArrays(*classical_controller(with_lead(strength), channel, period), dt=period)
-        return state_space(K, plant.output_labels, plant.input_labels, name=f"cross-axis, {crossover_hz:g} Hz")
+        return state_space(K, plant.output_labels, plant.input_labels[:2], name=f"cross-axis, {crossover_hz:g} Hz")
 
     def margin(strength: float) -> float:
         return _disk_margin(plant, controller(strength))
@@ -225,6 +230,11 @@ def _pair(
     names = [model.gimbal_names[k] for k in rows]
     torquers = [model.platform.torquer_on(name) for name in names]
     angles = [model.platform.pickoff_on(name).name for name in names]
-    system = model_state_space(model, gimbals=names)[angles, [t.name for t in torquers]]
+    system = model_state_space(model, gimbals=names)
     nutation = float(np.abs(np.linalg.eigvals(system.A)).max())
-    return sampled(system, period, delay, [t.lag for t in torquers]), channel, nutation
+    acting = sampled(selected(system, angles, [t.name for t in torquers]), period, delay, [t.lag for t in torquers])
+    A, B, C, D, _ = state_arrays(acting, "plant")
+    rate = held_rate(system.A, selected(system, angles, OMEGA_NAMES).B, period, len(A))
+    arrays = StateArrays(A, np.hstack([B, rate]), C, np.hstack([D, np.zeros((2, 3))]), period)
+    plant = state_space(arrays, [*acting.input_labels, *OMEGA_NAMES], angles, acting.state_labels)
+    return plant, channel, nutation

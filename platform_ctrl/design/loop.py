@@ -77,6 +77,15 @@ class LoopDesign:
     unproved: tuple[str, ...] = ()
 
     @property
+    def plant(self) -> control.StateSpace | None:
+        """The nominal sampled plant, from torques and Omega1 to Omega3 to angles: see `PlantSet.system`.
+
+        ``control.interconnect([design.plant, design.controller], inputs=["Omega1", "Omega2", "Omega3"], outputs=...)``
+        closes the loop by the signals' names. None where `plants` is.
+        """
+        return None if self.plants is None else self.plants.system()
+
+    @property
     def passed(self) -> bool:
         """Whether every requirement is met; goals do not count."""
         return all(result.passed for result in self.results)
@@ -85,7 +94,7 @@ class LoopDesign:
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     arrays = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
-    return state_space(arrays, plants.torques, plants.angles)
+    return state_space(arrays, plants.torques, plants.angles, plants.states)
 
 
 def certified(

@@ -446,4 +446,8 @@ def _with_integrators(K: Realisation, ny: int, integrals: int, system: StateSpac
         ),
         system.output_labels,
         system.input_labels,
+        [
+            *(f"estimate_{name}" for name in system.state_labels),
+            *(f"integral_{name}" for name in system.output_labels[:p]),
+        ],
     )

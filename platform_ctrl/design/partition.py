@@ -189,5 +189,6 @@ def closed_loop_system(P: StateSpace, loop: Realisation) -> StateSpace:
     nz, nw = loop.D.shape
     return control.StateSpace(
         loop.A, loop.B, loop.C, loop.D, P.dt or 0.0,
+        states=[*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))],
         inputs=P.input_labels[:nw], outputs=P.output_labels[:nz], remove_useless_states=False,
     )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
-from platform_ctrl.analysis.sampled import held_input, sampled_arrays
+from platform_ctrl.analysis.sampled import held_input, sampled_arrays, sampled_states
 from platform_ctrl.arguments import known_name
 from platform_ctrl.description import OMEGA_NAMES, PickOff, Platform, Torquer
 from platform_ctrl.errors import ArgumentError, InputError
@@ -197,6 +197,8 @@ class LinearPlants:
         Of the loop's gimbals, in the loop's order.
     A, B, C, D, B_Omega
         Continuous; shapes (N, n, n), (N, n, m), (N, p, n), (N, p, m), (N, n, 3).
+    states
+        Names of the n states.
     """
 
     cases: tuple[Case, ...]
@@ -207,6 +209,7 @@ class LinearPlants:
     C: FloatArray
     D: FloatArray
     B_Omega: FloatArray
+    states: tuple[str, ...]
 
 
 def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence[Case]) -> LinearPlants:
@@ -232,6 +235,7 @@ def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence
         C=C,
         D=D,
         B_Omega=np.array([system[angles, list(OMEGA_NAMES)].B for system in systems]),
+        states=tuple(systems[0].state_labels),
     )
 
 
@@ -255,9 +259,10 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
         nutation=reference_frequency(A[0], sampling.period),
         noise=np.array([s.sampled_noise(sampling.period) for s in linear.pickoffs]),
         groups=tuple(one.group for one in linear.cases),
-        B_Omega=_held_rate(A, linear.B_Omega, sampling.period, arrays[0].shape[-1]),
+        B_Omega=held_rate(A, linear.B_Omega, sampling.period, arrays[0].shape[-1]),
         Omega=Omega,
         torque_limit=np.array([np.inf if t.limit is None else t.limit for t in linear.torquers]),
+        states=sampled_states(linear.states, torques, lags, arrays[0].shape[-1]),
     )
 
 
@@ -286,7 +291,7 @@ def _expect_slow(A: FloatArray, plants: Sequence[Case], period: float) -> None:
         )
 
 
-def _held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:
+def held_rate(A: FloatArray, B: FloatArray, period: float, order: int) -> FloatArray:
     """Return the sampled input of Omega: held like the torques, but neither delayed nor lagging."""
     out = np.zeros((*A.shape[:-2], order, B.shape[-1]))
     # The sampled states begin with the plant's own, which lags and held torques do not hear of.

@@ -1,0 +1,108 @@
+"""What a user of python-control expects: loops closed by names, names of states that last, values that travel."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import analysis, design
+
+MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
+PERIOD = 0.0005
+RATES = ["Omega1", "Omega2", "Omega3"]
+STATES = ["alpha9", "beta10", "p_alpha9", "p_beta10"]
+JOB = {
+    "schema": 1,
+    "name": "one loop",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "classical",
+            "limits": {"bandwidth_hz": 20, "disk_margin": 0.3},
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def crossover() -> design.CrossoverDesign:
+    return design.from_crossover_and_margin(
+        MODEL, ("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD, delay=1.5 * PERIOD
+    )
+
+
+@pytest.fixture(scope="module")
+def loop() -> design.LoopDesign:
+    return design.loops(JOB)[0].closed
+
+
+@pytest.mark.parametrize("of", ["crossover", "loop"])
+def test_interconnect_closes_the_loop_of_a_design_by_the_names_of_its_signals(
+    of: str, request: pytest.FixtureRequest
+) -> None:
+    made = request.getfixturevalue(of)
+    angles = list(made.controller.input_labels)
+    assert made.plant.input_labels == [*made.controller.output_labels, *RATES]
+    theirs = control.interconnect([made.plant, made.controller], inputs=RATES, outputs=angles)
+    ours = analysis.closed_loop(made.plant, made.controller)
+    assert analysis.is_stable(theirs)
+    w = np.geomspace(1.0, 6000.0, 30)
+    expected = analysis.frequency_response(ours[angles, RATES], w)
+    np.testing.assert_allclose(analysis.frequency_response(theirs, w), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("of", ["crossover", "loop"])
+def test_the_rate_of_the_platform_is_held_but_neither_late_nor_lagging(of: str, request: pytest.FixtureRequest) -> None:
+    plant = request.getfixturevalue(of).plant
+    angles = list(plant.output_labels)
+    # By python-control alone: a zero-order hold before the continuous plant.
+    direct = control.sample_system(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)[angles, RATES]
+    t, u = PERIOD * np.arange(60), np.random.default_rng(1).normal(size=(3, 60))
+    found = analysis.time_response(analysis.arrays.selected(plant, angles, RATES), t, u)
+    np.testing.assert_allclose(found, control.forced_response(direct, t, u).outputs, rtol=0, atol=1e-13)
+
+
+def test_designs_of_a_job_name_the_states_of_their_plant(loop: design.LoopDesign) -> None:
+    assert loop.plant is not None
+    assert loop.plant.state_labels[:4] == STATES
+    assert all(name.startswith(("lag_Q", "Q9_held", "Q10_held")) for name in loop.plant.state_labels[4:])
+
+
+def test_names_of_states_last(crossover: design.CrossoverDesign) -> None:
+    gyro = pc.state_space(MODEL, gimbals=("9", "10"))
+    assert gyro.state_labels == STATES
+    part = analysis.arrays.selected(gyro, ["beta10"], ["Q9"])
+    assert part.state_labels == STATES
+    for made in (part, gyro, analysis.bilinear_to_discrete(gyro, PERIOD), crossover.plant):
+        assert made.state_labels[:4] == STATES
+    sampled = analysis.sampled(part, PERIOD, delay=PERIOD, lag=0.001)
+    assert sampled.state_labels == [*STATES, "lag_Q9", "Q9_held1"]
+    assert analysis.bilinear_to_continuous(analysis.sampled(gyro, PERIOD)).state_labels == STATES
+    plant, controller = crossover.plant, crossover.controller
+    own, its = list(plant.state_labels), [f"controller_{name}" for name in controller.state_labels]
+    assert analysis.closed_loop(plant, controller).state_labels == own + its
+    assert analysis.loop_transfer(plant, controller, at="input").state_labels == own + its
+    assert analysis.loop_transfer(plant, controller, at="output").state_labels == its + own
+
+
+def test_the_bilinear_map_there_and_back_is_the_system_state_by_state() -> None:
+    gyro = analysis.sampled(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)
+    again = analysis.bilinear_to_discrete(analysis.bilinear_to_continuous(gyro), PERIOD)
+    for name in "ABCD":
+        given, back = getattr(gyro, name), getattr(again, name)
+        np.testing.assert_allclose(back, given, rtol=1e-9, atol=1e-12 * max(1e-6, np.abs(given).max()))
+
+
+def test_the_estimate_of_a_controller_is_named_after_the_state() -> None:
+    gyro = analysis.arrays.selected(pc.state_space(MODEL, gimbals=("9", "10")), ["alpha9", "beta10"], ["Q9", "Q10"])
+    made = design.lqg(gyro, np.eye(4), np.eye(2), np.eye(4), np.eye(2), integral=np.eye(2))
+    names = [f"estimate_{name}" for name in STATES] + ["integral_alpha9", "integral_beta10"]
+    assert made.controller.state_labels == names
