@@ -17,7 +17,14 @@ from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
 from platform_ctrl.design.partition import Realisation, closed_loop, partition
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
 from platform_ctrl.design.synthesis import Claim, certify, hinf
-from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, NotStabilisableError
+from platform_ctrl.errors import (
+    ArgumentError,
+    DesignError,
+    IllPosedError,
+    NotCertifiedError,
+    NotStabilisableError,
+    TimeLimitError,
+)
 
 METHODS = ("lmi", "riccati")
 # The least gamma of the LMI route is as good as its solver, that of the Riccati route as its bisection.
@@ -129,6 +136,34 @@ def test_slycot_agrees_on_scaled_plants_with_full_d11(seed):
     assert hinf(P, 2, 2, method="lmi").gamma_optimal == pytest.approx(least, rel=1e-4)
 
 
+def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_result_says_why():
+    P = random_plant(7, n=4)
+    default, asked = hinf(P, 2, 2), hinf(P, 2, 2, method="riccati")
+    assert (default.method, default.reason) == ("hinf, riccati", "the assumptions of the Riccati equations hold")
+    assert (default.gamma, default.gamma_optimal) == (asked.gamma, asked.gamma_optimal)
+    assert asked.reason == ""
+    D = P.D.copy()
+    D[:4, 4:] = 0
+    singular = hinf(control.ss(P.A, P.B, P.C, D), 2, 2)
+    assert singular.method == "hinf, lmi"
+    assert singular.reason == "hinf, riccati: D12 has column rank 0"
+    integrator = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    unseen = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], integrator)
+    found = hinf(unseen, 1, 1)
+    assert found.method == "hinf, lmi"
+    assert "loses column rank at 0 rad/s" in found.reason
+    # What has to be added for the Riccati equations is added to them.
+    assert hinf(unseen, 1, 1, regularise=1e-3).method == "hinf, riccati"
+
+
+def test_where_both_routes_fail_the_error_names_both_reasons():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 4:] = 0
+    with pytest.raises(TimeLimitError, match=r"did not finish .*the other route fails, too: .*D12 has column"):
+        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, time_limit=1e-6)
+
+
 def test_eigenvalues_on_the_axis_are_not_taken_for_a_solution():
     # Below the least gamma of this plant, 7.857, the Hamiltonian matrix has eigenvalues on the axis that rounding puts
     # on either side of it in equal numbers: sb10ad takes 6.246 for the answer.
@@ -158,7 +193,7 @@ def test_least_gamma_does_not_depend_on_the_units(seed, exponents, rate, ports):
 def test_lmi_route_finds_a_gamma_of_any_size(gain):
     P = random_plant(4)
     scaled = control.ss(P.A, P.B, np.vstack([gain * P.C[:4], P.C[4:]]), np.vstack([gain * P.D[:4], P.D[4:]]))
-    assert hinf(scaled, 2, 2).gamma_optimal == pytest.approx(
+    assert hinf(scaled, 2, 2, method="lmi").gamma_optimal == pytest.approx(
         gain * hinf(P, 2, 2, method="riccati").gamma_optimal, rel=1e-4
     )
 
@@ -209,7 +244,7 @@ def test_lmi_route_needs_no_rank_and_undercuts_the_regularised_problem(missing):
 
 def test_solver_s_answer_satisfies_every_inequality_and_none_holds_below_the_least_gamma():
     P, nmeas, ncon = coprime_problem(*gyro())
-    result = hinf(P, nmeas, ncon)
+    result = hinf(P, nmeas, ncon, method="lmi")
     eigenvalues = [value for name, value in result.residual.items() if name.startswith("largest eigenvalue")]
     assert len(eigenvalues) == 3
     assert max(eigenvalues) < 0
@@ -282,7 +317,7 @@ def test_riccati_route_names_a_zero_on_the_axis_that_the_lmi_route_does_not_mind
 def test_solver_that_does_not_finish_in_time_is_an_error():
     P, nmeas, ncon = coprime_problem(*gyro())
     with pytest.raises(DesignError, match="did not finish in 1e-06 s"):
-        hinf(P, nmeas, ncon, time_limit=1e-6)
+        hinf(P, nmeas, ncon, method="lmi", time_limit=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -464,7 +499,7 @@ def test_a_stated_regularisation_tends_to_the_lmi_route_from_above():
     D = P.D.copy()
     D[:4, 5] = D[5, :4] = 0
     P = control.ss(P.A, P.B, P.C, D)
-    least = hinf(P, 2, 2).gamma_optimal
+    least = hinf(P, 2, 2, method="lmi").gamma_optimal
     for size in (1e-2, 1e-3):
         result = hinf(P, 2, 2, method="riccati", regularise=size)
         assert result.residual["regularisation of controls and measurements"] == size
@@ -484,7 +519,7 @@ def test_a_zero_on_the_axis_is_shifted_when_asked():
     result = hinf(P, 1, 1, method="riccati", regularise=1e-3)
     assert result.residual["regularisation by a shift of A, rad/s"] > 0
     assert result.gamma <= 1.02 * result.gamma_optimal
-    assert result.gamma_optimal == pytest.approx(hinf(P, 1, 1).gamma_optimal, rel=0.05)
+    assert result.gamma_optimal == pytest.approx(hinf(P, 1, 1, method="lmi").gamma_optimal, rel=0.05)
 
 
 def test_promised_norms_are_judged_one_by_one():

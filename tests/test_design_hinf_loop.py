@@ -34,6 +34,11 @@ def test_both_routes_find_the_same_bound(by_route):
         assert claims["gamma_optimal"] <= claims["gamma"] <= 1.11 * claims["gamma_optimal"]
 
 
+def test_a_job_s_loop_takes_the_riccati_route_by_default(loop, by_route):
+    spec, plants, channel = loop
+    assert hinf_controller(spec.designs[1].options, channel, plants)[2] == by_route["riccati"][2]
+
+
 @pytest.mark.parametrize("route", ["lmi", "riccati"])
 def test_the_sampled_controller_meets_what_the_job_asks(loop, by_route, route):
     spec, plants, _ = loop

@@ -30,9 +30,11 @@ def default_options(given: dict[str, float], channel: Channels, nutation: float)
 
 
 def hinf_controller(
-    given: dict[str, float], channel: Channels, plants: PlantSet, method: HinfMethod = "lmi"
+    given: dict[str, float], channel: Channels, plants: PlantSet, method: HinfMethod | None = None
 ) -> tuple[Block, dict[str, float], dict[str, float]]:
     """Return the sampled controller, the complete options, and the claims ``gamma`` and ``gamma_optimal``.
+
+    `method` is that of `design.hinf`: by default Riccati equations where their assumptions hold.
 
     Raises
     ------

@@ -35,7 +35,7 @@ from platform_ctrl.design.partition import (
     partition,
 )
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
+from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import value
 
 if TYPE_CHECKING:
@@ -110,6 +110,8 @@ class Synthesis:
         Which norm `gamma` is: ``"hinf"`` or ``"h2"``.
     norms
         Other norms of the closed loop that the route promised, recomputed, by name, in units of z per w.
+    reason
+        Why the route was taken; empty where it was asked for.
 
     References
     ----------
@@ -130,6 +132,7 @@ class Synthesis:
     residual: dict[str, float]
     norm: Norm = "hinf"
     norms: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
     _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
 
     @property
@@ -158,7 +161,7 @@ def hinf(
     nmeas: int,
     ncon: int,
     *,
-    method: HinfMethod = "lmi",
+    method: HinfMethod | None = None,
     backoff: float = 0.02,
     time_limit: float = 60.0,
     regularise: float | None = None,
@@ -177,8 +180,9 @@ def hinf(
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     method
-        ``"lmi"``: linear matrix inequalities (Gahinet and Apkarian 1994), any D12, D21 and D11;
-        ``"riccati"``: two Riccati equations (Glover and Doyle 1988), faster, D12 and D21 of full rank.
+        ``"riccati"``: two Riccati equations (Glover and Doyle 1988), which need D12 and D21 of full rank and no zero on
+        the imaginary axis; ``"lmi"``: linear matrix inequalities (Gahinet and Apkarian 1994), any D12, D21 and D11, but
+        slower and less accurate. None: Riccati equations, and matrix inequalities where these fail; `reason` says why.
     backoff
         Relative distance from the least gamma, positive.
     time_limit
@@ -226,14 +230,15 @@ def hinf(
     ...     [[1, 0], [0, 0], [1, 0]],
     ...     [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
     ... )
-    >>> found = design.hinf(P, nmeas=1, ncon=1, method="riccati")
-    >>> round(found.gamma_optimal, 3), found.gamma < 1.02 * found.gamma_optimal
-    (1.445, True)
+    >>> found = design.hinf(P, nmeas=1, ncon=1)
+    >>> found.method, round(found.gamma_optimal, 3), found.gamma < 1.02 * found.gamma_optimal
+    ('hinf, riccati', 1.445, True)
     """
-    one_of("hinf: method", method, ("lmi", "riccati"))
+    if method is not None:
+        one_of("hinf: method", method, ("lmi", "riccati"))
     backoff = positive("hinf: backoff", backoff)
     require_time_limit("hinf", time_limit)
-    require_regularisation("hinf", method, regularise)
+    require_regularisation("hinf", method or "riccati", regularise)
     plant = partition(P, nmeas, ncon, sampled=True)
     if plant.dt:
         require_stabilisable(plant, P, "hinf")
@@ -248,19 +253,36 @@ def hinf(
     scaled = autoscaled_with_gain(flat)
     if not plant.dt:
         require_stabilisable(flat, P, "hinf", scaled)
+
+    def by(route: HinfMethod, reason: str = "") -> Synthesis:
+        try:
+            if route == "lmi":
+                from platform_ctrl.design.hinf_lmi import hinf_lmi
+
+                made, optimal, residual = hinf_lmi(flat, backoff, time_limit, P)
+            else:
+                from platform_ctrl.design.hinf_riccati import hinf_riccati
+
+                made, optimal, residual = hinf_riccati(scaled, backoff, P, regularise)
+            made = out_of_w_plane(made, plant.dt)
+        except np.linalg.LinAlgError as error:
+            raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
+        return certify(
+            P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {route}", residual=residual,
+            reason=reason,
+        )  # fmt: skip
+
+    if method is not None or regularise is not None:
+        return by(method or "riccati")
     try:
-        if method == "lmi":
-            from platform_ctrl.design.hinf_lmi import hinf_lmi
-
-            made, optimal, residual = hinf_lmi(flat, backoff, time_limit, P)
-        else:
-            from platform_ctrl.design.hinf_riccati import hinf_riccati
-
-            made, optimal, residual = hinf_riccati(scaled, backoff, P, regularise)
-        made = out_of_w_plane(made, plant.dt)
-    except np.linalg.LinAlgError as error:
-        raise UnscalableError(f"hinf, {method}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
-    return certify(P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {method}", residual=residual)
+        return by("riccati", "the assumptions of the Riccati equations hold")
+    except (IllPosedError, UnscalableError, NotCertifiedError) as error:
+        refused = error
+    try:
+        # What is wrong, without what the user could do about it.
+        return by("lmi", str(refused).partition("; expected")[0])
+    except DesignError as error:
+        raise type(error)(f"{error} (the other route fails, too: {refused})", P) from None
 
 
 def require_time_limit(where: str, given: float) -> None:
@@ -305,6 +327,7 @@ def certify(
     norm: Norm = "hinf",
     tolerance: float = NORM_TOLERANCE,
     claims: Sequence[Claim] = (),
+    reason: str = "",
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result only if it is stable and keeps every promise.
 
@@ -316,7 +339,7 @@ def certify(
         u = K y, of the plant's own kind.
     gamma_optimal, backoff, norm
         The least norm that the route found, and the share that it backed off.
-    method, residual
+    method, residual, reason
         Kept in the result.
     tolerance
         What the norm may exceed ``(1 + backoff) gamma_optimal`` by, relative to `gamma_optimal`.
@@ -356,6 +379,7 @@ def certify(
         residual=dict(residual),
         norm=norm,
         norms={claim.name: _kept(claim, loop, plant.dt, method, None, P)[0] for claim in claims},
+        reason=reason,
     )
 
 
