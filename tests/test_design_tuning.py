@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -57,3 +58,20 @@ def test_options_stay_within_reach_of_their_start(direction: float, monkeypatch:
     assert max(direction * math.log10(one) for one in tried) > 5.9
     assert all(0.99e-6 <= one <= 1.01e6 for one in tried)
     assert math.isfinite(tuned["crossover_hz"])
+
+
+def test_what_need_not_move_keeps_its_number_to_the_last_digit() -> None:
+    job = pc.read_job(JOB)
+    [spec] = job.loops
+    plants = plants_of(job, spec)
+    assert plants is not None
+    channel = channels(pc.linearise(job.platform), rows_of(pc.linearise(job.platform), GIMBALS))
+    # exp(log(7)) is 6.999999999999999, and exp(log(900)) is 900.0000000000001.
+    given = {"crossover_hz": 40.0, "lead_hz": 7.0, "rolloff_hz": 900.0}
+    start = starting_values(given, channel, plants.nutation, plants.period)
+    asked = loop_requirements(dataclasses.replace(spec.limits, disk_margin=0.01))
+
+    def build(options: dict[str, float]) -> Block:
+        return classical_controller(options, channel, plants.period)
+
+    assert tuning.tune(start, list(start), build, plants, asked, evaluations=5) == start

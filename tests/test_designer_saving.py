@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import cmath
 import json
 import math
+import re
 import threading
 import time
 import tomllib
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
@@ -189,6 +194,81 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
     values = {r["name"]: r["value"] for r in figures["requirements"] if r["stage"] == "decoupled"}
     for result in picture.requirements:
         assert values[result.name] == pytest.approx(result.value, rel=1e-9)
+
+
+# What a user may have written for 40, 2, 40, 7 and 900 Hz.
+LITERALS = {
+    "crossover_hz": "4.0e1",
+    "integral_hz": "2",
+    "damping_hz": "40.00",
+    "lead_hz": "7",
+    "rolloff_hz": "9_00",
+}
+WRITTEN = ONE.replace(
+    "crossover_hz = 40, integral_hz = 2",
+    ", ".join(f"{name} = {text}" for name, text in LITERALS.items()),
+)
+
+
+@given(
+    fixed=st.sets(st.sampled_from(["crossover_hz", "damping_hz", "lead_hz", "rolloff_hz"])),
+    pole=st.integers(0, 2),
+    size=st.floats(0.9, 1.1),
+    turn=st.floats(-0.1, 0.1),
+)
+@hypothesis.settings(max_examples=6, derandomize=True, deadline=None)
+def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdict(
+    tmp_path_factory: pytest.TempPathFactory, fixed: set[str], pole: int, size: float, turn: float
+) -> None:
+    folder = tmp_path_factory.mktemp("saved")
+    (folder / "one.toml").write_text(WRITTEN)
+    bench = Workbench(folder / "one.toml")
+    start = bench.start().but(fixed=frozenset(fixed))
+    locus = bench.picture(start).locus
+    held = complex(locus.present[locus.draggable][pole])
+    pulled = bench.pulled_pole(start, held, held * size * cmath.exp(1j * turn))
+    saved = bench.saved(pulled, folder / "two.toml")
+    text = saved.job.read_text()
+    [design] = tomllib.loads(text)["loop"][0]["design"]
+    first, now = (one.options["caging 9-10"]["classical"] for one in (start, pulled))
+    for name in fixed:
+        assert now[name] == first[name]
+        assert f"{name} = {LITERALS[name]}," in text
+    for name, x in now.items():
+        if x == first[name]:
+            assert design.get(name, x) == x
+        elif name in design:
+            assert design[name] == pytest.approx(x, rel=1e-3)
+            assert len(f"{design[name]!r}".replace(".", "").strip("0")) <= 6
+    again = Workbench(saved.job)
+    before, after = (b.picture(s).requirements for b, s in ((bench, pulled), (again, again.start())))
+    assert [one.passed for one in after] == [one.passed for one in before]
+    # What is saved as it was read changes no digit any more.
+    once_more = again.saved(again.start(), folder / "three.toml")
+    assert once_more.job.read_text() == text
+
+
+def test_a_pole_that_is_let_go_where_it_was_moves_no_digit_of_a_slider(bench: Workbench) -> None:
+    settings = _moved(bench, bench.start(), lead_hz=7.0, crossover_hz=70.0)
+    locus = bench.picture(settings).locus
+    pole = complex(locus.present[locus.draggable][0])
+    assert bench.pulled_pole(settings, pole, pole).options == settings.options
+
+
+def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) -> None:
+    from platform_ctrl.reading import platform_source
+
+    own = re.sub(r"(?m)^(\[+)(\w+)", r"\1plant.\2", platform_source("three_gyro_platform"))
+    whole = ONE.replace('plant = "three_gyro_platform"', "") + "\n[plant]\n" + own
+    (tmp_path / "own.toml").write_text(whole)
+    bench = Workbench(tmp_path / "own.toml")
+    saved = bench.saved(_moved(bench, bench.start(), **{"spin 11": 1290.0}), tmp_path / "new.toml")
+    lines, new = whole.splitlines(), saved.job.read_text().splitlines()
+    kept = [line for line in lines if line.strip() and line not in new]
+    assert len(kept) <= 3, kept
+    assert (
+        next(r for r in tomllib.loads(saved.job.read_text())["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
+    )
 
 
 def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_written(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -80,7 +81,9 @@ def tune(
     lower, bounds = best - np.log(_FARTHEST), np.minimum(bounds, best + np.log(_FARTHEST))
 
     def options(x: FloatArray) -> dict[str, float]:
-        return start | {name: float(v) for name, v in zip(movable, np.exp(np.clip(x, lower, bounds)), strict=True)}
+        # What has not moved keeps its number to the last digit.
+        ratios = np.exp(np.clip(x, lower, bounds) - [math.log(start[name]) for name in movable])
+        return start | {name: start[name] * float(ratio) for name, ratio in zip(movable, ratios, strict=True)}
 
     def beyond(x: FloatArray) -> float:
         return float(np.maximum(np.maximum(x - bounds, lower - x), 0.0).max(initial=0.0))

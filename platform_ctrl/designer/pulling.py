@@ -64,8 +64,9 @@ class Reins:
         return self.build(self.numbers(x))
 
     def numbers(self, x: FloatArray) -> dict[str, float]:
-        """Return the knobs for their logarithms."""
-        return {name: float(v) for name, v in zip(self.names, np.exp(x), strict=True)}
+        """Return the knobs for their logarithms; one that has not moved has exactly the number that it started with."""
+        moved = self.start * np.exp(x - np.log(self.start))
+        return {name: float(v) for name, v in zip(self.names, moved, strict=True)}
 
 
 def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex) -> dict[str, float]:

@@ -151,9 +151,9 @@ def job_text(
         document["sampling"]["rate_hz"] = settings.rate_hz
     if settings.delay != start.delay:
         document["sampling"]["delay"] = settings.delay
-    rates = [max(float(old), abs(new)) for old, new in zip(document["operation"]["Omega"], settings.Omega, strict=True)]
-    if rates != [float(old) for old in document["operation"]["Omega"]]:
-        document["operation"]["Omega"] = rates
+    for k, (old, new) in enumerate(zip(list(document["operation"]["Omega"]), settings.Omega, strict=True)):
+        if abs(new) > float(old):
+            document["operation"]["Omega"][k] = abs(new)
     for loop in document["loop"]:
         name = str(loop["name"])
         if loop["use"] != settings.closed[name]:
@@ -186,15 +186,15 @@ def _plant(document: TOMLDocument, old: Path, new: Path, settings: Settings, sta
     plant: Any = document["plant"]
     moved = {name: spin for name, spin in settings.spins.items() if spin != start.spins[name]}
     if moved:
-        given: Any = plant.unwrap() if hasattr(plant, "unwrap") and not isinstance(plant, str) else None
-        whole = dict(open_plant(str(plant), old).data if given is None else given)
+        whole: Any = dict(open_plant(str(plant), old).data) if isinstance(plant, str) else plant
         for rotor in whole["rotor"]:
             if rotor["name"] in moved:
                 rotor.pop("angular_momentum", None)
                 rotor["spin"] = moved[rotor["name"]]
-        # At the end: keys of the job that follow it would be taken for the plant's.
-        del document["plant"]
-        document.add("plant", _tomlkit().item(whole))
+        if isinstance(plant, str):
+            # At the end: keys of the job that follow it would be taken for the plant's.
+            del document["plant"]
+            document.add("plant", _tomlkit().item(whole))
     elif isinstance(plant, str) and not is_shipped_name(str(plant)) and old.resolve() != new.resolve():
         file = Path(str(plant))
         if not file.is_absolute():

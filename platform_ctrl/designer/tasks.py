@@ -98,10 +98,14 @@ class ServoTuning:
 
         worst = self.worst_ratio()
         best = [np.inf]
+        start = np.log([self.options[name] for name in self.movable])
+
+        def numbers(x: object) -> dict[str, float]:
+            ratios = np.exp(np.asarray(x) - start)
+            return self.options | {n: self.options[n] * float(r) for n, r in zip(self.movable, ratios, strict=True)}
 
         def ratio(x: object) -> float:
-            numbers = dict(zip(self.movable, map(float, np.exp(np.asarray(x))), strict=True))
-            found = worst(self.options | numbers)
+            found = worst(numbers(x))
             if found < best[0]:
                 best[0] = found
                 say(f"worst requirement at {found:.0%} of its limit")
@@ -111,7 +115,6 @@ class ServoTuning:
             if getattr(intermediate_result, "fun", np.inf) <= 0.95:
                 raise StopIteration
 
-        start = np.log([self.options[name] for name in self.movable])
         if ratio(start) <= 0.95:
             return dict(self.options)
         found = minimize(
@@ -121,7 +124,7 @@ class ServoTuning:
             callback=enough,
             options={"maxfev": 60 * len(start), "adaptive": True, "xatol": 2e-3, "fatol": 2e-4},
         )
-        return self.options | dict(zip(self.movable, map(float, np.exp(found.x)), strict=True))
+        return numbers(found.x)
 
     def worst_ratio(self) -> Callable[[dict[str, float]], float]:
         """Return what gives the largest ratio of the coupled limits for some options; beyond 10 where unstable."""

@@ -7,6 +7,7 @@ saved and flown.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,13 +25,15 @@ from platform_ctrl.designer.saving import Saved, save
 from platform_ctrl.designer.tasks import Flying, ServoTuning, Tuning
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.designer.viewing import Viewing
-from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job import Job
 
 if TYPE_CHECKING:
     from platform_ctrl.simulation import Trajectory
 
 
+# Digits of a slider's steps, and up to which a number is one that somebody typed, or that tuning found.
+_DIGITS, _TYPED = 4, 6
 # A crossover that is pulled stays this far, as a factor, inside the diagram.
 _INSIDE = 1.1
 
@@ -221,6 +224,7 @@ class Workbench(Viewing):
         ----------
         See docs/designer.md.
         """
+        settings = self._shortened(settings)
         controllers = self._closing.saved_controllers(settings, strict=True)
         options = self._closing.options
         used = {
@@ -253,6 +257,49 @@ class Workbench(Viewing):
             controllers,
         )
         return dataclasses.replace(written, notes=notes)
+
+    def _shortened(self, settings: Settings) -> Settings:
+        """Return the settings with changed numbers that nobody typed cut to the fewest digits of the same verdict."""
+        first = self._closing.start.options
+        long = {
+            (loop, design, name): x
+            for loop, designs in settings.options.items()
+            for design, numbers in designs.items()
+            for name, x in numbers.items()
+            if x != first[loop][design].get(name) and x != float(f"{x:.{_TYPED}g}")
+        }
+        if not long:
+            return settings
+        seen = list(dict.fromkeys([*(loop for loop, _, _ in long), settings.loop]))
+        before = self._verdicts(settings, seen)
+        for digits in range(_DIGITS, 17):
+            options = {
+                loop: {
+                    design: {
+                        name: float(f"{x:.{digits}g}") if (loop, design, name) in long else x
+                        for name, x in numbers.items()
+                    }
+                    for design, numbers in designs.items()
+                }
+                for loop, designs in settings.options.items()
+            }
+            short = settings.but(options=options)
+            if self._verdicts(short, seen) == before:
+                return short
+        return settings
+
+    def _verdicts(self, settings: Settings, seen: Sequence[str]) -> list[object]:
+        """Return which requirements of some loops are met; an error counts as a verdict."""
+        out: list[object] = []
+        for loop in seen:
+            here = settings if loop == settings.loop else self.chosen(settings, loop=loop)
+            try:
+                picture = self.picture(here.but(overlays=(), band=True))
+            except PlatformCtrlError as error:
+                out.append(type(error))
+            else:
+                out.append([(one.subject, one.name, one.passed) for one in picture.requirements])
+        return out
 
     @property
     def flown(self) -> bool:

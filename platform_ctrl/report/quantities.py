@@ -11,7 +11,7 @@ from platform_ctrl.requirements import CheckResult
 from platform_ctrl.rounding import Rounding, rounded
 
 if TYPE_CHECKING:
-    from platform_ctrl.description import Platform
+    from platform_ctrl.description import Platform, RateSensor, Torquer
 
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -55,7 +55,8 @@ def signal_series(platform: Platform) -> Mapping[str, int]:
         out |= dict.fromkeys((f"Omega{axis}", f"M{axis}", f"attitude{axis}"), root_series(axis))
     for pickoff in platform.pickoffs:
         out[pickoff.name] = platform.gimbal(pickoff.gimbal)
-    for part in (*platform.torquers, *platform.rate_sensors):
+    placed: tuple[Torquer | RateSensor, ...] = (*platform.torquers, *platform.rate_sensors)
+    for part in placed:
         out[part.name] = platform.gimbal(part.gimbal) if part.gimbal is not None else root_series(part.root_axis or 1)
     return out
 
