@@ -72,7 +72,7 @@ one = pc.analysis.loop_margins(sampled, controller)
 print(f"bandwidth (largest gain of S at 1/sqrt 2): {bandwidth / (2.0 * np.pi):.1f} Hz")
 for name, alpha in [*zip(one.channels, one.alpha, strict=True), ("Q9 and Q10 at once", both.lower)]:
     low, high, phase = pc.analysis.disk_to_gain_phase(alpha)
-    print(f"{name}: disk margin {alpha:.3f}, so gain x {low:.2f} to x {high:.2f} and phase {np.degrees(phase):.0f} deg")
+    print(f"{name}: disk margin {alpha:.3f}, so gain x {low:.2f} to x {high:.2f} or phase {np.degrees(phase):.0f} deg")
 
 figure, axes = plt.subplots(2, 2, figsize=(11, 7), sharex=True, layout="constrained")
 (gain, loop_gain), (phase_axes, loop_phase) = axes

@@ -75,7 +75,7 @@ def test_a_loop_that_falls_short_of_the_usual_margin_asks_for_what_it_reaches(th
     assert main(["new", "start", "--like", "suspended_platform", "-q"]) == 0
     [loop] = pc.read_job(there / "start.toml").loops
     assert loop.limits.disk_margin == 0.2
-    assert "gains from 0.82 to 1.22, phases of +- 11 degrees" in (there / "start.toml").read_text(encoding="utf-8")
+    assert "gain x 0.819 to 1.22 alone, phase +-11.4 degrees" in (there / "start.toml").read_text(encoding="utf-8")
 
 
 def test_what_a_caging_loop_needs_is_added_and_told(there: Path, capsys: pytest.CaptureFixture[str]) -> None:

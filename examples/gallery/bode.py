@@ -1,8 +1,8 @@
 """Bode plot with margins, one torquer at a time.
 
 The loop of each torquer of the caged gyro 9-10 broken while the other stays closed. Where the gain is 1 the phase
-margin is written, where the phase is −180° the gain margin; the legend names the disk margin, which holds for gain and
-phase at once. The nutation at 75 Hz has no damping of its own: the other loop gives it some.
+margin is written, where the phase is −180° the gain margin; the legend names the disk margin, inside whose disk gain
+and phase may change together. The nutation at 75 Hz has no damping of its own: the other loop gives it some.
 """
 
 import platform_ctrl as pc

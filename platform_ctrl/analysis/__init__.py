@@ -27,7 +27,14 @@ from platform_ctrl.analysis.feedback import (
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
 from platform_ctrl.analysis.joining import joined
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
-from platform_ctrl.analysis.margins import DiskMargin, LoopMargins, disk_margin, disk_to_gain_phase, loop_margins
+from platform_ctrl.analysis.margins import (
+    DiskMargin,
+    LoopMargins,
+    disk_margin,
+    disk_phase,
+    disk_to_gain_phase,
+    loop_margins,
+)
 from platform_ctrl.analysis.norms import (
     h2_norm,
     hinf_norm,
@@ -81,6 +88,7 @@ __all__ = [
     "damping",
     "damping_ratio",
     "disk_margin",
+    "disk_phase",
     "disk_to_gain_phase",
     "exact_measures",
     "frequency_response",

@@ -387,6 +387,54 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
     return low, high if high > 0.0 else math.inf, phase
 
 
+def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
+    """Return the phase up to which a loop may turn while its gain changes by a factor: both inside the same disk.
+
+    Factors f = gain exp(±j phase) with |f - 1| < alpha/2 |1 - skew + (1 + skew) f| make up the disk. With skew 0 its
+    edge is at cos phase = (gain + 1/gain)/2 (4 - alpha²)/(4 + alpha²): the highest and lowest gain leave no phase, and
+    the largest phase of all is that at gain 1.
+
+    Parameters
+    ----------
+    gain : (...)
+        Gain factors, > 0, dimensionless.
+    alpha
+        Size of the disk, dimensionless: a disk margin.
+    skew
+        Skew of the disk, dimensionless.
+
+    Returns
+    -------
+    (...)
+        rad, 0 to π; NaN where the gain alone leaves the disk.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    Examples
+    --------
+    >>> from platform_ctrl import analysis
+    >>> analysis.disk_phase([0.6, 1.0, 1.3, 1.7], 0.5).round(3)  # 1.7 is too much by itself
+    array([0.  , 0.49, 0.42,  nan])
+    """
+    gain, alpha = np.asarray(gain, dtype=np.float64), min(alpha, 1e9)
+    a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
+    # |f - 1| < |a + b f| leaves 2 gain (1 + a b) cos(phase) > need.
+    need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = np.where(weight != 0.0, need / weight, np.where(need < 0.0, -1.0, 2.0))
+    if 1.0 + a * b < 0.0:
+        # The disk's outside: turned the other way round.
+        return np.where(cosine < -1.0, math.nan, math.pi)[()]
+    # The ends themselves, but for rounding, are on the edge.
+    return np.where(cosine > 1.0 + 1e-12, math.nan, np.arccos(np.clip(cosine, -1.0, 1.0)))[()]
+
+
 def _inverse(mu: float) -> float:
     return 1.0 / mu if mu > 0.0 else math.inf
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import textwrap
 import tomllib
 from collections.abc import Callable
 from importlib import resources
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 # Where comments begin in the files.
 _COMMENT = 39
+_WIDTH = 118
 
 
 @value
@@ -161,9 +162,10 @@ def _job_like(start: Start, names: list[str], plant: dict[str, Any], **words: st
 
 
 def _allowed(margin: float) -> str:
-    """Say what a disk margin allows in every channel."""
-    least, phase = (2.0 - margin) / (2.0 + margin), 2.0 * math.degrees(math.atan(margin / 2.0))
-    return f"gains from {least:.2f} to {1.0 / least:.2f}, phases of +- {phase:.0f} degrees"
+    """Say what a disk margin allows in every channel, in ASCII."""
+    from platform_ctrl.report.quantities import disk_words
+
+    return disk_words(margin).replace("×", "x").replace("±", "+-").replace("°", " degrees")
 
 
 def _text(item: str) -> str:
@@ -183,5 +185,7 @@ def _filled(template: str, **words: object) -> str:
 
 
 def _noted(code: str, comment: str, mark: str = "# ", column: int = _COMMENT) -> str:
-    """Return a line with a comment that begins in a column, or behind what is too long."""
-    return f"{code:<{column - 1}} {mark}{comment}"
+    """Return a line with a comment that begins in a column, or behind what is too long; a long one is wrapped."""
+    room = max(_WIDTH - max(len(code) + 1, column), _WIDTH // 2)
+    first, *more = textwrap.wrap(comment, room) if mark == "# " else [comment]
+    return "\n".join([f"{code:<{column - 1}} {mark}{first}", *(f"{'':<{column}}{mark}{line}" for line in more)])

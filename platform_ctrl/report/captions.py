@@ -16,7 +16,7 @@ from platform_ctrl.job import LoopLimits
 from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.price import price
-from platform_ctrl.report.quantities import count, listed, plain, quantity
+from platform_ctrl.report.quantities import count, disk_words, listed, plain, quantity
 from platform_ctrl.requirements import FAULTS, SPREAD
 
 
@@ -251,13 +251,10 @@ def margin_bars(result: JobResult) -> str:
 
 def simultaneous(result: JobResult) -> str:
     """Simultaneous margin."""
-    margin = result.coupled.simultaneous
-    low, high, phase = margin.gain_phase
-    words = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
     return (
-        f"All {len(result.coupled.channels)} loops may change together: any gains from {words} times nominal, or "
-        f"any phases within ±{plain(float(np.degrees(phase)), 3)}°, in every channel at once and independently, "
-        "keep the system stable. The dip shows at which frequency the system is most sensitive."
+        f"All {len(result.coupled.channels)} loops may change at once and independently, each by "
+        f"{disk_words(result.coupled.simultaneous.alpha)}: the system stays stable. The dip shows at which frequency "
+        "it is most sensitive."
     )
 
 

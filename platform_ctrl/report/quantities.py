@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from platform_ctrl.requirements import CheckResult
-from platform_ctrl.rounding import Rounding, rounded
+from platform_ctrl.rounding import Rounding, at_least, at_most, rounded
+
+if TYPE_CHECKING:
+    from platform_ctrl.requirements import CheckResult
 
 if TYPE_CHECKING:
     from platform_ctrl.description import Platform, RateSensor, Torquer
@@ -135,6 +137,28 @@ def percent(share: float) -> str:
         return "> +999 %" if share > 0.0 else f"< {MINUS}999 %"
     text = f"{100.0 * share:+.1f}" if abs(share) < 0.0995 else f"{100.0 * share:+.0f}"
     return f"{text} %".replace("-", MINUS)
+
+
+def disk_words(alpha: float) -> str:
+    """Return what a disk margin allows: gain alone, phase alone, and, as an example, the phase that a gain leaves."""
+    from platform_ctrl.analysis.margins import disk_phase
+
+    gain, phase = disk_gain_or_phase(alpha)
+    high = (2.0 + alpha) / (2.0 - alpha) if alpha < 2.0 else 4.0
+    both = 1.0 + rounded(math.sqrt(high) - 1.0, 1, "down")
+    left = at_least(math.degrees(float(disk_phase(both, alpha))), 3)
+    return (
+        f"{gain} alone, {phase} alone, or both together inside the disk (such as gain × {both:g} with phase ±{left}°)"
+    )
+
+
+def disk_gain_or_phase(alpha: float, skew: float = 0.0) -> tuple[str, str]:
+    """Return the gain factors that a disk margin allows by themselves, and the phases."""
+    from platform_ctrl.analysis.margins import disk_to_gain_phase
+
+    low, high, phase = disk_to_gain_phase(min(alpha, 1e9), skew)
+    upper = f"to {at_least(high, 3)}" if math.isfinite(high) else "upwards"
+    return f"gain × {at_most(max(low, 0.0), 3)} {upper}", f"phase ±{at_least(math.degrees(phase), 3)}°"
 
 
 def claimed(name: str, number: float) -> tuple[str, str]:

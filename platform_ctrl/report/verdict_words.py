@@ -13,7 +13,7 @@ from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.report.content import sentence
 from platform_ctrl.report.price import bandwidth_hz
-from platform_ctrl.report.quantities import BOUND, compared, count, listed, percent, plain, quantity
+from platform_ctrl.report.quantities import BOUND, compared, count, disk_words, listed, percent, plain, quantity
 from platform_ctrl.report.tables import verdict
 from platform_ctrl.requirements import CheckResult
 
@@ -134,13 +134,8 @@ def _together(result: JobResult) -> str:
         return f"Closed {closed} unstable."
     if not check.channels:
         return ""
-    low, high, phase = check.simultaneous.gain_phase
-    gains = f"{plain(low, 3)} to {plain(high, 3)}" if np.isfinite(high) else f"{plain(low, 3)} upwards"
     closed = "together on the coupled platform they stay" if several else "on the coupled platform it stays"
-    return (
-        f"Closed {closed} stable with gains of {gains} times nominal or phases within "
-        f"±{plain(float(np.degrees(phase)), 3)}\u00b0 in every channel at once."
-    )
+    return f"Closed {closed} stable while every channel changes: {disk_words(check.simultaneous.alpha)}."
 
 
 def _runs(result: JobResult) -> str:

@@ -17,12 +17,11 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter, NullLo
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_to_gain_phase
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.report.plots.bode import degrees_words, gain_words
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
 from platform_ctrl.report.plots.places import Places
@@ -33,8 +32,9 @@ from platform_ctrl.report.plots.systems import (
     drawn_systems,
     gaps,
 )
-from platform_ctrl.report.quantities import HZ, plain
+from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone
+from platform_ctrl.rounding import at_least, at_most
 
 if TYPE_CHECKING:
     import control
@@ -154,19 +154,6 @@ def exclusion(alpha: float, skew: float, points: int = 721) -> ComplexArray:
     )
 
 
-def allowed_phase(gain: FloatArray, alpha: float, skew: float) -> FloatArray:
-    """Return the phase in degrees up to which a gain factor may be turned; NaN where the factor itself is too much."""
-    a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
-    # |f - 1| < |a + b f| for f = gain exp(j phase): room for -2 gain (1 + a b) cos(phase).
-    need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine = np.where(weight != 0.0, need / weight, np.where(need < 0.0, -1.0, 2.0))
-    if 1.0 + a * b < 0.0:
-        # The disk's outside: turned the other way round.
-        return np.where(cosine < -1.0, math.nan, 180.0)
-    return np.where(cosine > 1.0, math.nan, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
 def _regions(margins: Any, labels: Sequence[str] | None, skew: float) -> list[_Region]:
     name = "disk_margin_region"
     if isinstance(margins, Mapping):
@@ -199,12 +186,9 @@ def _words(region: _Region, skew: float) -> str:
     if region.alpha == 0.0:
         stable = region.margin is None or not region.margin.reason
         return head + ("disk margin 0" if stable else "closed loop not stable, no margin")
-    low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9), skew)
-    upper = gain_words(high) if math.isfinite(high) else "any"
-    lower = gain_words(low) if low > 0.0 else "× 0"
-    margin = f"disk margin {plain(region.alpha, 2)}" if math.isfinite(region.alpha) else "any disk margin"
+    margin = f"disk margin {plain(region.alpha, 2, 'down')}" if math.isfinite(region.alpha) else "any disk margin"
     skewed = f", skew {plain(skew, 3)}" if skew else ""
-    return f"{head}{margin}{skewed}: gain {lower} to {upper}, phase ± {degrees_words(math.degrees(phase))}"
+    return f"{head}{margin}{skewed}: {' or '.join(disk_gain_or_phase(region.alpha, skew))}"
 
 
 def _window(regions: Sequence[_Region], skew: float) -> tuple[float, float, float]:
@@ -216,7 +200,7 @@ def _window(regions: Sequence[_Region], skew: float) -> tuple[float, float, floa
             low = min(low, one[0] / 1.5 if one[0] > 0.0 else 0.0)
             high = max(high, 1.5 * one[1])
             gain = np.append(np.geomspace(max(low, 1.0 / _WIDEST), min(high, _WIDEST), 400), 1.0)
-            inside = allowed_phase(gain, min(region.alpha, 1e9), skew)
+            inside = np.degrees(disk_phase(gain, region.alpha, skew))
             top = max(top, 1.2 * float(inside[np.isfinite(inside)].max(initial=0.0)))
     return max(low, 1.0 / _WIDEST), min(high, _WIDEST), min(top, 180.0)
 
@@ -235,7 +219,7 @@ def _rim(alpha: float, skew: float, gain: FloatArray) -> tuple[FloatArray, Float
     ]
     every = np.unique(np.concatenate([gain, [1.0], *ends]))
     every = every[(every >= gain[0]) & (every <= gain[-1])]
-    phase = allowed_phase(every, alpha, skew)
+    phase = np.degrees(disk_phase(every, alpha, skew))
     inside = np.isfinite(phase)
     every, phase = every[inside], phase[inside]
     if gain[0] < low:
@@ -292,9 +276,10 @@ def _mark(panel: Axes, regions: Sequence[_Region], skew: float, curves: Sequence
             continue
         low, high, phase = disk_to_gain_phase(min(region.alpha, 1e9), skew)
         style: dict[str, Any] = {"color": curve_style(k)["color"], "marker": "o", "markersize": 4.0, "clip_on": False}
-        points = [(low, 0.0, gain_words(low)), (high, 0.0, gain_words(high)) if math.isfinite(high) else (0.0, 0.0, "")]
+        points = [(low, 0.0, f"× {at_most(low, 3)}")]
+        points.append((high, 0.0, f"× {at_least(high, 3)}") if math.isfinite(high) else (0.0, 0.0, ""))
         if phase < math.pi:
-            points.append((1.0, math.degrees(phase), degrees_words(math.degrees(phase))))
+            points.append((1.0, math.degrees(phase), f"{at_least(math.degrees(phase), 3)}°"))
         for x, y, text in points if len(regions) <= _WRITTEN else points[2:]:
             if x > 0.0 and places.shows(x, y):
                 panel.plot([x], [y], **style, zorder=5)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
 from platform_ctrl.analysis.boundary import boundary_poles
-from platform_ctrl.analysis.margins import disk_margin, disk_to_gain_phase
+from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
@@ -24,7 +24,7 @@ from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
-from platform_ctrl.report.quantities import HZ, count
+from platform_ctrl.report.quantities import HZ, count, disk_gain_or_phase
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import (
     BAND,
@@ -355,6 +355,5 @@ def _title(axes: Axes, curves: list[ChannelCurve], name: str) -> None:
     if curve.unstable:
         axes.set_title(f"{head}{count(curve.unstable, 'unstable pole')} of the closed loop")
         return
-    low, high, phase = disk_to_gain_phase(curve.margin)
-    factor = f"gain × {number(low, 2)} to {number(high, 3) if np.isfinite(high) else '∞'}"
-    axes.set_title(f"{head}disk margin {number(curve.margin, 3)}, {factor}, phase ± {np.degrees(phase):.0f}°")
+    allowed = " or ".join(disk_gain_or_phase(curve.margin))
+    axes.set_title(f"{head}disk margin {number(curve.margin, 3, 'down')}: {allowed}")
