@@ -17,7 +17,7 @@ import numpy as np
 from platform_ctrl.arguments import distinct, known_names
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, portable
 from platform_ctrl.linearisation import LinearModel, expect_model
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
 from platform_ctrl.mechanics.kinematics import cross_matrix
@@ -262,4 +262,4 @@ def _named(
         "outputs": distinct("outputs", outputs),
         "states": distinct("states", states),
     }
-    return control.StateSpace(A, B, C, D, remove_useless_states=False, **names)
+    return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **names))

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import pickle
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import control
 import numpy as np
 import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import analysis, design
+from test_public_shapes import VALUES
 
 MODEL = pc.linearise(pc.read_platform("three_gyro_platform"))
 PERIOD = 0.0005
@@ -106,3 +113,75 @@ def test_the_estimate_of_a_controller_is_named_after_the_state() -> None:
     made = design.lqg(gyro, np.eye(4), np.eye(2), np.eye(4), np.eye(2), integral=np.eye(2))
     names = [f"estimate_{name}" for name in STATES] + ["integral_alpha9", "integral_beta10"]
     assert made.controller.state_labels == names
+
+
+def arrays_of(item: Any) -> Iterator[tuple[np.ndarray, bool]]:
+    """Walk through the arrays of a value and its state spaces, and whether they are the value's own."""
+    if isinstance(item, np.ndarray):
+        yield item, True
+    elif isinstance(item, control.StateSpace):
+        yield from ((getattr(item, name), False) for name in "ABCD")
+    elif dataclasses.is_dataclass(item):
+        for field in dataclasses.fields(item):
+            yield from arrays_of(getattr(item, field.name))
+    elif isinstance(item, tuple | list):
+        for one in item:
+            yield from arrays_of(one)
+    elif isinstance(item, dict):
+        for one in item.values():
+            yield from arrays_of(one)
+
+
+@pytest.fixture(scope="module", params=[*VALUES, "LoopOutcome", "LqgDesign", "CrossoverDesign", "Job"])
+def result(request: pytest.FixtureRequest) -> Any:
+    one = control.ss(-1.0, 1.0, 1.0, 0.0)
+    more: dict[str, Callable[[], Any]] = {
+        "LoopOutcome": lambda: design.loops(JOB)[0],
+        "LqgDesign": lambda: design.lqg(one, [[1]], [[1]], [[1]], [[1]]),
+        "CrossoverDesign": lambda: request.getfixturevalue("crossover"),
+        "Job": lambda: pc.read_job(JOB),
+    }
+    return (VALUES | more)[request.param]()
+
+
+def test_values_come_back_from_pickle_and_deepcopy_with_read_only_arrays(result: Any) -> None:
+    for again in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
+        given, found = list(arrays_of(result)), list(arrays_of(again))
+        assert len(given) == len(found)
+        for (before, _), (after, own) in zip(given, found, strict=True):
+            np.testing.assert_array_equal(after, before)
+            assert not (own and after.flags.writeable)
+            assert after is not before or not before.size
+
+
+def test_the_repr_of_a_value_is_a_summary(result: Any) -> None:
+    lines = repr(result).splitlines()
+    assert len(lines) <= 20
+    assert max(map(len, lines)) <= 120
+    assert lines[0].startswith(type(result).__name__)
+    assert "[[" not in repr(result)
+
+
+def test_a_state_space_comes_back_with_its_names_and_computes_with_its_own_matrices() -> None:
+    gyro = analysis.sampled(pc.state_space(MODEL, gimbals=("9", "10")), PERIOD)
+    for again in (pickle.loads(pickle.dumps(gyro)), copy.deepcopy(gyro), copy.copy(gyro)):
+        assert type(again) is control.StateSpace
+        for name in ("input_labels", "output_labels", "state_labels", "dt", "name"):
+            assert getattr(again, name) == getattr(gyro, name)
+        x, u = np.arange(4.0), np.arange(5.0)
+        before = gyro.dynamics(0.0, x, u)
+        np.testing.assert_array_equal(again.dynamics(0.0, x, u), before)
+        again.A = 2.0 * again.A
+        np.testing.assert_array_equal(gyro.dynamics(0.0, x, u), before)
+        assert not np.array_equal(again.dynamics(0.0, x, u), before)
+
+
+def test_systems_of_other_shapes_travel_too() -> None:
+    for system in (
+        control.ss([], [], [], [[1.0, 2.0]]),
+        control.ss(np.zeros((2, 2)), np.zeros((2, 0)), np.eye(2), np.zeros((2, 0))),
+    ):
+        analysis.state_arrays(system, "test")
+        again = pickle.loads(pickle.dumps(system))
+        assert again.D.shape == system.D.shape
+        assert (again.nstates, again.ninputs, again.noutputs) == (system.nstates, system.ninputs, system.noutputs)

@@ -19,6 +19,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from platform_ctrl.campaign.identity import digest
 from platform_ctrl.errors import InputError
 from platform_ctrl.reading import platform_source, read_platform, shipped_models
 
@@ -517,7 +518,7 @@ def test_every_shipped_model_is_read_by_name_and_from_a_copy_of_its_text(tmp_pat
         copied.write_text(platform_source(name), encoding="utf-8")
         platform = read_platform(name)
         assert platform.source
-        assert repr(read_platform(copied)) == repr(platform)
+        assert digest(read_platform(copied)) == digest(platform)
 
 
 def test_the_three_gyro_platform_has_the_sums_and_nutations_of_its_comments() -> None:

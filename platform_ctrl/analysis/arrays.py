@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.arguments import complex_numbers, positive, real_numbers
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, portable
 
 if TYPE_CHECKING:
     import control
@@ -68,6 +68,7 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
     ----------
     Textbook definition.
     """
+    portable(system)
     try:
         A, B, C, D, dt = system.A, system.B, system.C, system.D, system.dt
     except AttributeError:
@@ -182,7 +183,7 @@ def state_space(
     options = {} if name is None else {"name": name.replace(".", "_")}
     if states is not None:
         options["states"] = _distinct(states)  # type: ignore[assignment]
-    return control.StateSpace(
+    system = control.StateSpace(
         arrays.A,
         arrays.B,
         arrays.C,
@@ -193,6 +194,7 @@ def state_space(
         remove_useless_states=False,
         **options,
     )
+    return portable(system)
 
 
 def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequence[str]) -> control.StateSpace:

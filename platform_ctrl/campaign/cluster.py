@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from platform_ctrl.campaign.columns import Columns, Fly, flown, not_flown
 from platform_ctrl.campaign.identity import versions
-from platform_ctrl.campaign.parcel import packed, unpacked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.workers import DIED
 from platform_ctrl.errors import InputError, SimulationError
@@ -86,7 +86,8 @@ class _Cluster:
         distributed = self._distributed
         self._look(first=True)
         # As the result of a task, so that the scheduler makes it anew when the workers that hold it are lost.
-        shared = self._client.submit(unpacked, packed(self._plan), pure=False, retries=_RETRIES)
+        plan = pickle.dumps(self._plan, pickle.HIGHEST_PROTOCOL)
+        shared = self._client.submit(pickle.loads, plan, pure=False, retries=_RETRIES)
         while self._pieces.waiting or self._under_way or self._suspects:
             self._look()
             while (piece := self._next()) is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
@@ -13,7 +14,6 @@ from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
 
 from platform_ctrl.campaign.columns import Columns, Fly, flown, not_flown
-from platform_ctrl.campaign.parcel import packed, unpacked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.simulation.device import processors
@@ -41,7 +41,7 @@ def flown_by_processes(
     SimulationError
         Workers die before they begin, or again and again.
     """
-    parcel = packed(plan)
+    parcel = pickle.dumps(plan, pickle.HIGHEST_PROTOCOL)
     context = multiprocessing.get_context("spawn")
     crew: dict[Connection, _Worker] = {}
     deaths, warm = 0, False
@@ -150,7 +150,7 @@ def _work(connection: Connection, parcel: bytes, fly: Fly, threads: int, device:
     """Fly pieces until the campaign's process has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    plan = unpacked(parcel)
+    plan = pickle.loads(parcel)
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:
