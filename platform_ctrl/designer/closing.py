@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +18,9 @@ from platform_ctrl.designer.design_options import DesignOptions, live
 from platform_ctrl.designer.free_loop import StabilisedLoop
 from platform_ctrl.designer.job_plants import JobPlants
 from platform_ctrl.designer.saving import SavedController
-from platform_ctrl.designer.store import Store, given_designs
+from platform_ctrl.designer.store import Store, at_rate, given_designs
 from platform_ctrl.designer.tasks import Made
-from platform_ctrl.designer.values import Settings
+from platform_ctrl.designer.values import Conditions, Settings
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
 
@@ -66,7 +66,9 @@ class Closing:
                 options = {name: made.options.get(name, x) for name, x in mine[design].items()}
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
             elif not live(known):
-                self.store.put(loop, design, self.key(start, spec, known), made)
+                conditions = self.conditions(start, spec, known)
+                self.store.keep(loop, design, conditions, made)
+                start = _designed_for(start, loop, design, conditions)
         # What the job closes is closed here too wherever there is a controller for it.
         closed = {
             spec.name: spec.use if self.there(start, spec, spec.use) else start.closed[spec.name]
@@ -77,7 +79,7 @@ class Closing:
     def there(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is there for just these settings."""
         design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        return live(design) or self.store.has(spec.name, name, self.key(settings, spec, design))
+        return live(design) or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
 
     def spec(self, name: str) -> LoopSpec:
         """Return a loop of the job.
@@ -119,14 +121,66 @@ class Closing:
             return design
         return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
 
-    def key(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Hashable:
-        """Return all that a design of a method depends on."""
-        return (self.options_key(settings.options[spec.name][design.name]), self.plants.key(settings))
+    def conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
+        """Return all that a design of a method depends on, at these settings."""
+        options = settings.options[spec.name][design.name]
+        return Conditions(tuple(sorted(options.items())), *self.plants.key(settings))
+
+    def wanted(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
+        """Return the conditions for which the controller of a design is to be made.
+
+        It stays what it was while the plant is moved, and is designed anew when its own options are.
+        """
+        now = self.conditions(settings, spec, design)
+        before = settings.designed_for.get(spec.name, {}).get(design.name)
+        return before if before is not None and before.options == now.options else now
+
+    def seen(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions | None:
+        """Return the conditions of the controller that is there: the wanted one, until then the one before it."""
+        before = settings.designed_for.get(spec.name, {}).get(design.name)
+        found = (self.wanted(settings, spec, design), before)
+        return next((one for one in found if self.store.found(spec.name, design.name, one) is not None), None)
+
+    def holding(self, old: Settings, new: Settings) -> Settings:
+        """Return settings that a slider was moved to, with the designs that the page shows noted as what they are."""
+        shown = [(old.loop, old.design), *((old.loop, name) for name in old.overlays)]
+        if old.mode == "stabilised":
+            shown += [(loop, name) for loop, name in old.closed.items() if loop != old.loop]
+        for loop, name in shown:
+            spec = self.spec(loop)
+            design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+            if live(design):
+                continue
+            first = self.start.designed_for.get(loop, {}).get(name)
+            if self.conditions(new, spec, design) == self.conditions(self.start, spec, design):
+                # Back where it started: nothing of the way is left.
+                new = _designed_for(new, loop, name, first)
+                continue
+            conditions = self.wanted(old, spec, design)
+            known = self.store.found(loop, name, conditions) is not None
+            if known and self.wanted(new, spec, design) != conditions:
+                new = _designed_for(new, loop, name, conditions)
+        return new
+
+    def following(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
+        """Return the settings with the controller of a design that is made for them as they are."""
+        if live(design):
+            return settings
+        return _designed_for(settings, spec.name, design.name, self.conditions(settings, spec, design))
 
     @staticmethod
-    def options_key(options: Mapping[str, float]) -> Hashable:
-        """Return options as part of a key."""
-        return tuple(sorted(options.items()))
+    def at(settings: Settings, spec: LoopSpec, design: DesignSpec, conditions: Conditions) -> Settings:
+        """Return the settings at which a design has some conditions."""
+        mine = {**settings.options[spec.name], design.name: dict(conditions.options)}
+        first, second, third = conditions.Omega
+        return settings.but(
+            design=design.name,
+            options={**settings.options, spec.name: mine},
+            rate_hz=conditions.rate_hz,
+            delay=conditions.delay,
+            spins=dict(conditions.spins),
+            Omega=(first, second, third),
+        )
 
     def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the caging loop that is worked on, and lines about its controller.
@@ -167,19 +221,17 @@ class Closing:
 
     def kept(self, settings: Settings) -> Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]:
         """Return what keeps figures of the caging loops while only the servo's knobs move."""
-        others = tuple(
-            (
-                spec.name,
-                settings.closed[spec.name],
-                tuple(sorted(settings.options[spec.name][settings.closed[spec.name]].items())),
-                settings.parts_on(spec.name, settings.closed[spec.name]),
-            )
-            for spec in self.read.loops
-            if spec.kind == "caging"
-        )
+        others = []
+        for spec in self.read.loops:
+            if spec.kind == "caging":
+                name = settings.closed[spec.name]
+                design = next(d for d in spec.designs if d.name == name)
+                seen = None if live(design) else self.seen(settings, spec, design)
+                options = tuple(sorted(settings.options[spec.name][name].items()))
+                others.append((spec.name, name, seen, options, settings.parts_on(spec.name, name)))
 
         def of(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
-            return self._margins.get((name, others, self.plants.key(settings)), make)
+            return self._margins.get((name, tuple(others), self.plants.key(settings)), make)
 
         return of
 
@@ -262,7 +314,20 @@ class Closing:
             return classical_arrays(
                 self.options.used(settings, spec, design), self.plants.gyros(settings, spec), period
             ), ""
-        found = self.store.found(spec.name, design.name, self.key(settings, spec, design), period)
-        if found is None:
+        seen = self.seen(settings, spec, design)
+        made = self.store.found(spec.name, design.name, seen)
+        if made is None:
             raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")
-        return found
+        K, note = at_rate(made.controller, period, design.name), ""
+        if seen != self.conditions(settings, spec, design):
+            carried = "" if K is made.controller else " and carried over to this sample rate by Tustin's rule"
+            note = f"{design.name}: was made for other settings{carried}; moving one of its numbers designs it anew"
+        return K, note
+
+
+def _designed_for(settings: Settings, loop: str, design: str, conditions: Conditions | None) -> Settings:
+    """Return the settings with other conditions of a design, or with none."""
+    own = {name: one for name, one in settings.designed_for.get(loop, {}).items() if name != design}
+    own |= {} if conditions is None else {design: conditions}
+    others = {name: designs for name, designs in settings.designed_for.items() if name != loop}
+    return settings.but(designed_for={**others, **({loop: own} if own else {})})

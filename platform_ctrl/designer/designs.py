@@ -10,6 +10,7 @@ from platform_ctrl.arguments import known_name
 from platform_ctrl.designer import background
 from platform_ctrl.designer.caged import CagedLoop, caged_overlay
 from platform_ctrl.designer.closing import Closing
+from platform_ctrl.designer.design_options import live
 from platform_ctrl.designer.drafting import Drafting
 from platform_ctrl.designer.pictures import Overlay
 from platform_ctrl.designer.stabilised import stabilised_overlay
@@ -66,8 +67,8 @@ class Designs:
         design: str | None,
         progress: background.Progress = silent,
         cancelled: background.Cancelled = never,
-    ) -> None:
-        """Have a design made in a process of its own, unless it is there.
+    ) -> Settings:
+        """Have a design made in a process of its own, unless it is there, and return the settings that show it.
 
         Raises
         ------
@@ -76,34 +77,35 @@ class Designs:
         DesignError
             The method found no controller.
         """
-        if self.there(settings, design):
-            return
         closing = self._closing
         spec, own = closing.design(settings if design is None else settings.but(design=design))
-        question = Designing(job=closing.job(settings), loop=spec.name, design=own.name)
-        made = background.worked_out(question, progress, cancelled)
-        closing.store.put(spec.name, own.name, closing.key(settings, spec, own), made)
+        if not self.there(settings, own.name):
+            question = Designing(job=closing.job(settings), loop=spec.name, design=own.name)
+            made = background.worked_out(question, progress, cancelled)
+            closing.store.put(spec.name, own.name, closing.conditions(settings, spec, own), made)
+        return closing.following(settings, spec, own)
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
-        spec, design = self._closing.design(settings)
-        if self.there(settings):
-            return self._closing.caged(settings)
+        closing = self._closing
+        spec, design = closing.design(settings)
+        if live(design):
+            return closing.caged(settings)
+        conditions, seen = closing.wanted(settings, spec, design), closing.seen(settings, spec, design)
+        if seen == conditions:
+            return closing.caged(settings)
 
         def wanted() -> str:
             def make(unwanted: background.Cancelled) -> None:
-                self.make(settings, None, cancelled=unwanted)
+                self.make(closing.at(settings, spec, design, conditions), None, cancelled=unwanted)
 
-            return self._drafting.want(spec.name, design.name, self._closing.key(settings, spec, design), make)
+            return self._drafting.want(spec.name, design.name, conditions, make)
 
-        if not self._closing.store.any(spec.name, design.name):
+        if seen is None:
             line = f"{spec.name}, {wanted()}"
             raise Awaited(line) if self._drafting.wants(spec.name, design.name) else DesignError(line)
-        loop, told = self._closing.caged(settings)
-        own = settings.options[spec.name][design.name]
-        if again and not self._closing.store.made_of(spec.name, design.name, self._closing.options_key(own)):
-            return loop, (wanted(),)
-        return loop, told
+        loop, told = closing.caged(settings)
+        return (loop, (wanted(),)) if again else (loop, told)
 
     def overlays(
         self, settings: Settings, spec: LoopSpec, frequency: FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -129,8 +129,8 @@ class JobPlants:
         """Return the largest platform rate about each axis: the job's, or what is shown where that is more."""
         return np.maximum(self.read.Omega, np.abs(settings.Omega))
 
-    def key(self, settings: Settings) -> Hashable:
-        """Return all that the plants depend on."""
+    def key(self, settings: Settings) -> tuple[float, float, tuple[tuple[str, float], ...], tuple[float, ...]]:
+        """Return all that the plants depend on: rate, delay, spins and range of Omega, as `Conditions` has them."""
         return (
             settings.rate_hz,
             settings.delay,

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.arguments import short
 from platform_ctrl.designer.controllers import OPTIONAL
 from platform_ctrl.designer.knobs import KINDS
-from platform_ctrl.designer.values import Settings
+from platform_ctrl.designer.values import Conditions, Settings
 from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
     from platform_ctrl.designer.workbench import Workbench
+    from platform_ctrl.job import LoopSpec
 
 # Characters of a link, and of what it unpacks to, at most.
 _LONGEST, _LARGEST = 20_000, 400_000
@@ -167,7 +168,35 @@ def judged(workbench: Workbench, changed: object) -> Settings:
         workbench.expect_plant(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
-    return settings
+    return settings.but(designed_for=_designed_for(changed.get("designed_for", {}), start, specs))
+
+
+def _designed_for(given: object, start: Settings, specs: Mapping[str, LoopSpec]) -> dict[str, dict[str, Conditions]]:
+    """Return for which conditions the designs that a page shows were made: as the job has them, or as is given."""
+    out = {loop: dict(designs) for loop, designs in start.designed_for.items()}
+    for loop, designs in _table("designed_for", given, specs).items():
+        methods = {d.name: d.method for d in specs[loop].designs}
+        for name, item in _table(f"designed_for {loop}", designs, methods).items():
+            where = f"designed_for {name}"
+            parts = _table(where, item, Conditions._fields)
+            own = out.get(loop, {}).get(name)
+            whole = {**({} if own is None else own.data()), **parts}
+            if missing := [field for field in Conditions._fields if field not in whole]:
+                raise InputError(f"state: {where} has no {missing[0]}; expected {', '.join(Conditions._fields)}")
+            options = _table(f"{where}: options", whole["options"], KINDS[methods[name]])
+            first = {} if own is None else dict(own.options)
+            spins = {**start.spins, **_table(f"{where}: spins", whole["spins"], start.spins)}
+            rates = [_positive_or_zero(f"{where}: Omega", x) for x in _list(where, whole["Omega"])]
+            if len(rates) != 3:
+                raise InputError(f"state: {where}: Omega has {len(rates)} numbers; expected 3")
+            out.setdefault(loop, {})[name] = Conditions(
+                options=tuple(sorted((first | {key: _positive(key, x) for key, x in options.items()}).items())),
+                rate_hz=_positive(f"{where}: rate_hz", whole["rate_hz"]),
+                delay=_positive_or_zero(f"{where}: delay", whole["delay"]),
+                spins=tuple(sorted((key, _finite(f"{where}: spins", x)) for key, x in spins.items())),
+                Omega=tuple(rates),
+            )
+    return out
 
 
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
@@ -213,6 +242,13 @@ def _finite(where: str, given: object) -> float:
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or abs(given) > 1e50:
         raise InputError(f"state: {where} = {short(given)}; expected a finite number")
     return float(given)
+
+
+def _positive_or_zero(where: str, given: object) -> float:
+    number = _finite(where, given)
+    if number < 0.0:
+        raise InputError(f"state: {where} = {short(given)}; expected a number >= 0")
+    return number
 
 
 def _positive(where: str, given: object) -> float:

@@ -311,7 +311,8 @@ class Settable:
         ----------
         See docs/designer.md.
         """
-        return moved(settings, {one.name: one for one in self.knobs(settings)}, knob, number)
+        new = moved(settings, {one.name: one for one in self.knobs(settings)}, knob, number)
+        return self._closing.holding(settings, new)
 
     def job(self, settings: Settings) -> Job:
         """Return the job that the settings stand for.

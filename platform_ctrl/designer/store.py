@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
 
@@ -11,58 +10,53 @@ from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.check.given import opened, read_controllers
 from platform_ctrl.designer.bounded import Bounded
 from platform_ctrl.designer.tasks import Made
-from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.designer.values import Conditions
+from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job import Job, LoopSpec
 
 # Designs that are remembered for settings that a page may come back to.
-_ROOM = 32
+_ROOM = 64
 
 
 class Store:
-    """Designs by loop, name and all that they depend on."""
+    """Designs by loop, name and all that they depend on. It never answers with one for other conditions."""
 
     def __init__(self) -> None:
         self._made: Bounded[Made] = Bounded(_ROOM)
-        self._latest: Bounded[tuple[Hashable, Made]] = Bounded(200)
+        self._given: dict[tuple[str, str, Conditions], Made] = {}
 
-    def put(self, loop: str, design: str, key: Hashable, made: Made) -> None:
-        """Keep a design."""
-        self._made.put((loop, design, key), made)
-        self._latest.put((loop, design), (key, made))
+    def put(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
+        """Keep a design until there is no room for it."""
+        self._made.put((loop, design, conditions), made)
 
-    def has(self, loop: str, design: str, key: Hashable) -> bool:
-        """Return whether there is a design for just these settings."""
-        return self._made.found((loop, design, key)) is not None
+    def keep(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
+        """Keep a design that was read from a file: no method makes just this one again."""
+        self._given[loop, design, conditions] = made
 
-    def any(self, loop: str, design: str) -> bool:
-        """Return whether there is a design for any settings."""
-        return self._latest.found((loop, design)) is not None
-
-    def made_of(self, loop: str, design: str, options: Hashable) -> bool:
-        """Return whether the latest design was made of these options, whatever the plant."""
-        latest = self._latest.found((loop, design))
-        return latest is not None and isinstance(latest[0], tuple) and latest[0][0] == options
-
-    def found(self, loop: str, design: str, key: Hashable, period: float) -> tuple[StateArrays, str] | None:
-        """Return the controller of a design and a line about it, the latest one where there is none for these settings.
-
-        One of another sample rate is carried over by Tustin's rule.
-        """
-        made = self._made.found((loop, design, key))
-        if made is not None:
-            return made.controller, ""
-        latest = self._latest.found((loop, design))
-        if latest is None:
+    def found(self, loop: str, design: str, conditions: Conditions | None) -> Made | None:
+        """Return the design for just these conditions, or None."""
+        if conditions is None:
             return None
-        K = latest[1].controller
-        note = f"{design}: was made for other settings; design it anew to follow"
-        if abs(K.dt - period) > 1e-12 * period:
-            try:
-                K = StateArrays(*from_w_plane(*to_w_plane(*K[:4], K.dt), period), period)
-            except PlatformCtrlError:
-                return None
-            note = f"{design}: was made for another sample rate and carried over by Tustin's rule; design it anew"
-        return K, note
+        return self._given.get((loop, design, conditions)) or self._made.found((loop, design, conditions))
+
+
+def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
+    """Return a controller at a sample period, s: by Tustin's rule where it was made for another one.
+
+    Raises
+    ------
+    DesignError
+        It cannot be carried over.
+    """
+    if abs(K.dt - period) <= 1e-12 * period:
+        return K
+    try:
+        return StateArrays(*from_w_plane(*to_w_plane(*K[:4], K.dt), period), period)
+    except PlatformCtrlError:
+        raise DesignError(
+            f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "
+            "design it anew"
+        ) from None
 
 
 def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:

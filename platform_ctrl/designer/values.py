@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from platform_ctrl.frozen import value
 
@@ -15,6 +15,47 @@ Group = Literal["gains", "lead", "notch", "lag", "design", "sampling", "rotors",
 # Option → number, in the units of the job file; by design; by loop.
 Options = Mapping[str, float]
 LoopOptions = Mapping[str, Mapping[str, Options]]
+
+
+class Conditions(NamedTuple):
+    """All that a design of a method depends on: equal conditions give the same controller.
+
+    Attributes
+    ----------
+    options
+        Name and number of each option, sorted by name.
+    rate_hz, delay
+        Sample rate, Hz, and time from sample to torque, s.
+    spins
+        Name and spin of each rotor, rad/s, sorted by name.
+    Omega : (3,)
+        Largest platform rate about each axis, rad/s.
+
+    References
+    ----------
+    See docs/designer.md.
+    """
+
+    options: tuple[tuple[str, float], ...]
+    rate_hz: float
+    delay: float
+    spins: tuple[tuple[str, float], ...]
+    Omega: tuple[float, ...]
+
+    def data(self) -> dict[str, Any]:
+        """Return everything as JSON knows it.
+
+        Returns
+        -------
+        dict
+            Plain numbers, lists and dicts by the names of the attributes.
+
+        References
+        ----------
+        RFC 8259.
+        """
+        out: dict[str, Any] = self._asdict()
+        return out | {"options": dict(self.options), "spins": dict(self.spins), "Omega": list(self.Omega)}
 
 
 @value
@@ -52,6 +93,9 @@ class Settings:
         Root axis of the responses to Omega, or to a torque on the platform: 1 to 3.
     closed
         Loop → name of the design that is closed there, while another loop is worked on and in what is saved.
+    designed_for
+        Loop → design → the conditions for which the controller that the page shows was designed. Without an entry it is
+        the one for the settings as they are; with one it stays while rotors, sampling or platform rate are moved.
 
     References
     ----------
@@ -74,6 +118,7 @@ class Settings:
     channel: str = ""
     axis: int = 1
     closed: Mapping[str, str] = field(default_factory=dict)
+    designed_for: Mapping[str, Mapping[str, Conditions]] = field(default_factory=dict)
 
     def but(self, **changes: Any) -> Settings:
         """Return these settings with some of them changed.
@@ -143,6 +188,10 @@ class Settings:
             for loop, designs in self.optional.items()
         }
         out["closed"] = dict(self.closed)
+        out["designed_for"] = {
+            loop: {design: conditions.data() for design, conditions in designs.items()}
+            for loop, designs in self.designed_for.items()
+        }
         out["spins"], out["Omega"] = dict(self.spins), list(self.Omega)
         out["fixed"], out["overlays"] = sorted(self.fixed), list(self.overlays)
         return out

@@ -203,7 +203,7 @@ class Viewing(Settable):
         Returns
         -------
         Settings
-            As they were.
+            They show this design.
 
         Raises
         ------
@@ -216,8 +216,7 @@ class Viewing(Settable):
         ----------
         See docs/loop-design.md.
         """
-        self._designs.make(settings, design, progress, cancelled)
-        return settings
+        return self._designs.make(settings, design, progress, cancelled)
 
     def influence(self, settings: Settings) -> Influence:
         """Return what each knob does to each requirement.
