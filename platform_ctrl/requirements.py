@@ -13,9 +13,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_figures import BANDED, OF_CONTROLLER, controller_gain, fastest
+from platform_ctrl.analysis.loop_figures import BANDED, GRIDDED, OF_CONTROLLER, fastest
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_figures
-from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
+from platform_ctrl.analysis.norms import h2_norm
+from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.arguments import one_of, positive
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
 
 Sense = Literal["at least", "at most"]
 Stage = Literal["decoupled", "coupled", "simulated"]
+# How a value is found: "exact", of the plants that are judged, to rounding or to 1e-9 from the worse side; "bound", one
+# that is guaranteed not to be better than the true value; "proved", in interval arithmetic; "sampled", the worst at the
+# frequencies of a grid; "simulated", the worst at the samples of one run.
+Method = Literal["exact", "bound", "proved", "sampled", "simulated"]
 Kind = Literal[
     "stability",
     "damping",
@@ -95,6 +100,8 @@ class CheckResult:
         What recomputes the value.
     hard
         Whether the verdict rests on it; a goal that is missed is no failure.
+    method
+        How the value is found: ``"exact"``, ``"bound"``, ``"proved"``, ``"sampled"`` or ``"simulated"``.
 
     References
     ----------
@@ -113,6 +120,7 @@ class CheckResult:
     stage: Stage
     evidence: str
     hard: bool = True
+    method: Method = "sampled"
 
     @property
     def margin(self) -> float:
@@ -175,7 +183,16 @@ class Requirement:
             return measured / self.limit
         return self.limit / measured if measured > 0.0 else float("inf")
 
-    def judge(self, measured: float, *, subject: str, stage: Stage, evidence: str, design: str = "") -> CheckResult:
+    def judge(
+        self,
+        measured: float,
+        *,
+        subject: str,
+        stage: Stage,
+        evidence: str,
+        design: str = "",
+        method: Method = "sampled",
+    ) -> CheckResult:
         """Hold a measured figure against the bound: met where the ratio is at most 1.
 
         Parameters
@@ -190,6 +207,8 @@ class Requirement:
             What recomputes it.
         design
             Name of the design.
+        method
+            How it is found, see `CheckResult`; the least that can be said of a figure by default.
 
         Returns
         -------
@@ -214,6 +233,7 @@ class Requirement:
             stage=stage,
             evidence=evidence,
             hard=self.hard,
+            method=method,
         )
 
 
@@ -320,9 +340,9 @@ class LoopRequirement(Requirement):
         ArgumentError
             `measures` were taken without this requirement.
         """
-        return self._worst(plants, self.figures(measures), subject, design)
+        return self._worst(plants, self.figures(measures), subject, design, measures.exact)
 
-    def _worst(self, plants: PlantSet, figures: FloatArray, subject: str, design: str) -> CheckResult:
+    def _worst(self, plants: PlantSet, figures: FloatArray, subject: str, design: str, exact: bool) -> CheckResult:
         worst = int(figures.argmax() if self.sense == "at most" else figures.argmin())
         if self.kind in OF_CONTROLLER:
             where = "controller"
@@ -332,13 +352,15 @@ class LoopRequirement(Requirement):
             where = plants.labels[np.flatnonzero(plants.of(self.over))[worst]]
         else:
             where = "nominal plant"
-        number = len(plants.labels)
+        # Of the nominal plant and of the controller there is one.
+        number = len(figures) if self.over_spread else 1
         return self.judge(
             float(figures[worst]),
             subject=subject,
             design=design,
             stage="decoupled",
             evidence=f"{where}; {number} plant{'' if number == 1 else 's'}, sampled with delay and torquer lag",
+            method="exact" if exact or self.kind not in GRIDDED else "sampled",
         )
 
     def check(
@@ -372,7 +394,7 @@ class LoopRequirement(Requirement):
                 f"{self.name}: asked over {', '.join(self.over)}; expected a set with such plants, here "
                 f"{', '.join(dict.fromkeys(plants.groups))}"
             )
-        return self._worst(plants, exact_figures(plants, K, self), subject, design)
+        return self._worst(plants, exact_figures(plants, K, self), subject, design, True)
 
     def check_closed_loop(
         self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
@@ -413,7 +435,7 @@ class LoopRequirement(Requirement):
             part = channel.of(arrays, closed_loop.input_labels, closed_loop.output_labels)
             found = _norm(self.kind, part) if decay > 0.0 else float("inf")
         evidence = f"closed loop with {arrays.A.shape[0]} states"
-        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence)
+        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge a controller by itself: kinds "controller poles" and "controller gain" (from `frequency` on).
@@ -440,9 +462,9 @@ class LoopRequirement(Requirement):
         if self.kind == "controller poles":
             found = float(fastest(pole_arrays(K.A), K.dt))
         else:
-            found = controller_gain(K, self.frequency or 0.0, np.zeros(0))
+            found = peak(K, (self.frequency or 0.0, np.inf))[0]
         evidence = f"controller with {K.A.shape[0]} states"
-        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence)
+        return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 
 def requirement(
@@ -620,7 +642,7 @@ def _asked(limits: LoopLimits, hard: bool) -> tuple[LoopRequirement, ...]:
 
 def _norm(kind: Kind, part: StateArrays) -> float:
     if kind == "H-infinity norm":
-        return hinf_norm_arrays(*part)[0]
+        return peak(part)[0]
     if part.dt == 0.0 and np.any(part.D):
         return float("inf")
     import control

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, frequencies, square_responses
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
 from platform_ctrl.analysis.axis import FrequencyAxis, largest
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
@@ -53,9 +53,13 @@ def bandwidth(plant: control.StateSpace, controller: control.StateSpace, at: At 
 
     S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990.
     """
+    return bandwidth_arrays(closed_loop_with_sensitivity(plant, controller, at))
+
+
+def bandwidth_arrays(S: StateArrays) -> float:
+    """Return the bandwidth, as `bandwidth` does, of a loop with the sensitivity `S`."""
     from scipy.optimize import brentq
 
-    S = closed_loop_with_sensitivity(plant, controller, at)
     s = continuous_poles(pole_arrays(S.A), S.dt)
     if S.A.shape[0] and spectral_abscissa(s) >= 0.0:
         return 0.0

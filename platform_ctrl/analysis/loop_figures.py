@@ -1,4 +1,8 @@
-"""Figures of closed loops of a plant set, kind by kind: on the set's grid for a tuner, or as norms for a verdict.
+"""Figures of closed loops of a plant set, kind by kind: on the set's grid for a search, or exact for a verdict.
+
+On the grid (`LoopFigures.figure`) a peak is seen at the set's frequencies and at the frequencies of closed-loop poles
+that are narrower than the grid's spacing; what lies between is not. `LoopFigures.exact` takes the peak over all
+frequencies, and `LoopFigures.within` shows that a plant is no worse than a figure, without working out its own.
 
 Peaks are largest singular values of parts of the closed loop
 
@@ -16,16 +20,11 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.axis import largest
-from platform_ctrl.analysis.bandwidth import bandwidth_of_response
+from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_arrays, bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop_arrays
-from platform_ctrl.analysis.norms import (
-    gains,
-    hinf_norm_arrays,
-    level_frequencies,
-    noise_rms_arrays,
-    resonances,
-)
+from platform_ctrl.analysis.norms import gains, noise_rms_arrays, resonances
+from platform_ctrl.analysis.peaks import WHOLE, Band, exceeds, peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     continuous_poles,
@@ -35,9 +34,9 @@ from platform_ctrl.analysis.poles import (
 )
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sensitivity import sensitivities_of_plants
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.frozen import FloatArray, value
 
-# Figures that peak: a grid misses what lies between its points, so a verdict takes norms.
+# Figures that are the largest singular value over frequency.
 PEAKS = frozenset(
     {
         "disk margin",
@@ -54,6 +53,16 @@ PEAKS = frozenset(
 BANDED = frozenset({"tracking", "torque limit"})
 # Figures of the controller alone: the same for every plant.
 OF_CONTROLLER = frozenset({"controller poles", "controller gain"})
+# Figures that a grid of frequencies may miss: a verdict takes their exact values.
+GRIDDED = PEAKS | {"bandwidth", "controller gain"}
+# Figures that are the worse the smaller they are.
+_AT_LEAST = frozenset({"disk margin", "bandwidth"})
+# Half-widths of a resonance up to which it may hide between two points of the grid, over their spacing.
+_NARROW = 0.5
+
+
+# A figure by what makes it: its kind, the edge of its band, the signals between which it is taken.
+Key = tuple[str, float | None, Channel | None]
 
 
 class Asked(Protocol):
@@ -76,6 +85,24 @@ class Asked(Protocol):
         """Between which signals, for a norm."""
 
 
+def key_of(asked: Asked) -> Key:
+    """Return what a figure is of, whatever plants it is asked of."""
+    return asked.kind, asked.frequency, asked.channel
+
+
+@value
+class Own:
+    """A figure that is measured whatever is asked."""
+
+    kind: str
+    over: tuple[str, ...] = ()
+    frequency: float | None = None
+    channel: Channel | None = None
+
+
+_BANDWIDTH = Own(kind="bandwidth")
+
+
 class LoopFigures:
     """A controller closed around every plant of a set, each part worked out when it is first needed.
 
@@ -91,6 +118,9 @@ class LoopFigures:
         self.plants = plants
         self.controller = controller
         self.m, self.p = plants.B.shape[-1], plants.C.shape[-2]
+        # Exact figures with their frequencies, rad/s, and figures that a plant is no worse than, by what they are of.
+        self._exact: dict[tuple[Key, int], tuple[float, float]] = {}
+        self._shown: dict[tuple[Key, int], float] = {}
 
     @cached_property
     def arrays(self) -> StateArrays:
@@ -187,9 +217,82 @@ class LoopFigures:
         return _PLAIN[asked.kind](self, asked)
 
     def exact(self, asked: Asked, k: int) -> float:
-        """Return a peaking figure of plant `k` as a norm."""
-        peak = np.array([self._norm(asked, k) if self.decay[k] > 0.0 else np.inf])
-        return float(self._peak_figure(asked.kind, peak)[0])
+        """Return a figure of plant `k` over all frequencies, no better than it is: peaks as norms, to 1e-9."""
+        place = (key_of(asked), k)
+        if place not in self._exact:
+            self._exact[place] = self._found(asked, k)
+        return self._exact[place][0]
+
+    @property
+    def reached(self) -> FloatArray:
+        """Frequencies, rad/s, at which the exact figures that were asked for are reached."""
+        w = np.array([at for _, at in self._exact.values()])
+        return np.unique(w[np.isfinite(w) & (w > 0.0)])
+
+    def _found(self, asked: Asked, k: int) -> tuple[float, float]:
+        if asked.kind == "controller gain":
+            return peak(self.controller, (self.gain_from(asked), np.inf))
+        stable = bool(self.decay[k] > 0.0)
+        if asked.kind == "bandwidth":
+            at = min(map(bandwidth_arrays, self._parts(asked, k))) if stable else 0.0
+            return at / (2.0 * np.pi), at
+        found, at = max(peak(part, _band(asked)) for part in self._parts(asked, k)) if stable else (np.inf, 0.0)
+        return float(self._peak_figure(asked.kind, np.array([found]))[0]), at
+
+    def worst(self, asked: Asked, figures: FloatArray, chosen: NDArray[np.bool_]) -> FloatArray:
+        """Return figures on the grid with the worst of the `chosen` plants (N,) exact: none of these is worse.
+
+        The plant that is worst on the grid gets its exact figure. Every other one is shown to be no worse, or gets its
+        own.
+        """
+        out = figures.copy()
+        if asked.kind in OF_CONTROLLER:
+            out[0] = self.exact(asked, 0)
+            return out
+        if not np.all(self.decay[chosen] > 0.0):
+            # Nothing is worse than a loop that is not stable.
+            return out
+        at_least = asked.kind in _AT_LEAST
+        order = np.flatnonzero(chosen)
+        level: float | None = None
+        for k in map(int, order[np.argsort(figures[order] if at_least else -figures[order], kind="stable")]):
+            if level is None or not self.within(asked, k, level):
+                out[k] = self.exact(asked, k)
+                level = out[k] if level is None else (min if at_least else max)(level, out[k])
+        return out
+
+    def within(self, asked: Asked, k: int, figure: float) -> bool:
+        """Return whether the figure of a stable plant `k` is no worse than `figure`, over all frequencies."""
+        at_least, place = asked.kind in _AT_LEAST, (key_of(asked), k)
+        if at_least and figure <= 0.0:
+            return True
+        shown = self._shown.get(place)
+        if shown is not None and (shown >= figure if at_least else shown <= figure):
+            return True
+        level, band = figure, _band(asked)
+        if asked.kind == "disk margin":
+            level = 1.0 / figure
+        elif asked.kind == "bandwidth":
+            level, band = LEVEL, (0.0, 2.0 * np.pi * figure)
+        s = continuous_poles(self.poles[k], self.plants.period)
+        if any(exceeds(part, level, s, band) for part in self._parts(asked, k)):
+            return False
+        self._shown[place] = figure
+        return True
+
+    def gain_from(self, asked: Asked) -> float:
+        """Return the frequency, rad/s, from which on the controller's gain is asked for."""
+        return self.plants.nutation / 10.0 if asked.frequency is None else asked.frequency
+
+    def grid_bandwidth(self, k: int) -> float:
+        """Return the bandwidth of plant `k` on the grid, rad/s; 0 where the loop is not stable."""
+        if not self.decay[k] > 0.0:
+            return 0.0
+        frequency = self.plants.frequency
+        found = min(float(bandwidth_of_response(frequency, S[k])) for S in (self.S_output, self.S_input))
+        w = self._narrow.get(k, np.zeros(0))
+        high = [w[gains(part, w) >= LEVEL] for part in self._parts(_BANDWIDTH, k)] if w.size else []
+        return min([found, *(float(part.min(initial=np.inf)) for part in high)])
 
     def _peak_figure(self, kind: str, peak: FloatArray) -> FloatArray:
         if kind != "disk margin":
@@ -203,19 +306,25 @@ class LoopFigures:
             responses = [frequency_response_arrays(*part, self.plants.frequency)]
         else:
             responses = _RESPONSES[asked.kind](self)
-        grid = self.plants.frequency
-        band = grid <= max(_top(asked), grid[0])
-        peaks = [highest(response[:, band]) for response in responses]
-        return np.where(self.decay > 0.0, np.max(peaks, axis=0), np.inf)
+        grid, band = self.plants.frequency, _band(asked)
+        inside = grid <= max(band[1], grid[0])
+        peaks = np.max([highest(response[:, inside]) for response in responses], axis=0)
+        for k, w in self._narrow.items():
+            w = w[w <= band[1]]
+            peaks[k] = max([peaks[k], *(gains(part, w).max(initial=0.0) for part in self._parts(asked, k))])
+        return np.where(self.decay > 0.0, peaks, np.inf)
 
-    def _norm(self, asked: Asked, k: int) -> float:
-        norms = []
-        for A, B, C, D, dt in self._parts(asked, k):
-            if np.isfinite(_top(asked)):
-                norms.append(band_peak(StateArrays(A, B, C, D, dt), _top(asked)))
-            else:
-                norms.append(hinf_norm_arrays(A, B, C, D, dt)[0])
-        return max(norms, default=0.0)
+    @cached_property
+    def _narrow(self) -> dict[int, FloatArray]:
+        """Frequencies, rad/s, of resonances of stable loops that may hide between two points of the grid, by plant."""
+        grid = self.plants.frequency
+        s = continuous_poles(self.poles, self.plants.period)
+        centre = np.where(np.isfinite(s), s.imag, 0.0)
+        place = np.clip(np.searchsorted(grid, centre), 1, len(grid) - 1)
+        # Below the grid its first frequency is the spacing.
+        spacing = np.where(centre < grid[0], centre, grid[place] - grid[place - 1])
+        narrow = (centre > 0.0) & (-s.real < _NARROW * spacing) & (self.decay > 0.0)[:, None]
+        return {int(k): np.unique(np.abs(s[k, narrow[k]].imag)) for k in np.flatnonzero(narrow.any(axis=1))}
 
     def _part(self, asked: Asked) -> StateArrays:
         return (asked.channel or Channel()).of(self.arrays, self.inputs, self.outputs)
@@ -238,7 +347,7 @@ class LoopFigures:
                 return [StateArrays(A, B, C, D, dt)]
             case "disk margin":
                 return [part(d, u, 0.5), part(n, y, 0.5)]
-            case "sensitivity peak":
+            case "sensitivity peak" | "bandwidth":
                 return [part(d, u, 1.0), part(n, y, 1.0)]
             case "complementary peak":
                 return [part(d, u), part(n, y)]
@@ -275,25 +384,6 @@ def highest(matrices: ComplexArray) -> FloatArray:
     return out
 
 
-def band_peak(system: StateArrays, top: float) -> float:
-    """Return the largest singular value of a stable system from 0 to `top` rad/s, at most the Nyquist frequency.
-
-    As the H-infinity norm: the Hamiltonian's eigenvalues propose frequencies until none within the band exceeds the
-    level.
-    """
-    top = min(top, np.inf if system.dt == 0.0 else np.pi / system.dt)
-    s = continuous_poles(pole_arrays(system.A), system.dt)
-    candidates = np.concatenate([[0.0, top], resonances(s)])
-    best = 0.0
-    for _ in range(60):
-        found = float(gains(system, candidates[candidates <= top]).max(initial=0.0))
-        if found <= best:
-            break
-        best = found * (1.0 + 1e-9)
-        candidates = level_frequencies(system, best)
-    return best
-
-
 def fastest(poles: ComplexArray, period: float) -> FloatArray:
     """Return the largest magnitude of the poles, rad/s, (...); of a sampled system in the w-plane.
 
@@ -316,19 +406,8 @@ def h2_norms(system: StateArrays) -> FloatArray:
         return np.asarray(np.sqrt(np.sum(rms * rms, axis=-1)), dtype=np.float64)
 
 
-def controller_gain(controller: StateArrays, from_frequency: float, frequency: FloatArray) -> float:
-    """Return the largest singular value of a controller from `from_frequency` on, on a grid and where it may peak."""
-    top = np.inf if controller.dt == 0.0 else np.pi / controller.dt
-    own = resonances(continuous_poles(pole_arrays(controller.A), controller.dt))
-    w = np.concatenate([frequency, own, [from_frequency]])
-    if np.isfinite(top):
-        w = np.append(w, top)
-    w = w[(w >= from_frequency) & (w <= top)]
-    return float(gains(controller, w).max(initial=0.0))
-
-
-def _top(asked: Asked) -> float:
-    return asked.frequency if asked.kind in BANDED and asked.frequency is not None else np.inf
+def _band(asked: Asked) -> Band:
+    return (0.0, asked.frequency) if asked.kind in BANDED and asked.frequency is not None else WHOLE
 
 
 def _torque_noise(loops: LoopFigures, asked: Asked) -> FloatArray:
@@ -340,13 +419,14 @@ def _torque_noise(loops: LoopFigures, asked: Asked) -> FloatArray:
 
 
 def _bandwidth(loops: LoopFigures, asked: Asked) -> FloatArray:
-    found = [bandwidth_of_response(loops.plants.frequency, S) for S in (loops.S_output, loops.S_input)]
-    return np.where(loops.decay > 0.0, np.minimum(*found), 0.0) / (2.0 * np.pi)
+    return np.array([loops.grid_bandwidth(k) for k in range(len(loops.plants.labels))]) / (2.0 * np.pi)
 
 
 def _controller_gain(loops: LoopFigures, asked: Asked) -> FloatArray:
-    start = loops.plants.nutation / 10.0 if asked.frequency is None else asked.frequency
-    return np.array([controller_gain(loops.controller, start, loops.plants.frequency)])
+    K, start = loops.controller, loops.gain_from(asked)
+    own = resonances(continuous_poles(pole_arrays(K.A), K.dt))
+    w = np.concatenate([loops.plants.frequency, own, [start, np.pi / K.dt]])
+    return np.array([gains(K, w[(w >= start) & (w <= np.pi / K.dt)]).max(initial=0.0)])
 
 
 # Figures that need no search for a peak.

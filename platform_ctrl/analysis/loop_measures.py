@@ -8,22 +8,14 @@ from dataclasses import field
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
-from platform_ctrl.analysis.bandwidth import bandwidth, bandwidth_of_response
-from platform_ctrl.analysis.channel import Channel
-from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, PEAKS, Asked, LoopFigures
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop_figures import GRIDDED, OF_CONTROLLER, Asked, Key, LoopFigures, Own, key_of
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 
-# A figure by what makes it: its kind, the edge of its band, the signals between which it is taken.
-Key = tuple[str, float | None, Channel | None]
-
-# Plants whose peak on the grid lies this near to the worst get the exact norm; the others keep the grid's figure.
-_NEAR_WORST = 1.25
-# Within these groups the worst plants' disk margins are norms whatever is asked.
-_WATCHED: tuple[tuple[str, ...], ...] = (("spread", "Omega"), ("faults",))
+_BANDWIDTH, _DISK_MARGIN, _DAMPING = Own(kind="bandwidth"), Own(kind="disk margin"), Own(kind="damping")
 
 
 @value
@@ -46,6 +38,10 @@ class LoopMeasures:
         Nominal rms of the torques from pick-off noise, N m; infinite where the loop is unstable.
     groups
         What each plant stands for, as in `PlantSet`.
+    exact
+        Whether peaks, bandwidths and margins are taken over all frequencies: the worst of every group of plants that
+        something is asked of is then exact, and the others are no worse than it. Else they are the largest at the
+        frequencies of a grid.
     further
         Other figures that were asked for, of every plant (N,), or of the controller alone (1,), in SI units.
 
@@ -60,6 +56,7 @@ class LoopMeasures:
     decay: FloatArray
     torque_noise: FloatArray
     groups: tuple[Group, ...]
+    exact: bool = False
     further: dict[Key, FloatArray] = field(default_factory=dict)
 
     def of(self, groups: Sequence[str]) -> BoolArray:
@@ -105,7 +102,7 @@ class LoopMeasures:
             return self.torque_noise if asked.kind == "torque noise" else np.array([self.bandwidth / (2.0 * np.pi)])
         own = {"stability": self.decay, "damping": self.damping, "disk margin": self.disk_margin}
         found = own.get(asked.kind)
-        found = self.further.get(_key(asked)) if found is None else found
+        found = self.further.get(key_of(asked)) if found is None else found
         if found is None:
             raise ArgumentError(
                 f"{asked.kind}: was not measured; expected measure(..., asked=...) with this requirement"
@@ -117,8 +114,9 @@ class LoopMeasures:
 def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = ()) -> LoopMeasures:
     """Measure `controller` (u = K y, same period) on every plant, on the set's frequency grid.
 
-    What `LoopMeasures` names is always measured, other figures where `asked` (requirements) need them. Peaks between
-    grid points are missed: certify with `exact_measures`.
+    What `LoopMeasures` names is always measured, other figures where `asked` (requirements) need them. The frequencies
+    of closed-loop poles that are narrower than the grid's spacing are looked at as well, and nothing else between grid
+    points: judge with `exact_measures`.
 
     Parameters
     ----------
@@ -148,7 +146,10 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
 def exact_measures(
     plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = (), loops: LoopFigures | None = None
 ) -> LoopMeasures:
-    """Return the measures with peaks as norms (not on a grid) wherever they decide anything.
+    """Return the measures with peaks, margins and bandwidths over all frequencies wherever they decide anything.
+
+    The worst figure of each group of plants that something is asked of is exact (to 1e-9, from the worse side), and
+    the Hamiltonian eigenvalues of every other plant of the group show that its own is no worse.
 
     Parameters
     ----------
@@ -178,16 +179,19 @@ def exact_measures(
     """
     loops = LoopFigures(plants, controller) if loops is None else loops
     rough = _measured(loops, asked)
-    watched = [rough.of(groups) for groups in (("nominal",), *_WATCHED)]
-    watched += [rough.of(one.over) for one in asked if one.kind == "disk margin"]
+    margin = rough.disk_margin
+    # Of every group by itself, whatever is asked.
+    for group in dict.fromkeys(plants.groups):
+        margin = loops.worst(_DISK_MARGIN, margin, rough.of((group,)))
     further = dict(rough.further)
     for one in asked:
-        if _key(one) in further and one.kind in PEAKS:
-            further[_key(one)] = _refined(loops, one, further[_key(one)], [rough.of(one.over)])
+        if key_of(one) in further and one.kind in GRIDDED:
+            further[key_of(one)] = loops.worst(one, further[key_of(one)], rough.of(one.over))
     return dataclasses.replace(
         rough,
-        bandwidth=_nominal_bandwidth(plants, controller),
-        disk_margin=_refined(loops, _Own(kind="disk margin"), rough.disk_margin, watched),
+        bandwidth=2.0 * np.pi * loops.exact(_BANDWIDTH, 0),
+        disk_margin=margin,
+        exact=True,
         further=further,
     )
 
@@ -195,27 +199,13 @@ def exact_measures(
 def exact_figures(plants: PlantSet, controller: StateArrays, asked: Asked) -> FloatArray:
     """Return one figure as `LoopMeasures.figures` does of `exact_measures`, without measuring anything else."""
     loops = LoopFigures(plants, controller)
-    if _nominal_alone(asked):
-        if asked.kind == "bandwidth":
-            return np.array([_nominal_bandwidth(plants, controller) / (2.0 * np.pi)])
+    if asked.kind == "torque noise" and _nominal_alone(asked):
         return _nominal_noise(loops)
-    figures = loops.figure(asked)
-    if asked.kind in OF_CONTROLLER:
-        return figures
     chosen = plants.of(asked.over)
-    figures = _refined(loops, asked, figures, [chosen]) if asked.kind in PEAKS else figures
-    out: FloatArray = figures[chosen]
+    figures = loops.figure(asked)
+    figures = loops.worst(asked, figures, chosen) if asked.kind in GRIDDED else figures
+    out: FloatArray = figures if asked.kind in OF_CONTROLLER else figures[chosen]
     return out
-
-
-@value
-class _Own:
-    """A figure that is measured whatever is asked."""
-
-    kind: str
-    over: tuple[str, ...] = ()
-    frequency: float | None = None
-    channel: Channel | None = None
 
 
 def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
@@ -223,12 +213,12 @@ def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
     further: dict[Key, FloatArray] = {}
     for one in asked:
         if not _nominal_alone(one) and one.kind not in ("stability", "damping", "disk margin"):
-            key = _key(one)
+            key = key_of(one)
             further[key] = further[key] if key in further else loops.figure(one)
     return LoopMeasures(
-        bandwidth=float(min(bandwidth_of_response(plants.frequency, S[0]) for S in (loops.S_output, loops.S_input))),
-        disk_margin=loops.figure(_Own(kind="disk margin")),
-        damping=loops.figure(_Own(kind="damping")),
+        bandwidth=loops.grid_bandwidth(0),
+        disk_margin=loops.figure(_DISK_MARGIN),
+        damping=loops.figure(_DAMPING),
         decay=loops.decay,
         torque_noise=_nominal_noise(loops),
         groups=plants.groups,
@@ -236,38 +226,10 @@ def _measured(loops: LoopFigures, asked: Sequence[Asked]) -> LoopMeasures:
     )
 
 
-def _refined(loops: LoopFigures, asked: Asked, figures: FloatArray, watched: Sequence[BoolArray]) -> FloatArray:
-    """Return figures that peak with those near the worst of each watched part as norms."""
-    # A margin is the inverse of a peak.
-    inverse = asked.kind == "disk margin"
-    with np.errstate(divide="ignore"):
-        peaks = 1.0 / figures if inverse else figures
-    out = figures.copy()
-    alive = np.isfinite(peaks)
-    near = np.zeros(len(figures), dtype=np.bool_)
-    for part in watched:
-        inside = part & alive
-        near |= inside & (peaks * _NEAR_WORST >= peaks[inside].max(initial=0.0))
-    for k in np.flatnonzero(near):
-        out[k] = loops.exact(asked, int(k))
-    return out
-
-
-def _nominal_bandwidth(plants: PlantSet, controller: StateArrays) -> float:
-    K = state_space(controller, plants.angles, plants.torques)
-    arrays = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
-    nominal = state_space(arrays, plants.torques, plants.angles)
-    return min(bandwidth(nominal, K, at="input"), bandwidth(nominal, K, at="output"))
-
-
 def _nominal_noise(loops: LoopFigures) -> FloatArray:
     A, B, C, D, _ = loops.own_arrays
     m = loops.m
     return noise_rms_arrays(A[0], B[0][:, m:], C[0][:m], D[0][:m, m:], loops.plants.noise)
-
-
-def _key(asked: Asked) -> Key:
-    return asked.kind, asked.frequency, asked.channel
 
 
 def _nominal_alone(asked: Asked) -> bool:

@@ -19,7 +19,7 @@ from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.destabilising import disk_factors, worst_factors
 from platform_ctrl.analysis.diagonal_mu import mu_bounds, perturbation
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
-from platform_ctrl.analysis.mu_peak import MuPeak, search_grid
+from platform_ctrl.analysis.mu_peak import SLACK, MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.rational import LinearSystem, StateSystem, linear_arrays
@@ -86,6 +86,14 @@ class DiskMargin:
 
     def __float__(self) -> float:
         return self.alpha
+
+    @property
+    def guaranteed(self) -> float:
+        """Margin that holds between all frequencies, dimensionless.
+
+        `lower`, or without a proof `unstructured`; less the 0.01 % that the proof leaves open.
+        """
+        return (self.lower if self.proved else self.unstructured) / (1.0 + SLACK)
 
     @property
     def gain_phase(self) -> tuple[float, float, float]:

@@ -34,6 +34,8 @@ def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatAr
     return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
 
 
+# Relative amount by which mu may exceed its peak between the frequencies that were looked at, once that is proved.
+SLACK = 1e-4
 # Where a climb looks between two frequencies.
 FAN = np.linspace(0.0, 1.0, 13)
 
@@ -98,7 +100,7 @@ class MuPeak:
             if np.all(lowest >= self.mu * (1.0 - 1e-8)):
                 break
 
-    def prove(self, slack: float = 1e-4, most: int = 80) -> bool:
+    def prove(self, slack: float = SLACK, most: int = 80) -> bool:
         """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
 
         The end of the axis has to have been looked at.

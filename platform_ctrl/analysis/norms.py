@@ -166,9 +166,9 @@ def resonances(s: ComplexArray) -> FloatArray:
     return np.unique(out)
 
 
-def level_frequencies(system: StateArrays, level: float) -> FloatArray:
+def level_frequencies(axis: FrequencyAxis, level: float) -> FloatArray:
     """Return frequencies among which, if the gain exceeds `level` anywhere, one lies where it does."""
-    return _between(crossing_frequencies(system, level))
+    return _between(axis.crossings(level))
 
 
 def _between(w: FloatArray) -> FloatArray:

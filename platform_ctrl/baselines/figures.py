@@ -148,7 +148,7 @@ def _least(subject: str, name: str, number: float) -> Figure:
 
 
 def _coupled(check: CoupledCheck) -> Iterator[Figure]:
-    yield _least(ALL_LOOPS, "simultaneous disk margin", check.simultaneous.lower)
+    yield _least(ALL_LOOPS, "simultaneous disk margin", check.simultaneous.guaranteed)
     for torquer, margin in zip(check.channels, check.coupled, strict=True):
         yield _least(ALL_LOOPS, f"disk margin, {torquer}", margin)
     for torquer, noise in zip(check.channels, check.torque_noise, strict=True):

@@ -62,6 +62,7 @@ class Proofs:
                 design=design,
                 stage=stage,
                 evidence=evidence,
+                method="proved",
             ),
         )
 

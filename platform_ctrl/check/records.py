@@ -170,8 +170,8 @@ def _certificate(certificate: Certificate, found: Verification, matrices: bool) 
 
 
 def _requirement(result: CheckResult) -> Record:
-    names = ("name", "subject", "design", "value", "limit", "unit", "sense", "margin", "passed", "stage", "evidence")
-    return {name: getattr(result, name) for name in names}
+    names = ("name", "subject", "design", "value", "limit", "unit", "sense", "margin", "passed", "stage")
+    return {name: getattr(result, name) for name in (*names, "method", "evidence")}
 
 
 def _coupled(check: CoupledCheck) -> Record:
@@ -181,7 +181,7 @@ def _coupled(check: CoupledCheck) -> Record:
         "stable": check.stable,
         "largest_pole_radius": np.abs(check.poles).max(initial=0.0),
         "simultaneous_disk_margin": {
-            "lower": simultaneous.lower,
+            "lower": simultaneous.guaranteed,
             "upper": simultaneous.upper,
             "frequency": simultaneous.frequency,
         },

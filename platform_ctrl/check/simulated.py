@@ -126,7 +126,9 @@ def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[Chec
     if not trajectory.completed and not manoeuvre.limits:
         flown = Requirement(name="share of the run that was flown", limit=1.0, unit="", sense="at least")
         share = len(trajectory.t) * trajectory.period / manoeuvre.duration
-        out.append(flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended))
+        out.append(
+            flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated")
+        )
     for key, limit in manoeuvre.limits.items():
         name, unit = RUN_FIGURES[key]
         figure, signal = found[key]
@@ -134,5 +136,7 @@ def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[Chec
         evidence = (
             f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
         )
-        out.append(asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence))
+        out.append(
+            asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+        )
     return tuple(out)

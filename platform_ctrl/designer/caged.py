@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
-from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping
@@ -351,14 +351,4 @@ def _margins(
     )
 
 
-@value
-class _DiskMargin:
-    """A figure that is asked for."""
-
-    kind: str = "disk margin"
-    over: tuple[str, ...] = ()
-    frequency: float | None = None
-    channel: None = None
-
-
-DISK = _DiskMargin()
+DISK = Own(kind="disk margin")

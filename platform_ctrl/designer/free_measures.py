@@ -59,7 +59,7 @@ def requirements(
     decoupled = _decoupled(job, model, controllers, kept)
     alone = np.array([decoupled[name] for name in torquers])
     cost = np.where(alone > 0.0, 1.0 - coupled / np.maximum(alone, np.finfo(float).tiny), np.inf)
-    return coupled_results(job, decay, torquers, cost, simultaneous, noise)
+    return coupled_results(job, decay, torquers, cost, simultaneous, noise, exact=False)
 
 
 def _decoupled(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], kept: Kept) -> dict[str, float]:
