@@ -27,7 +27,7 @@ def closed(plants, k, K) -> Loop:
     A, B, C, E = plants.A[k], plants.B[k], plants.C[k], plants.B_Omega[k]
     assert not np.any(plants.D)
     m, p = B.shape[1], C.shape[0]
-    n, q = len(A), len(K.A)
+    q = len(K.A)
     whole = np.block([[A + B @ K.D @ C, B @ K.C], [K.B @ C, K.A]])
     into = {"d": np.vstack([B, np.zeros((q, m))]), "Omega": np.vstack([E, np.zeros((q, 3))])}
     into["n"] = np.vstack([B @ K.D, K.B])

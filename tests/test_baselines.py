@@ -136,7 +136,7 @@ def test_what_is_measured_is_a_figure_though_nothing_is_asked_of_it(result: JobR
     margin = figures["caging 9-10", "disk margin"]
     assert (margin.value, margin.limit, margin.sense) == (loop.measures.disk_margin[0], None, "at least")
     assert figures["caging 9-10", "bandwidth"].limit == 10.0
-    assert figures["all loops closed", "simultaneous disk margin"].value == result.coupled.simultaneous.lower
+    assert figures["all loops closed", "simultaneous disk margin"].value == result.coupled.simultaneous.guaranteed
     assert figures["all loops closed", "torque noise, Q9"].unit == "N m"
     assert figures["turn", "largest gimbal angle"].limit == 0.003
     # The attitude of a caged run is prescribed: it says nothing of the loops.

@@ -30,6 +30,7 @@ def requirement_table(result: JobResult) -> Table:
         Column(title="limit", number=True),
         Column(title="margin", number=True),
         Column(title="stage"),
+        Column(title="method"),
         Column(title="met"),
     )
     return Table(columns=columns, groups=tuple(groups), form="requirements")
@@ -52,6 +53,7 @@ def _requirement(row: RequirementRow) -> Row:
                 strip=Strip(length=_BAR, marks=marks if row.margin else ()),
             ),
             Cell(text=row.stage),
+            Cell(text=row.method),
             Cell(text=f"{row.symbol} {reached}", tone=tone),
         ),
         missed=not row.passed and not row.goal,

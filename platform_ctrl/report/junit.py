@@ -81,6 +81,7 @@ def _requirement(result: JobResult, one: CheckResult) -> Any:
         "margin": margin_text(one),
         "design": one.design,
         "stage": one.stage,
+        "method": one.method,
         "evidence": one.evidence,
     }
     case = _case(one.name, f"{result.job.name}.{one.subject}", properties)

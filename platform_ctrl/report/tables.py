@@ -41,8 +41,8 @@ class RequirementRow:
         The margin as a number between −1 and 1, for a bar; 0 where there is none.
     passed
         Whether it is met.
-    evidence
-        What recomputes the value.
+    evidence, method
+        What recomputes the value, and how it was found.
     goal
         Whether it is a goal, which is no part of the verdict.
     """
@@ -57,6 +57,7 @@ class RequirementRow:
     stage: str
     passed: bool
     evidence: str
+    method: str
     goal: bool = False
 
     @property
@@ -105,6 +106,7 @@ def _row(result: JobResult, one: CheckResult) -> RequirementRow:
         stage=one.stage,
         passed=one.passed,
         evidence=one.evidence,
+        method=one.method,
         goal=not one.hard,
     )
 
@@ -131,6 +133,7 @@ def terminal_table(result: JobResult) -> Table:
     for name in ("value", "limit", "margin"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("stage", no_wrap=True)
+    table.add_column("method", no_wrap=True)
     table.add_column("met", justify="center", no_wrap=True)
     goals = goal_rows(result)
     if goals:
@@ -139,7 +142,7 @@ def terminal_table(result: JobResult) -> Table:
         table.add_section()
         for k, row in enumerate((*rows, *(goal for goal in goals if goal.subject == subject))):
             style, mark = ("dim", "dim") if row.goal else ("", "green") if row.passed else ("bold red", "bold red")
-            cells = [row.requirement, row.value, row.limit, row.margin, row.stage]
+            cells = [row.requirement, row.value, row.limit, row.margin, row.stage, row.method]
             words = [Text(subject if k == 0 else ""), *(Text(cell, style=style) for cell in cells)]
             table.add_row(*words, Text(row.symbol, style=mark))
     return table
