@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
 
+from platform_ctrl.campaign.contrasts import contrasts
 from platform_ctrl.campaign.distribution import RESOLUTION, Distribution
 from platform_ctrl.campaign.influence import influences
 from platform_ctrl.campaign.probability import clopper_pearson
@@ -324,3 +327,93 @@ def test_a_figure_that_is_the_same_in_every_run_has_no_drivers():
     assert "angle" not in {one.figure for one in found}
     [single] = influences({"x": np.random.default_rng(3).random(50)}, np.ones(50))
     assert (single.index, single.rank_correlation, single.driver) == (0.0, 0.0, False)
+
+
+# With and without
+
+
+def rare_fault(N=500):
+    """As the shipped job: a fault in one run of fifty, which violates one manoeuvre of three and nothing else does."""
+    run = np.arange(N)
+    table = {
+        "run": run,
+        "manoeuvre": np.array(["turn", "push", "step"])[run % 3],
+        "rotor.11.spin": np.random.default_rng(2).normal(1.0, 0.03, N),
+        "gain": np.array([0.5, 1.0])[run % 2],
+        "fault.weak": run % 50 == 0,
+        "fault.noise": run % 7 == 0,
+        "ended": np.full(N, "completed", dtype=object),
+    }
+    table["passed"] = ~(table["fault.weak"] & (table["manoeuvre"] == "turn"))
+    table["angle"] = np.where(table["passed"], 0.001, 0.004)
+    table["angle_passed"] = table["passed"]
+    return table
+
+
+def found_of(found, parameter, level=True, manoeuvre=None, figure="passed"):
+    key = (figure, manoeuvre, parameter, level)
+    [one] = [one for one in found if (one.figure, one.manoeuvre, one.parameter, one.level) == key]
+    return one
+
+
+def test_a_rare_fault_of_all_violations_is_seen_in_counts_where_no_variance_shows_it():
+    table = rare_fault()
+    limits = {"turn": {"angle": 0.003}, "push": {"angle": 0.003}, "step": {"angle": 0.003}}
+    found = contrasts(table, limits)
+    one = found_of(found, "fault.weak")
+    assert (one.present.events, one.present.runs, one.absent.events, one.absent.runs) == (4, 10, 0, 490)
+    assert one.in_every_violation
+    assert one.driver
+    # All four violating runs among the ten with the fault, by counting the ways; six values are compared.
+    ways = math.comb(10, 4) / math.comb(500, 4)
+    assert one.p_value == pytest.approx(7 * ways, rel=1e-9)
+    assert found[0].figure == "angle"
+    inside = found_of(found, "fault.weak", manoeuvre="turn")
+    assert (inside.present.events, inside.present.runs) == (4, 4)
+    assert inside.absent.high == pytest.approx(1.0 - 0.025 ** (1.0 / inside.absent.runs), rel=1e-9)
+    # Numbers that are drawn have no values to compare; a choice between two has.
+    assert {one.parameter for one in found} == {"manoeuvre", "gain", "fault.weak", "fault.noise"}
+    assert {one.level for one in found if one.parameter == "gain"} == {0.5, 1.0}
+    assert not found_of(found, "fault.noise").driver
+
+
+def test_what_is_counted_with_and_without_is_what_the_table_holds():
+    table = flown() | {"choice": np.random.default_rng(5).choice([1.0, 2.0, 3.0], 4000)}
+    table["ended"][9] = "not flown: its worker died"
+    whole, some = contrasts(table, LIMITS), np.array([not str(one).startswith("not") for one in table["ended"]])
+    assert {one.manoeuvre for one in whole} == {None, "turn", "push"}
+    for one in whole:
+        answers = table["passed"] if one.figure == "passed" else table[f"{one.figure}_passed"]
+        asked = some & np.array([answer is not None for answer in answers])
+        asked &= True if one.manoeuvre is None else table["manoeuvre"] == one.manoeuvre
+        violated = asked & np.array([answer is not None and not answer for answer in answers])
+        here = table[one.parameter] == one.level
+        for side, rows in ((one.present, here), (one.absent, ~here)):
+            assert (side.events, side.runs) == ((violated & rows).sum(), (asked & rows).sum())
+            exact = stats.binomtest(side.events, side.runs).proportion_ci(0.95, method="exact")
+            assert (side.low, side.high) == pytest.approx((exact.low, exact.high), rel=1e-6, abs=1e-15)
+        assert (
+            one.p_value
+            >= stats.fisher_exact(
+                [
+                    [one.present.events, one.present.runs - one.present.events],
+                    [one.absent.events, one.absent.runs - one.absent.events],
+                ]
+            )[1]
+        )
+
+
+def test_values_without_influence_are_seldom_called_causes():
+    wrongly = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        table = rare_fault(300)
+        table["passed"] = table["angle_passed"] = rng.random(300) > 0.05
+        wrongly += any(one.driver for one in contrasts(table, {}) if one.manoeuvre is None and one.figure == "passed")
+    assert wrongly <= 4  # at most 1 % expected; 5 or more of 100 has a chance below 0.4 %
+
+
+def test_runs_that_were_not_flown_are_on_neither_side():
+    table = rare_fault(40)
+    table["ended"][:] = "not flown: its worker died"
+    assert contrasts(table, {}) == ()

@@ -62,6 +62,7 @@ SOURCES = (
     "P. T. Kabamba, S. Hara, IEEE Trans. Automatic Control 38, 1993",
     "R. Featherstone, Rigid Body Dynamics Algorithms, 2008",
     "R. Y. Rubinstein, D. P. Kroese, The Cross-Entropy Method, 2004",
+    "R. A. Fisher, Journal of the Royal Statistical Society 85, 1922",
     "S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994",
     "S. Boyd, M. Hast, K. J. Åström, Int. J. Robust and Nonlinear Control 26, 2016",
     "S. Boyd, V. Balakrishnan, Systems & Control Letters 15, 1990",

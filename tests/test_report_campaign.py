@@ -186,7 +186,7 @@ def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
     assert f'width="{130 * angle.influences[0].index:.1f}"' in drawn
     quiet = [one.parameter for one in angle.influences if not one.driver]
     assert "sampling.delay" in quiet
-    assert f"No influence seen in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
+    assert f"No share told from chance in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
 
 
 def test_a_rare_event_tells_its_interval_and_what_has_to_come_together(page, summary):
@@ -339,3 +339,33 @@ def test_the_page_is_written_whole(summary, tmp_path):
     assert written.read_text(encoding="utf-8").rstrip().endswith("</html>")
     with pytest.raises(pc.PlatformCtrlError, match="cannot be written"):
         write_campaign_page(summary, tmp_path / "nowhere" / "campaign.html")
+
+
+def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    one = planned(campaign=JOB["campaign"] | {"fault": [{"fault": "weak Q9", "probability": 0.02}]})
+    table = by_formula(one, scale=0.3, odd=False)
+    beyond = table["fault.weak Q9"] & (table["manoeuvre"] == "turn about 1")
+    beyond &= np.cumsum(beyond) <= 3
+    table["angle"] = np.where(beyond, 0.5, 0.001 * table["rotor.11.angular_momentum"])
+    table["angle_passed"] = table["passed"] = ~beyond
+    summary = summarised(one, table)
+    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    assert not next(one for one in angle.influences if one.parameter == "fault.weak Q9").driver
+    [cause] = [one for one in tables.causes(summary) if one.parameter == "fault.weak Q9"]
+    assert (cause.present.events, cause.absent.events) == (3, 0)
+    assert "fault.weak Q9" not in tables.influence_rows(summary, angle)[1]
+    words = tables.contrast_words(cause)
+    assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
+    assert words.endswith("; every violating run has it")
+    drawn = html.unescape(re.sub(r"<[^>]+>", " ", campaign_page(summary)))
+    assert "in every violating run" in " ".join(drawn.split())
+    card = drawn[drawn.index("Shares of variance") :]
+    card = card[card.index("Largest gimbal angle") : card.index("Largest platform angle")]
+    assert "No share told from chance" in card
+    assert "fault.weak Q9" not in card
+    show_campaign(summary)
+    assert words in capsys.readouterr().out
+    recorded = next(one for one in summary_record(summary)["contrasts"] if one["parameter"] == "fault.weak Q9")
+    assert (recorded["value"], recorded["in_every_violation"]) == (True, True)
+    assert recorded["without"]["high"] == pytest.approx(1.0 - 0.025 ** (1.0 / recorded["without"]["runs"]))

@@ -1,10 +1,12 @@
 """Campaigns: many runs of a job with everything that may vary, and what they say together.
 
-`plan`, `rerun` and `statistics` are functions as well as the modules that hold them: here they are the functions.
+`contrasts`, `plan`, `rerun` and `statistics` are functions as well as the modules that hold them: here they are the
+functions.
 """
 
 from __future__ import annotations
 
+from platform_ctrl.campaign.contrasts import Contrast, contrasts
 from platform_ctrl.campaign.distribution import Distribution
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
 from platform_ctrl.campaign.influence import Influence, influences
@@ -22,6 +24,7 @@ from platform_ctrl.campaign.worst import RunFigure
 __all__ = [
     "CampaignStatistics",
     "Campaigned",
+    "Contrast",
     "Distribution",
     "Influence",
     "Plan",
@@ -35,6 +38,7 @@ __all__ = [
     "Sensitivity",
     "Summary",
     "clopper_pearson",
+    "contrasts",
     "influences",
     "plan",
     "rare_event",

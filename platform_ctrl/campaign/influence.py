@@ -114,7 +114,7 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
         few = 0 < len(events) <= _FEW_EVENTS
         p = _permuted_p_value(kind, own, events) if few else _p_value(kind, ranks, correlation)
         singles.append((name, kind, correlation, p))
-    adjusted = _holm([p for *_, p in singles])
+    adjusted = holm([p for *_, p in singles])
     out = []
     for (name, kind, correlation, _), p in zip(singles, adjusted, strict=True):
         index, low, high = _first_order(kind, y)
@@ -219,7 +219,8 @@ def _permuted_p_value(kind: NDArray[np.intp], ranks: FloatArray | None, events: 
     return min(1.0, len(found) * p)
 
 
-def _holm(p_values: Sequence[float]) -> FloatArray:
+def holm(p_values: Sequence[float]) -> FloatArray:
+    """Return p-values of several tests, each as large as it has to be for all of them together."""
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p)
     adjusted = np.maximum.accumulate(np.minimum((len(p) - np.arange(len(p))) * p[order], 1.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from platform_ctrl.campaign.contrasts import Contrast, contrasts
 from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
@@ -30,6 +31,8 @@ class Summary:
         How often each requirement is violated.
     sensitivities
         What drives them.
+    contrasts
+        How often they are violated with and without each fault, manoeuvre and chosen value.
     rare
         Probabilities too small to be counted, where they were asked for.
 
@@ -41,6 +44,7 @@ class Summary:
     plan: Plan
     statistics: CampaignStatistics
     sensitivities: tuple[Sensitivity, ...]
+    contrasts: tuple[Contrast, ...] = ()
     rare: tuple[RareResult, ...] = ()
 
     @property
@@ -106,6 +110,7 @@ def summarised(
         plan=plan,
         statistics=statistics(table, limits, confidence=confidence),
         sensitivities=sensitivities(table, limits, inputs=plan.input_names),
+        contrasts=contrasts(table, limits, inputs=plan.input_names, confidence=confidence),
         rare=rare,
     )
 
@@ -121,7 +126,7 @@ def summary_record(summary: Summary) -> Record:
     Returns
     -------
     dict
-        `statistics`, `sensitivity` and `rare`, in plain types.
+        `statistics`, `sensitivity`, `contrasts` and `rare`, in plain types.
 
     Notes
     -----
@@ -155,6 +160,7 @@ def summary_record(summary: Summary) -> Record:
             }
             for one in summary.sensitivities
         ],
+        "contrasts": [_contrast(one) for one in summary.contrasts],
         "rare": [rare_record(summary.plan, one) for one in summary.rare],
     }
     out: Record = plain(record)
@@ -220,6 +226,20 @@ def _influence(one: Influence) -> Record:
         "rank_correlation": one.rank_correlation,
         "p_value": one.p_value,
         "driver": one.driver,
+    }
+
+
+def _contrast(one: Contrast) -> Record:
+    return {
+        "requirement": one.figure,
+        "manoeuvre": one.manoeuvre,
+        "parameter": one.parameter,
+        "value": one.level,
+        "with": _probability(one.present),
+        "without": _probability(one.absent),
+        "p_value": one.p_value,
+        "driver": one.driver,
+        "in_every_violation": one.in_every_violation,
     }
 
 

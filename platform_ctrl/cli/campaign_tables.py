@@ -109,6 +109,8 @@ def _show_drivers(console: Console, summary: Summary) -> None:
             violating = tables.violation_drivers(one)
             more = f"; its violations by {violating}" if violating else ""
             console.print(f"{name} is driven by {tables.short_drivers(one)}{more}", markup=False)
+    for found in tables.causes(summary):
+        console.print(tables.contrast_words(found), markup=False)
 
 
 def _show_worst(console: Console, summary: Summary) -> None:

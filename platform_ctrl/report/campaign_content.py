@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.identity import digest, identity
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
-from platform_ctrl.campaign.table import FIGURES, PASSED
+from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.frozen import value
 from platform_ctrl.report import campaign_tables as tables
@@ -199,22 +200,68 @@ def campaign_plates(summary: Summary) -> list[Plate]:
 
 def _drivers(summary: Summary) -> tuple[Block, ...]:
     overall = [one for one in summary.sensitivities if one.manoeuvre is None]
+    counted = _contrasts(summary)
     if not overall:
-        return (Paragraph(text="Too few runs, or all alike: nothing can be said."),)
+        return (*counted, Paragraph(text="Too few runs, or all alike: nothing can be said of variance."))
     words = (
         "Share of a figure's variance that each input explains on its own (first-order Sobol index, the thin line its "
         "95 % interval), and its rank correlation: with + the figure rises with the input. Inputs that chance alone "
         "could explain are not called drivers. What no input explains on its own is interaction or noise."
     )
-    blocks: list[Block] = [Paragraph(text=words), Cards(parts=tuple(_influences(one) for one in overall))]
+    cards = Cards(parts=tuple(_influences(summary, one) for one in overall))
+    blocks: list[Block] = [*counted, Part(title="Shares of variance", blocks=(Paragraph(text=words), cards))]
     within = _within(summary)
     if within is not None:
         blocks.append(Part(title="Within each manoeuvre", blocks=(within,)))
     return tuple(blocks)
 
 
-def _influences(one: Sensitivity) -> Part:
-    found, others = tables.influence_rows(one)
+def _contrasts(summary: Summary) -> tuple[Block, ...]:
+    """Return how often a run violates something with and without each fault, manoeuvre and chosen value."""
+    groups = tables.contrast_groups(summary)
+    if not groups:
+        return ()
+    shown = [side for _, found in groups for one in found for side in (one.present, one.absent)]
+    scale = scale_of(shown)
+    columns = (
+        Column(title="with, and without"),
+        *(Column(title=title, number=True) for title in ("violations", "probability")),
+        Column(title=f"{plain(100.0 * summary.statistics.confidence, 3)} % bounds", number=True),
+        Column(title="", strip=scale.head),
+        Column(title="p-value", number=True),
+    )
+    rows = [Group(title=title, rows=tuple(_contrast_rows(found, scale))) for title, found in groups]
+    words = (
+        "How often a run violates a requirement with a fault, in a manoeuvre or at a chosen value, and how often "
+        "without. A rare cause has hardly a share of any variance: it is seen here. The p-value is the probability of "
+        "such a difference if the value has no influence (Fisher's exact test, Holm's correction over the values)."
+    )
+    found = Table(columns=columns, groups=tuple(rows), form="contrasts")
+    return (Part(title="Violations with and without", blocks=(Paragraph(text=words), found)),)
+
+
+def _contrast_rows(found: list[Contrast], scale: Scale) -> list[Row]:
+    rows = []
+    for one in found:
+        every = "in every violating run" if one.in_every_violation else ""
+        p_value = Cell(text=plain(one.p_value, 2), tone="bad" if one.driver else "")
+        named = Cell(text=tables.contrast_name(one), note=every)
+        sides = ((named, one.present, p_value), (Cell(text="without", tone="quiet"), one.absent, Cell(text="")))
+        for name, side, last in sides:
+            cells = (
+                name,
+                Cell(text=f"{side.events:,} of {side.runs:,}", tone="bad" if side.events else ""),
+                Cell(text=tables.chance(side.estimate), tone="bad" if side.events else ""),
+                Cell(text=tables.chances(side.low, side.high)),
+                Cell(text="", strip=scale.strip(side)),
+                last,
+            )
+            rows.append(Row(cells=cells))
+    return rows
+
+
+def _influences(summary: Summary, one: Sensitivity) -> Part:
+    found, others = tables.influence_rows(summary, one)
     blocks: list[Block] = []
     if found:
         columns = (
@@ -235,14 +282,17 @@ def _influences(one: Sensitivity) -> Part:
             rows.append(Row(cells=cells))
         blocks.append(Table(columns=columns, groups=(Group(rows=tuple(rows)),)))
     else:
-        words = f"Nothing that varies drives it, as far as {one.runs:,} runs tell."
+        words = f"No input has a share that {one.runs:,} runs tell from chance."
         blocks.append(Paragraph(text=words, tone="quiet"))
     violating = _tied(tables.violation_drivers(one))
     if violating:
         blocks.append(Paragraph(text=f"What sends runs beyond the limit: {violating}."))
+    for cause in tables.causes(summary, one.figure):
+        if cause.parameter != MANOEUVRE:
+            blocks.append(Paragraph(text=f"{sentence(_tied(tables.contrast_words(cause)))}."))
     if others and found:
         ranked = " By ranks, since a few runs lie far out." if one.ranked else ""
-        words = f"No influence seen in {one.runs:,} runs: {', '.join(others)}.{ranked}"
+        words = f"No share told from chance in {one.runs:,} runs: {', '.join(others)}.{ranked}"
         blocks.append(Paragraph(text=words, tone="quiet"))
     return Part(title=sentence(tables.requirement_name(one.figure)), blocks=tuple(blocks))
 

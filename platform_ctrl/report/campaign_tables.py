@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from platform_ctrl.campaign.contrasts import Contrast
 from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import Probability
@@ -166,11 +167,15 @@ def rare_words(rare: RareResult) -> str:
     return f"{name}: violated with probability {chance(rare.probability)}, {chances(rare.low, rare.high)}"
 
 
-def influence_rows(one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
-    """Return the drivers of a requirement with index, interval and rank correlation in words; and what is none."""
+def influence_rows(summary: Summary, one: Sensitivity) -> tuple[list[tuple[Influence, str, str, str]], list[str]]:
+    """Return the drivers of a requirement with index, interval and rank correlation in words; and what is none.
+
+    What sets the violating runs apart is no input without influence, however little of the variance it explains.
+    """
     drivers = [single for single in one.influences if single.driver][:_MOST_DRIVERS]
     rows = [(x, share(x.index), f"{share(x.low)} to {share(x.high)}", signed(x)) for x in drivers]
     violating = {single.parameter for single in one.violations if single.driver}
+    violating |= {single.parameter for single in summary.contrasts if single.figure == one.figure and telling(single)}
     quiet = [single.parameter for single in one.influences if not single.driver]
     return rows, [name for name in quiet if name not in violating]
 
@@ -187,9 +192,50 @@ def signed(one: Influence) -> str:
     return f"{one.rank_correlation:+.2f}".replace("-", MINUS)
 
 
+def telling(one: Contrast) -> bool:
+    """Return whether a value sets the violating runs apart: by more than chance, or since all of them have it."""
+    return one.driver or one.in_every_violation
+
+
+def contrast_groups(summary: Summary) -> list[tuple[str, list[Contrast]]]:
+    """Return all contrasts over all manoeuvres, and those that tell something within one, of any requirement."""
+    groups: dict[str | None, list[Contrast]] = {}
+    for one in summary.contrasts:
+        violated = one.present.events + one.absent.events > 0
+        if one.figure == PASSED and violated and (one.manoeuvre is None or telling(one)):
+            groups.setdefault(one.manoeuvre, []).append(one)
+    flown = {one.name for one, _ in summary.plan.job.flown}
+    overall = "All manoeuvres" if len(flown) > 1 else "".join(flown)
+    return [(manoeuvre or overall, found) for manoeuvre, found in groups.items()]
+
+
+def contrast_name(one: Contrast) -> str:
+    """Return the value of an input whose runs are compared with the others."""
+    if one.parameter == MANOEUVRE:
+        return f"manoeuvre: {one.level}"
+    if isinstance(one.level, bool):
+        return one.parameter.replace("fault.", "fault: ", 1)
+    return f"{one.parameter} = {input_words(one.level)}"
+
+
+def contrast_words(one: Contrast) -> str:
+    """Return a contrast in a line."""
+    shown = [
+        f"{side.events:,} of {side.runs:,} {words} ({chances(side.low, side.high)})"
+        for side, words in ((one.present, "runs with it violate a limit"), (one.absent, "without"))
+    ]
+    every = "; every violating run has it" if one.in_every_violation else ""
+    return f"{contrast_name(one)}: {', '.join(shown)}{every}"
+
+
+def causes(summary: Summary, figure: str = PASSED) -> list[Contrast]:
+    """Return the values that set the runs that violate something apart by more than chance, over all manoeuvres."""
+    return [one for one in summary.contrasts if one.figure == figure and one.manoeuvre is None and one.driver]
+
+
 def short_drivers(one: Sensitivity, most: int = 3) -> str:
     """Return the strongest drivers in a line."""
-    return _strongest(one.influences, most) or "nothing that varies"
+    return _strongest(one.influences, most) or "no input that can be told from chance"
 
 
 def violation_drivers(one: Sensitivity, most: int = 3) -> str:
@@ -199,14 +245,14 @@ def violation_drivers(one: Sensitivity, most: int = 3) -> str:
 
 def drivers_of(one: Sensitivity) -> list[str]:
     """Return the inputs that drive a figure, the strongest first."""
-    return [single.parameter for single in _telling(one.influences)]
+    return [single.parameter for single in _driving(one.influences)]
 
 
 def _strongest(found: Sequence[Influence], most: int) -> str:
-    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _telling(found)[:most])
+    return ", ".join(f"{single.parameter} {share(single.index)}" for single in _driving(found)[:most])
 
 
-def _telling(found: Sequence[Influence]) -> list[Influence]:
+def _driving(found: Sequence[Influence]) -> list[Influence]:
     return [single for single in found if single.driver and single.index >= 0.005]
 
 
@@ -246,7 +292,8 @@ def all_drivers(summary: Summary) -> list[str]:
         for single in (*one.influences, *one.violations):
             if one.manoeuvre is None and single.driver and single.parameter != MANOEUVRE:
                 strongest[single.parameter] = max(strongest.get(single.parameter, 0.0), single.index)
-    return sorted(strongest, key=lambda name: -strongest[name])[:4]
+    rare = dict.fromkeys(one.parameter for one in causes(summary) if one.parameter != MANOEUVRE)
+    return list(dict.fromkeys([*rare, *sorted(strongest, key=lambda name: -strongest[name])]))[:4]
 
 
 def input_rows(summary: Summary) -> list[tuple[str, str]]:

@@ -155,7 +155,8 @@ def _runs(result: JobResult) -> str:
 
 def _campaign(summary: Summary) -> str:
     from platform_ctrl.campaign.table import PASSED
-    from platform_ctrl.report.campaign_tables import chance, chances, count_words, drivers_of
+    from platform_ctrl.report import campaign_tables as tables
+    from platform_ctrl.report.campaign_tables import chance, chances, contrast_name, count_words, drivers_of
 
     found = summary.statistics
     flown = found.violation
@@ -168,6 +169,8 @@ def _campaign(summary: Summary) -> str:
     overall = (one for one in summary.sensitivities if one.manoeuvre is None and one.figure == PASSED)
     drivers = [f"“{name}”" for one in overall for name in drivers_of(one)[:2]]
     driven = f"; what decides it most is {listed(drivers)}" if drivers else ""
+    causes = [f"“{contrast_name(one)}”" for one in tables.causes(summary) if one.in_every_violation]
+    driven += f"; every violating run has {listed(causes)}" if causes else ""
     return (
         f"In a campaign of {count_words(flown.runs)} the probability of violating a requirement is "
         f"{chance(flown.estimate)} ({bounds} {sure}){driven}."
