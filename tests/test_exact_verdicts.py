@@ -12,9 +12,14 @@ from scipy.linalg import block_diag
 
 import dense_peak
 from platform_ctrl.analysis import PlantSet, StateArrays, measure
+from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.cli import main
 from platform_ctrl.design.blocks import first_order, notch
 from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.design.structured.descent import Search
+from platform_ctrl.design.structured.families import Named
+from platform_ctrl.design.structured.loops import ClosedLoops
+from platform_ctrl.design.tuning import tune, worst_ratio
 from platform_ctrl.reading import read_job
 from platform_ctrl.requirements import SPREAD, requirement
 from test_cli import undrawn  # noqa: F401
@@ -41,7 +46,7 @@ design = [{ name = "classical", method = "classical" }]
 WORST = "J9-10% J10+10% L11-10%"
 
 
-def narrow_loop() -> StateArrays:
+def narrow_loop(depth: float = 0.20796, width: float = 0.0061867) -> StateArrays:
     """A PD in either axis and cross gain, behind a notch of 0.6 % width at 75 Hz."""
     leads = [
         tuple(
@@ -52,7 +57,7 @@ def narrow_loop() -> StateArrays:
     ]
     A, B, C, D = (block_diag(*parts) for parts in zip(*leads, strict=True))
     D = D + L * 235.28 * np.array([[0.0, -1.0], [1.0, 0.0]])
-    one = notch(2.0 * np.pi * 75.46, 0.20796, 0.0061867, PERIOD)
+    one = notch(2.0 * np.pi * 75.46, depth, width, PERIOD)
     a, b, c, d = (block_diag(part, part) for part in one)
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
     return StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
@@ -121,3 +126,41 @@ def test_the_worst_plant_of_a_set_is_found_exactly(kind: str, plants: PlantSet) 
     assert result.method == "exact"
     assert result.value == pytest.approx(worst, rel=1e-7)
     assert dataclasses.replace(one, over=("nominal",)).check(plants, K).value == pytest.approx(true[0], rel=1e-7)
+
+
+def test_the_tuner_goes_on_where_a_limit_is_missed_between_the_points_of_its_grid(
+    plants: PlantSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without the poles' frequencies the search starts blind: its grid sees nothing wrong with the narrow loop.
+    monkeypatch.setattr(LoopFigures, "_narrow", {})
+    asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
+    start = {"depth": 0.20796, "width": 0.0061867}
+
+    def build(options: dict[str, float]) -> tuple[np.ndarray, ...]:
+        return narrow_loop(**options)[:4]
+
+    assert worst_ratio(build(start), plants, asked) < 0.95
+    found = tune(start, list(start), build, plants, asked, upper={"depth": 1.0, "width": 1.0})
+    K = narrow_loop(**found)
+    true = max(dense_peak.figure("sensitivity peak", plants, k, K) for k in range(len(plants.labels)))
+    assert true <= 3.0
+    # Where the limits cannot be met, what is told is not better than what is there.
+    told: list[float] = []
+    tune(start, ["width"], build, plants, asked, upper={"width": 0.00619}, evaluations=60, progress=told.append)
+    assert min(told) > 1.0
+
+
+def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_points_of_its_grid(
+    plants: PlantSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LoopFigures, "_narrow", {})
+    monkeypatch.setattr(ClosedLoops, "_hidden", lambda self, *_: self.none())
+    asked = [requirement("stability", 0.05, over=SPREAD), requirement("sensitivity peak", 3.0, over=SPREAD)]
+    start = {"depth": 0.3, "width": 0.003}
+    family = Named(lambda options: narrow_loop(**options)[:4], start, list(start), {"depth": 1.0, "width": 1.0})
+    told: list[float] = []
+    found = Search(plants, asked, 0.02, 200, lambda hard, soft: told.append(hard)).run(family)
+    assert told[0] < 0.9  # what it sees at first
+    K = StateArrays(*family.block(found.x), PERIOD)
+    true = max(dense_peak.figure("sensitivity peak", plants, k, K) for k in range(len(plants.labels)))
+    assert true <= 3.0

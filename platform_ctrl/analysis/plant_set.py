@@ -164,6 +164,38 @@ class PlantSet:
         """
         return members(self.groups, groups)
 
+    def finer(self, frequency: FloatArray) -> PlantSet:
+        """Return the set with further frequencies in its grid.
+
+        Parameters
+        ----------
+        frequency : (k,)
+            rad/s, up to the Nyquist frequency; those that the grid has already change nothing.
+
+        Returns
+        -------
+        PlantSet
+            With the responses at the new frequencies as well.
+
+        Notes
+        -----
+        The arguments are not judged.
+        """
+        new = np.setdiff1d(frequency, self.frequency)
+        if not len(new):
+            return self
+        order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")
+        B = np.concatenate([self.B, self.B_Omega], axis=-1)
+        D = np.concatenate([self.D, np.zeros((*self.D.shape[:-1], 3))], axis=-1)
+        found = frequency_response_arrays(self.A, B, self.C, D, self.period, new, ON_A_GRID)
+        m = self.B.shape[-1]
+        return dataclasses.replace(
+            self,
+            frequency=np.concatenate([self.frequency, new])[order],
+            response=np.concatenate([self.response, found[..., :m]], axis=1)[:, order],
+            Omega_response=np.concatenate([self.Omega_response, found[..., m:]], axis=1)[:, order],
+        )
+
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices).
 

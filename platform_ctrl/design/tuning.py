@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.loop_figures import OF_CONTROLLER
-from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
+from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, LoopFigures
+from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.design.blocks import Block
 from platform_ctrl.frozen import FloatArray
@@ -53,7 +53,9 @@ def tune(
     """Return `start` with the `movable` options changed so that the worst ratio is at most 1 − reserve, or least.
 
     A simplex search over the logarithms (Nelder and Mead, adaptive), on the nominal plant and the worst few of the
-    set, repeated until the plants in view are the worst of all. Deterministic.
+    set, repeated until the plants in view are the worst of all. What meets the limits on the grid of frequencies is
+    measured exactly; where that exceeds a limit, the frequencies at which the figures are reached join the grid.
+    Deterministic.
 
     Parameters
     ----------
@@ -99,14 +101,21 @@ def tune(
     while left > 0:
         measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period), requirements)
         overall = _worst(measures, plants, requirements) + beyond(current)
+        refined = False
+        if overall <= 1.0:
+            exactly, finer = _exactly(build(options(current)), plants, requirements)
+            if exactly > 1.0:
+                plants, refined, overall = finer, True, exactly + beyond(current)
         if overall < best_ratio:
             best, best_ratio = current, overall
         if progress is not None:
             progress(best_ratio)
         if best_ratio <= target:
             break
+        if refined:
+            measures = measure(plants, StateArrays(*build(options(current)), dt=plants.period), requirements)
         added = [k for k in _worst_plants(measures, requirements) if k not in view]
-        if current is not best and not added:
+        if current is not best and not added and not refined:
             break
         view = sorted({*view, *added[:_IN_VIEW]})
         near = plants.only(view)
@@ -126,6 +135,13 @@ def tune(
         left -= int(found.nfev) + 1
         current = np.asarray(found.x, dtype=np.float64)
     return options(best)
+
+
+def _exactly(controller: Block, plants: PlantSet, requirements: Sequence[LoopRequirement]) -> tuple[float, PlantSet]:
+    """Return the largest ratio over all frequencies, and the plants on a grid that has those that it is reached at."""
+    loops = LoopFigures(plants, StateArrays(*controller, dt=plants.period))
+    measures = exact_measures(plants, loops.controller, requirements, loops)
+    return _worst(measures, plants, requirements), plants.finer(loops.reached)
 
 
 def _worst_plants(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> list[int]:

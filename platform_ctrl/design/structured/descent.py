@@ -15,7 +15,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.bandwidth import LEVEL
+from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.loop_measures import exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.design.structured.curvature import damped_update
@@ -37,8 +40,8 @@ _FLOOR, _RANKED = 0.8, 0.5
 _FIRST, _MORE, _STEPS = 6, 3, 25
 # Share of the reserve that has to be there in the end: plants out of view, and tops between grid points, may take some.
 _SPARED = 0.8
-# How often a search that has come to an end is tried again.
-_TRIES = 3
+# How often a search that has come to an end is tried again, and how often on a finer grid.
+_TRIES, _FINER = 3, 10
 # S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
 # what is found has to be there when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
@@ -133,6 +136,7 @@ class Search:
         # Where nothing is asked of a plant, not even stability, it is of no interest.
         asked = [k for k, group in enumerate(plants.groups) if k == 0 or any(group in r.over for r in requirements)]
         self._plants = finer(plants.only(asked))
+        self._limits = [r for r in requirements if r.hard]
         bands = [r for r in requirements if r.kind == "bandwidth"]
         self._limit = max((r.limit for r in bands if r.hard), default=None)
         self._wanted = max((_BEYOND * r.limit for r in bands if not r.hard), default=None)
@@ -153,6 +157,30 @@ class Search:
         hard, soft, worst = self._all(family, x)
         self._tell(hard, soft)
         best = Found(x=x, hard=hard, soft=soft, evaluations=0)
+        for _ in range(_FINER):
+            best = self._searched(family, best, worst)
+            missed = self._missed(family, best)
+            if missed is None:
+                break
+            # Between the grid's points a limit is exceeded: they join the grid, and the search goes on from there.
+            self._plants = self._plants.finer(missed)
+            hard, soft, worst = self._all(family, best.x)
+            best = dataclasses.replace(best, hard=hard, soft=soft)
+        return dataclasses.replace(best, x=best.x[: len(family.start)], evaluations=spent - self._left)
+
+    def _missed(self, family: Family, found: Found) -> FloatArray | None:
+        """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly."""
+        if found.hard > 1.0:
+            return None
+        K = StateArrays(*family.block(found.x[: len(family.start)]), dt=self._plants.period)
+        loops = LoopFigures(self._plants, K)
+        measures = exact_measures(self._plants, K, self._limits, loops)
+        met = all(np.all(limit.ratios(measures) <= 1.0) for limit in self._limits)
+        return None if met else loops.reached
+
+    def _searched(self, family: Family, best: Found, worst: list[int]) -> Found:
+        """Return where a search on the present grid ends that starts from `best`, with `worst` the worst plants."""
+        x = best.x
         view = sorted({0, *worst[:_FIRST]})
         state = _State(H=np.eye(len(x)), radius=0.05)
         while self._left > 0 and not self._enough(best):
@@ -178,7 +206,7 @@ class Search:
                 state = _State(H=state.H, radius=0.02, tries=state.tries + 1)
                 if state.tries > _TRIES:
                     break
-        return dataclasses.replace(best, x=best.x[: len(family.start)], evaluations=spent - self._left)
+        return best
 
     def _tell(self, hard: float, soft: float) -> None:
         unstable = hard >= _UNSTABLE

@@ -33,6 +33,8 @@ Numbers = NDArray[np.intp]
 
 # Share of the grid's spacing at which a top is looked at again.
 _CLOSER = 0.2
+# A point of the grid that is higher than what is found around it by this factor is the top of a narrow peak.
+_SPIKE = 1.1
 # A second singular value above this share of the first counts as near it.
 _CLOSE = 0.9
 # Directions in the plane of two singular vectors: an icosahedron on the sphere of their mixtures, less the first.
@@ -211,6 +213,9 @@ class ClosedLoops:
         fall, rise = left - middle, right - middle
         bend = np.where(fall + rise < 0.0, fall + rise, -np.inf)
         x = x + _CLOSER * step * np.clip(0.5 * (fall - rise) / bend, -2.0, 2.0)
+        # A peak narrower than the grid, of which one point knows, has its top there and not where a parabola has it.
+        beside = sizes[row, k] > _SPIKE * np.maximum(middle, np.maximum(left, right))
+        x = np.where(beside, np.log(w[cut])[k], x)
         found = self._pieces(of, members[row], np.exp(x))
         return joined([found, hidden]) if len(hidden.ratio) else found
 
