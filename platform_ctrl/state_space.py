@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.arguments import distinct, known_names
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
@@ -28,10 +29,11 @@ if TYPE_CHECKING:
 
 
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of gimbals whose equations are coupled when Omega is given, in the file's order.
+    """Return the groups of gimbals whose equations are coupled while Omega stays constant, in the file's order.
 
     Found from the entries of M, G, K and ∂Q at the model's trim that are more than rounding of what both gimbals carry;
-    not from the tree.
+    not from the tree. What Omega' multiplies (`M_Omega_q`) couples nothing at a constant rate, and in small deviations
+    from one it is of second order.
 
     Parameters
     ----------
@@ -59,14 +61,25 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     (('4', '5', '7'), ('9', '10'))
     """
     expect_model(model)
+    return subsystems_of_all([model])
+
+
+def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals."""
+    coupled = np.any([_coupled(model) for model in models], axis=0)
+    return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
+
+
+def _coupled(model: LinearModel) -> NDArray[np.bool_]:
+    """Return which gimbals' rows contain which other's angle or its derivatives at a constant Omega, (n, n)."""
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
     inertia, momentum = inertia_rounding(platform), momentum_rounding(platform)
     forces = force_rounding(platform, float(np.linalg.norm(model.specific_force)))
     gyroscopic = momentum + inertia * rate
-    coupled = (np.abs(model.M) > inertia) | np.any(np.abs(model.M_Omega_q) > inertia[:, None, :], axis=1)
+    coupled = np.abs(model.M) > inertia
     coupled |= (np.abs(model.G) > gyroscopic) | (np.abs(model.K) > gyroscopic * rate)
     coupled |= (np.abs(model.Q_angle) > forces) | (model.Q_rate != 0.0)
-    return tuple(tuple(model.gimbal_names[k] for k in group) for group in connected(coupled))
+    return np.asarray(coupled)
 
 
 def state_space(
@@ -208,7 +221,11 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
         if members & chosen and not members <= chosen:
             inside = ", ".join(model.gimbal_names[k] for k in sorted(members & chosen))
             outside = ", ".join(model.gimbal_names[k] for k in sorted(members - chosen))
-            raise ArgumentError(f"gimbals: {inside} and {outside} are coupled; expected whole subsystems, here {group}")
+            rate = " rad/s, ".join(f"{name} = {x:g}" for name, x in zip(OMEGA_NAMES, model.Omega0, strict=True) if x)
+            at = f" at {rate} rad/s" if rate else ""
+            raise ArgumentError(
+                f"gimbals: {inside} and {outside} are coupled{at}; expected whole subsystems, here {group}"
+            )
     return sorted(chosen)
 
 

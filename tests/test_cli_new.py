@@ -14,6 +14,7 @@ import platform_ctrl as pc
 from platform_ctrl import check, design
 from platform_ctrl.cli import main
 from platform_ctrl.cli.staged import together
+from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.reading import shipped_models
 from refused_command import refused
 
@@ -63,7 +64,7 @@ LONG = {"suspended_platform"}
 def test_every_shipped_plant_has_a_job_that_passes(model: str, there: Path) -> None:
     assert main(["new", "start", "--like", model, "-q"]) == 0
     job = pc.read_job(there / "start.toml")
-    assert {loop.gimbals for loop in job.loops} == set(pc.subsystems(pc.linearise(job.platform)))
+    assert {loop.gimbals for loop in job.loops} == set(subsystems_over(job.platform, job.Omega, job.Omega_grid))
     result = check.checked(job, design.loops(job))
     assert result.passed, [one for one in result.requirements if not one.passed]
     own, shipped = job.platform, pc.read_platform(model)

@@ -41,6 +41,82 @@ def test_the_gimbals_fall_apart_into_4_5_7_and_9_10(platform, Omega, terms):
     assert subsystems(linearise(platform, Omega=Omega, terms=terms)) == (("4", "5", "7"), ("9", "10"))
 
 
+def right_angled(seed, n=4):
+    """A tree of balanced gimbals and rotors with all axes along 1, 2 or 3: many of its equations are not coupled."""
+    rng = np.random.default_rng(seed)
+    axes, names = np.eye(3), ["base"] + [f"g{k}" for k in range(n)]
+    plate = rng.uniform(1.0, 1.5, (n, 3))
+    return Platform(
+        name="right angles",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(
+                name=names[1 + k],
+                parent=names[rng.integers(0, 1 + k)],
+                axis=axes[rng.integers(3)],
+                inertia=np.diag(plate[k]),
+                angle=f"q{k}",
+            )
+            for k in range(n)
+        ),
+        rotors=(
+            Rotor(
+                name="wheel",
+                carrier=names[n],
+                axis=axes[rng.integers(3)],
+                axial_inertia=0.3,
+                transverse_inertia=0.2,
+                angular_momentum=float(rng.choice([0.0, 2.0])),
+            ),
+        ),
+    )
+
+
+def coupled_by_differences(platform, Omega):
+    """Groups of gimbals by central differences of the equations of motion (11) at a constant Omega."""
+    n, step = len(platform.gimbals), 1e-4
+
+    def torques(at):
+        q, rates, accelerations = at.reshape(3, n)
+        rates, accelerations = np.r_[Omega, rates], np.r_[np.zeros(3), accelerations]
+        return inverse_dynamics(platform, q, rates, accelerations)[3:]
+
+    slope = np.array([torques(step * e) - torques(-step * e) for e in np.eye(3 * n)]) / (2.0 * step)
+    either = (np.abs(slope).reshape(3, n, n) > 1e-6).any(axis=0)
+    either = np.linalg.matrix_power(np.eye(n) + either + either.T, n) > 0
+    return sorted({tuple(platform.gimbal_names[k] for k in np.flatnonzero(row)) for row in either})
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("Omega", [(0, 0, 0), (0.7, 0, 0), (0, -0.4, 0.9), (0.7, -0.4, 0.9)])
+def test_subsystems_are_those_of_the_equations_of_motion_at_a_constant_rate(seed, Omega):
+    platform = right_angled(seed)
+    assert sorted(subsystems(linearise(platform, Omega=Omega))) == coupled_by_differences(platform, Omega)
+
+
+def test_yaw_and_pitch_of_a_balanced_two_axis_gimbal_are_coupled_by_a_rate_across_both_alone():
+    two = Platform(
+        name="two axes",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(name="yaw", parent="base", axis=np.eye(3)[2], inertia=np.diag([0.05, 0.06, 0.07]), angle="psi"),
+            Gimbal(name="pitch", parent="yaw", axis=np.eye(3)[1], inertia=np.diag([0.02, 0.03, 0.04]), angle="theta"),
+        ),
+    )
+    apart, together = (("yaw",), ("pitch",)), (("yaw", "pitch"),)
+    for Omega, expected in (((0, 0, 0), apart), ((0, 0.5, 0), apart), ((0, 0, 0.5), apart), ((0.5, 0, 0), together)):
+        model = linearise(two, Omega=Omega)
+        assert subsystems(model) == expected
+        # What Omega' multiplies is there all the same: for manoeuvres.
+        assert np.abs(model.M_Omega_q[0, :, 1]).max() > 0.01
+    still = state_space(linearise(two), gimbals=["yaw"])
+    assert still.nstates == 2
+    with pytest.raises(ArgumentError, match=r"yaw and pitch are coupled at Omega1 = 0\.5 rad/s"):
+        state_space(model, gimbals=["yaw"])
+
+
 def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fast():
     """A free rotor's L pushes about no axis that is its own; what rounding leaves of it is no coupling."""
     axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)

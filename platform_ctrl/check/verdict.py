@@ -8,11 +8,11 @@ from platform_ctrl.check.coupled import CoupledCheck, coupled_check
 from platform_ctrl.check.proofs import Proofs, coupled_proofs, proofs_of
 from platform_ctrl.check.simulated import Run, fly
 from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.requirements import CheckResult
-from platform_ctrl.state_space import subsystems
 
 Progress = Callable[[str], None]
 
@@ -28,7 +28,7 @@ class JobResult:
     model
         Linear model at rest.
     subsystems
-        Groups of gimbals that are coupled when Omega is given.
+        Groups of gimbals that are coupled at rest or at one of the job's platform rates.
     loops
         For every loop all designs, and which of them is closed.
     coupled, runs
@@ -108,7 +108,7 @@ def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = 
     return JobResult(
         job=job,
         model=model,
-        subsystems=subsystems(model),
+        subsystems=subsystems_over(job.platform, job.Omega, job.Omega_grid),
         loops=tuple(loops),
         coupled=coupled,
         runs=tuple(runs),

@@ -21,6 +21,8 @@ _TURN, _TURN_SHARE, _NOISE_SHARE = 0.1, 0.3, 0.1
 # Starting values are the method's defaults times halves of one, down to here. They have this much to spare: the tuner's
 # reserve, so that it need not move far.
 _HALVINGS, _ENOUGH = 8, 0.95
+# Platform rates about each axis at which subsystems are looked for: both ends, as in a job.
+_RATES = 2
 _DISK_MARGIN, _LEAST_DISK_MARGIN = 0.3, 0.05
 
 
@@ -81,9 +83,10 @@ def starting_loops(plant: dict[str, Any]) -> Start:
     InputError
         No job can be made for this plant.
     """
+    from platform_ctrl.design.plants import subsystems_over
     from platform_ctrl.linearisation import linearise
     from platform_ctrl.reading import read_job, read_platform
-    from platform_ctrl.state_space import state_space, subsystems
+    from platform_ctrl.state_space import state_space
 
     platform = read_platform(plant)
     model = linearise(platform)
@@ -106,7 +109,7 @@ def starting_loops(plant: dict[str, Any]) -> Start:
                 "limits": {"disk_margin": _DISK_MARGIN} | _noise_limit(gimbals, limits),
                 "design": [{"name": "classical", "method": "classical"}],
             }
-            for gimbals in subsystems(model)
+            for gimbals in subsystems_over(platform, np.full(3, rate), _RATES)
         ],
     }
     job = read_job(bare)

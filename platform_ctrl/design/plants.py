@@ -19,7 +19,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job, LoopSpec, Sampling
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.mechanics import matrices
-from platform_ctrl.state_space import state_space
+from platform_ctrl.state_space import state_space, subsystems_of_all
 
 # Open-loop motion slower than this share of the Nyquist frequency says nothing about where a loop can act.
 _STILL = 1e-3
@@ -95,7 +95,7 @@ def cases(job: Job, gimbals: tuple[str, ...]) -> list[Case]:
     for label, parameters in _spread(job, gimbals):
         moved = changed(platform, **parameters)
         out.append(Case(label=label, group="spread", platform=moved, Omega=still, torque=whole))
-    for rates in _rates(job):
+    for rates in _rates(job.Omega, job.Omega_grid):
         label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
         out.append(Case(label=label, group="Omega", platform=platform, Omega=np.array(rates), torque=whole))
     return [*out, *_faults(job, gimbals)]
@@ -125,6 +125,11 @@ def _moved(
     return " ".join(words), out
 
 
+def subsystems_over(platform: Platform, Omega: FloatArray, grid: int) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals that are coupled at rest or on a grid of platform rates, in the file's order."""
+    return subsystems_of_all([linearise(platform, Omega=rate) for rate in [(0.0, 0.0, 0.0), *_rates(Omega, grid)]])
+
+
 def _samples(job: Job, dimension: int) -> list[list[float]]:
     """Return points of the box [-1, 1]: a scrambled Sobol sequence (Owen), the same for the same seed."""
     if job.spread.samples == 0:
@@ -137,11 +142,11 @@ def _samples(job: Job, dimension: int) -> list[list[float]]:
     return [[float(entry) for entry in row] for row in 2.0 * drawn - 1.0]
 
 
-def _rates(job: Job) -> list[tuple[float, ...]]:
-    """Return the grid of Omega, without rest."""
-    axes = [np.linspace(-rate, rate, job.Omega_grid) if rate > 0.0 else np.zeros(1) for rate in job.Omega]
+def _rates(Omega: FloatArray, grid: int) -> list[tuple[float, ...]]:
+    """Return a grid of platform rates up to `Omega` about each axis, without rest."""
+    axes = [np.linspace(-rate, rate, grid) if rate > 0.0 else np.zeros(1) for rate in Omega]
     # An odd grid's middle is 0 up to rounding.
-    axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, job.Omega, strict=True)]
+    axes = [np.where(np.abs(axis) < 1e-9 * rate, 0.0, axis) for axis, rate in zip(axes, Omega, strict=True)]
     return [tuple(map(float, rates)) for rates in product(*axes) if any(rates)]
 
 
