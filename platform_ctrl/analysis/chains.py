@@ -1,7 +1,7 @@
 """A system in the states that `resolvent` wants: one chain of states for each input, from that input on.
 
 An orthogonal change of states turns b into beta e1 and A into Hessenberg form, by Householder's reflections (Golub and
-Van Loan, Matrix Computations, sec. 7.4). Chains are found side by side, a register of them at a time.
+Van Loan, Matrix Computations, sec. 7.4). Short chains are found side by side, a register of them at a time.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from platform_ctrl.lanes import LANES, Number, choose, compiled, greater, intern
 
 # What is below this share of |A| goes on to no state behind.
 NOTHING = 2.0**-54
+# States from which on LAPACK is faster.
+LONG = 48
 
 
 class Chains(NamedTuple):
@@ -41,10 +43,45 @@ class Chains(NamedTuple):
 def chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
     """Return the chains of a system with states, inputs and outputs; arrays are contiguous and may be written to."""
     (n, m), p = B.shape, C.shape[0]
+    if n >= LONG:
+        return _long_chains(A, B, C)
     size = p + 1 + n
     out = Chains(np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1))
     work = memory(size * size + n)
     _reduce(A, B, C, work[:-n], work[-n:], *out)
+    return out
+
+
+def _long_chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
+    """Return the chains, each by LAPACK's blocked reflections."""
+    from scipy.linalg.lapack import dgehrd
+
+    (n, m), p = B.shape, C.shape[0]
+    size = p + 1 + n
+    norms = np.append(np.linalg.norm(C, axis=1), np.linalg.norm(A))
+    rows, lasts = np.empty((m + 1, size, size)), np.full(m + 1, p, dtype=np.int64)
+    for j in range(m + 1):
+        M = np.zeros((size, size), order="F")
+        M[:p, p + 1 :] = C
+        M[p + 1 :, p + 1 :] = A if j < m else A.T
+        M[p + 1 :, p] = B[:, j] if j < m else _mixture(C, norms[:p])
+        M = dgehrd(M, lo=p, hi=size - 1, lwork=32 * size, overwrite_a=1)[0]
+        below = M.diagonal(-1)[p:].copy()
+        ends = np.abs(below) <= NOTHING * norms[p]
+        ends[0] = below[0] == 0.0
+        count = int(np.argmax(ends)) if np.any(ends) else n
+        lasts[j] = p + count
+        rows[j] = M
+        reached, before = np.arange(p + 1, p + 1 + count), np.arange(p, p + count)
+        rows[j, reached] /= below[:count, None]
+        rows[j, reached, before] = 1.0 / below[:count]
+    return Chains(rows.ravel(), lasts, norms)
+
+
+def _mixture(C: FloatArray, norms: FloatArray) -> FloatArray:
+    """Return a sum of the rows of C: each as large as the others, in a proportion that no symmetry of a system has."""
+    k = np.arange(len(C))
+    out: FloatArray = (np.cos(2.0 + 3.0 * k * k) / np.where(norms > 0.0, norms, np.inf)) @ C
     return out
 
 

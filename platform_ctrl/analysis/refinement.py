@@ -8,8 +8,10 @@ A register of points at a time, each with pivots of its own. A complex number ta
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.frozen import FloatArray
@@ -36,24 +38,89 @@ STEPS = 11
 ENOUGH = 1e-12
 # Slots of a state: x, what it lacks, and the residual, which becomes the correction of x.
 STATE, LACKING, CHANGE = 6, 2, 4
+# Fewer states are taken in the order that they have.
+SPARSE = 12
+# How far entries stand below and above the diagonal; from a row of the factors to the next; the first one.
+Shape = tuple[int, int, int, int]
 
 
-def refine(
-    A: FloatArray, lacks: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray, beyond: ComplexArray
-) -> ComplexArray:
-    """Return D + C (z I - A)^-1 B, (m, p, N), at the points z (N,); inf at a pole.
+class Band(NamedTuple):
+    """States in an order in which the entries of A stand next to its diagonal.
 
-    `lacks` (n,) and `beyond` (N,) are what the diagonal of A and z have beyond their doubles.
+    Attributes
+    ----------
+    order : (n,)
+        Row and column `order[k]` of A becomes row and column k.
+    below, above
+        How far entries stand from the diagonal.
     """
-    n, (p, m), N = len(A), D.shape, len(z)
-    # The last point fills what is left of a register.
-    points = np.empty((2, -(-N // LANES) * LANES), dtype=np.complex128)
-    points[0, :N], points[1, :N] = z, beyond
-    points[:, N:] = points[:, N - 1 : N]
-    found = np.empty((m, p, points.shape[1]), dtype=np.complex128)
-    work = memory(3 * n * n + STATE * n + 4)
-    _refined(A, lacks, B, C, D, points, work[: 3 * n * n], work[3 * n * n : -4], work[-4:], found)
-    return found[..., :N]
+
+    order: NDArray[np.int64]
+    below: int
+    above: int
+
+    def work(self, inputs: int) -> int:
+        """Return multiplications a state and a point that elimination and refinement take, about."""
+        rows = self.below + self.above + 1
+        return 8 * self.below * rows + inputs * (16 * (rows + self.below) + 50 * rows)
+
+
+def band(A: FloatArray) -> Band:
+    """Return the order of states (n,) in which A has a narrow band (reverse Cuthill-McKee), or the order they have.
+
+    Blocks on the diagonal in any order of their states, chains of masses and beams of finite elements become narrow.
+    """
+    n = len(A)
+    found = Band(np.arange(n), n - 1, n - 1)
+    if n < SPARSE or np.count_nonzero(A) > n * n // 4:
+        return found
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    order = reverse_cuthill_mckee(csr_array(A)).astype(np.int64)
+    row, column = np.nonzero(A[np.ix_(order, order)])
+    below, above = max(0, int((row - column).max(initial=0))), max(0, int((column - row).max(initial=0)))
+    return Band(order, below, above) if 2 * below + above < n else found
+
+
+class Refinement:
+    """D + C (z I - A)^-1 B by elimination with pivots, refined.
+
+    Parameters
+    ----------
+    A, B, C, D
+        Arrays of one system with states, inputs and outputs.
+    lacks : (n,)
+        What the diagonal of A has beyond its doubles.
+    narrow
+        `band(A)`.
+    """
+
+    def __init__(
+        self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lacks: FloatArray, narrow: Band
+    ) -> None:
+        n, order = len(A), narrow.order
+        self._system = tuple(
+            np.ascontiguousarray(item) for item in (A[np.ix_(order, order)], lacks[order], B[order], C[:, order], D)
+        )
+        whole = 2 * narrow.below + narrow.above >= n
+        # Rows of the factors are cut off where their band ends.
+        self._stride, self._first = (n, 0) if whole else (2 * narrow.below + narrow.above, narrow.below)
+        self._below, self._above = narrow.below, narrow.above
+
+    def at(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+        """Return the response at z (N,), (m, p, N), `beyond` being what z has beyond its doubles; inf at a pole."""
+        A, _, _, _, D = self._system
+        n, (p, m), N = len(A), D.shape, len(z)
+        # The last point fills what is left of a register.
+        points = np.empty((2, -(-N // LANES) * LANES), dtype=np.complex128)
+        points[0, :N], points[1, :N] = z, beyond
+        points[:, N:] = points[:, N - 1 : N]
+        found = np.empty((m, p, points.shape[1]), dtype=np.complex128)
+        shape = self._below, self._above, self._stride, self._first
+        factors = memory(2 * (n * self._stride + n + self._first + 1) + n * self._below)
+        _refined(*self._system, points, shape, factors, memory(STATE * n), memory(4), found)
+        return found[..., :N]
 
 
 @compiled
@@ -64,6 +131,7 @@ def _refined(
     C: FloatArray,
     D: FloatArray,
     points: ComplexArray,
+    shape: Shape,
     factors: FloatArray,
     x: FloatArray,
     z: FloatArray,
@@ -76,7 +144,7 @@ def _refined(
             for k in range(2):
                 one = points[k, first + t]
                 z[2 * k, t], z[2 * k + 1, t] = one.real, one.imag
-        _factor(A, z, factors)
+        _factor(A, z, factors, shape)
         zero = 0.0 * load(z, 0, None)
         for j in range(m):
             before = zero + math.inf
@@ -86,7 +154,7 @@ def _refined(
             for i in range(n):
                 store(x, STATE * i + CHANGE, None, zero + B[i, j])
             for _ in range(STEPS):
-                size, whole = _solve(factors, n, x)
+                size, whole = _solve(factors, n, x, shape)
                 going = going & (size < before)
                 before, solved = 0.5 * size, solved | going
                 for slot in range(0, STATE * n, STATE):
@@ -102,7 +170,7 @@ def _refined(
                 if not anywhere(going):
                     break
                 for i in range(n):
-                    _residual(A, i, lacks[i], B[i, j], z, x)
+                    _residual(A, i, lacks[i], B[i, j], z, x, shape)
 
 
 @inlined
@@ -111,51 +179,57 @@ def _absolute(x: Number) -> Number:
 
 
 @internal
-def _factor(A: FloatArray, z: FloatArray, M: FloatArray) -> None:
+def _factor(A: FloatArray, z: FloatArray, M: FloatArray, shape: Shape) -> None:
     """Put the factors of z I - A into M, inverse pivots among them, and behind them which rows were swapped."""
-    n = A.shape[0]
+    (below, above, stride, first), n = shape, A.shape[0]
     zero = 0.0 * load(z, 0, None)
     for i in range(n):
-        for k in range(n):
-            _put(M, 2 * (i * n + k), zero - A[i, k], zero)
-        _put(M, 2 * (i * n + i), load(z, 0, None) - A[i, i], load(z, 1, None))
+        row = 2 * (i * stride + first)
+        for k in range(max(0, i - below), min(n, i + below + above + 1)):
+            _put(M, row + 2 * k, zero - A[i, k], zero)
+        _put(M, row + 2 * i, load(z, 0, None) - A[i, i], load(z, 1, None))
+    swaps = 2 * (n * stride + n + first)
     for k in range(n):
-        pivot = 2 * (k * n + k)
-        for i in range(k + 1, n):
-            larger = _size(M, 2 * (i * n + k)) > _size(M, pivot)
-            store(M, 2 * n * n + k * n + i, None, choose(larger, 1.0, 0.0))
+        last = min(n, k + below + above + 1)
+        pivot = 2 * (k * stride + k + first)
+        for i in range(k + 1, min(n, k + below + 1)):
+            other = 2 * (i * stride + k + first)
+            larger = _size(M, other) > _size(M, pivot)
+            store(M, swaps + k * below + i - k - 1, None, choose(larger, 1.0, 0.0))
             if anywhere(larger):
-                for column in range(0, 2 * n, 2):
-                    _swap(M, 2 * k * n + column, 2 * i * n + column, larger)
+                for column in range(0, 2 * (last - k), 2):
+                    _swap(M, pivot + column, other + column, larger)
         # Squares might be out of range. Of a pivot that is zero this is not a number.
         size, re, im = _size(M, pivot), load(M, pivot, None), load(M, pivot + 1, None)
         a, b = re / size, im / size
         size = re * a + im * b
         _put(M, pivot, a / size, -b / size)
-        for i in range(k + 1, n):
-            factor = 2 * (i * n + k)
+        for i in range(k + 1, min(n, k + below + 1)):
+            factor = 2 * (i * stride + k + first)
             re, im = _product(M, factor, M, pivot)
             _put(M, factor, re, im)
-            for column in range(2, 2 * (n - k), 2):
+            for column in range(2, 2 * (last - k), 2):
                 _subtract(M, factor + column, M, factor, M, pivot + column)
 
 
 @internal
-def _solve(M: FloatArray, n: int, x: FloatArray) -> tuple[Number, Number]:
+def _solve(M: FloatArray, n: int, x: FloatArray, shape: Shape) -> tuple[Number, Number]:
     """Turn the residual into a correction by the factors M; return its size and that of x."""
+    below, above, stride, first = shape
+    swaps = 2 * (n * stride + n + first)
     for k in range(n):
-        for i in range(k + 1, n):
-            swapped = load(M, 2 * n * n + k * n + i, None) > 0.0
+        # Rows of the lower factor have not been swapped again: what is below a pivot belongs to the rows as they stood.
+        for i in range(k + 1, min(n, k + below + 1)):
+            swapped = load(M, swaps + k * below + i - k - 1, None) > 0.0
             _swap(x, STATE * k + CHANGE, STATE * i + CHANGE, swapped)
+        for i in range(k + 1, min(n, k + below + 1)):
+            _subtract(x, STATE * i + CHANGE, M, 2 * (i * stride + k + first), x, STATE * k + CHANGE)
     size = whole = 0.0 * load(x, 0, None)
-    for i in range(n):
-        for k in range(i):
-            _subtract(x, STATE * i + CHANGE, M, 2 * (i * n + k), x, STATE * k + CHANGE)
     for i in range(n - 1, -1, -1):
-        own = STATE * i + CHANGE
-        for k in range(i + 1, n):
-            _subtract(x, own, M, 2 * (i * n + k), x, STATE * k + CHANGE)
-        re, im = _product(M, 2 * (i * n + i), x, own)
+        own, row = STATE * i + CHANGE, 2 * (i * stride + first)
+        for k in range(i + 1, min(n, i + below + above + 1)):
+            _subtract(x, own, M, row + 2 * k, x, STATE * k + CHANGE)
+        re, im = _product(M, row + 2 * i, x, own)
         _put(x, own, re, im)
         size, whole = size + _size(x, own), whole + _size(x, STATE * i)
     return size, whole
@@ -195,7 +269,7 @@ def _subtract(x: FloatArray, slot: int, a: FloatArray, factor: int, b: FloatArra
 
 
 @internal
-def _sum(a: Number, b: Number) -> tuple[Number, Number]:
+def exact_sum(a: Number, b: Number) -> tuple[Number, Number]:
     """Return a + b as a number and what it lacks (Knuth)."""
     total = a + b
     part = total - a
@@ -203,12 +277,12 @@ def _sum(a: Number, b: Number) -> tuple[Number, Number]:
 
 
 @internal
-def _plus_product(total: Number, lacking: Number, a: Number, b: Number) -> tuple[Number, Number]:
+def plus_product(total: Number, lacking: Number, a: Number, b: Number) -> tuple[Number, Number]:
     """Add a b to a sum in twice the digits (Ogita, Rump, Oishi, SIAM J. Sci. Comput. 26, 2005)."""
     # Not a product to the compiler, which might take it into the sum.
     product = fused(a, b, -0.0)
     rest = fused(a, b, -product)
-    total, more = _sum(total, product)
+    total, more = exact_sum(total, product)
     return total, lacking + (rest + more)
 
 
@@ -216,13 +290,13 @@ def _plus_product(total: Number, lacking: Number, a: Number, b: Number) -> tuple
 def _correct(x: FloatArray, slot: int, going: Mask) -> None:
     """Add the correction to a part of x, in twice the digits."""
     change = choose(going, load(x, slot + CHANGE, None), 0.0)
-    total, lacking = _sum(load(x, slot, None), load(x, slot + LACKING, None) + change)
+    total, lacking = exact_sum(load(x, slot, None), load(x, slot + LACKING, None) + change)
     store(x, slot, None, total)
     store(x, slot + LACKING, None, lacking)
 
 
 @internal
-def _residual(A: FloatArray, i: int, lacks: float, b: float, z: FloatArray, x: FloatArray) -> None:
+def _residual(A: FloatArray, i: int, lacks: float, b: float, z: FloatArray, x: FloatArray, shape: Shape) -> None:
     """Put row i of b - (z I - A) x in twice the digits into its slots."""
     zr, zi, own = load(z, 0, None), load(z, 1, None), STATE * i
     xr, xi, low_r, low_i = (
@@ -234,11 +308,11 @@ def _residual(A: FloatArray, i: int, lacks: float, b: float, z: FloatArray, x: F
     beyond_r, beyond_i, zero = lacks - load(z, 2, None), -load(z, 3, None), 0.0 * zr
     re_low = (beyond_r * xr - beyond_i * xi) - (zr * low_r - zi * low_i)
     im_low = (beyond_r * xi + beyond_i * xr) - (zr * low_i + zi * low_r)
-    re, re_low = _plus_product(zero + b, re_low, -zr, xr)
-    re, re_low = _plus_product(re, re_low, zi, xi)
-    im, im_low = _plus_product(zero, im_low, -zr, xi)
-    im, im_low = _plus_product(im, im_low, -zi, xr)
-    for k in range(A.shape[0]):
+    re, re_low = plus_product(zero + b, re_low, -zr, xr)
+    re, re_low = plus_product(re, re_low, zi, xi)
+    im, im_low = plus_product(zero, im_low, -zr, xi)
+    im, im_low = plus_product(im, im_low, -zi, xr)
+    for k in range(max(0, i - shape[0]), min(A.shape[0], i + shape[1] + 1)):
         if A[i, k] != 0.0:
             re, re_low, im, im_low = _plus_state(re, re_low, im, im_low, zero + A[i, k], x, STATE * k)
     _put(x, own + CHANGE, re + re_low, im + im_low)
@@ -249,8 +323,8 @@ def _plus_state(
     re: Number, re_low: Number, im: Number, im_low: Number, factor: Number, x: FloatArray, slot: int
 ) -> tuple[Number, Number, Number, Number]:
     """Add a multiple of a state to a complex sum in twice the digits."""
-    re, re_low = _plus_product(re, re_low, factor, load(x, slot, None))
-    im, im_low = _plus_product(im, im_low, factor, load(x, slot + 1, None))
+    re, re_low = plus_product(re, re_low, factor, load(x, slot, None))
+    im, im_low = plus_product(im, im_low, factor, load(x, slot + 1, None))
     re_low += factor * load(x, slot + LACKING, None)
     im_low += factor * load(x, slot + LACKING + 1, None)
     return re, re_low, im, im_low

@@ -40,6 +40,8 @@ from platform_ctrl.lanes import (
     store_pairs,
 )
 
+# A complex number of each of two registers of points.
+Four = tuple[Number, Number, Number, Number]
 # Points that advance side by side.
 POINTS = 2 * LANES
 # Square above which components are made smaller by SHRINK where the range of numbers did not do.
@@ -133,25 +135,44 @@ def _solved(
     Components p + 1, ..., `last` of x are the solution but for a factor, which becomes component p; |x| with it goes to
     slots `length` and `length` + 1.
     """
-    zr, zi, zr_2, zi_2 = load(x, at, None), load(x, at + 1, None), load(x, at + 2, None), load(x, at + 3, None)
-    im = im_2 = total = total_2 = 0.0 * zr
-    re = re_2 = im + 1.0
-    _put(x, 4 * last, re, im, re_2, im_2)
-    for r in range(last, p, -1):
-        row, slot = (top + r) * size, 4 * r - 4
-        unit, own = load(rows, row + r - 1, 0), load(rows, row + r, 0)
-        total, total_2 = total + (re * re + im * im), total_2 + (re_2 * re_2 + im_2 * im_2)
-        real, imaginary, real_2, imaginary_2 = _sums(rows, row, r + 1, last, x)
-        a, b, a_2, b_2 = zr * unit - own, zi * unit, zr_2 * unit - own, zi_2 * unit
-        re, im = (a * re - real) - b * im, (a * im - imaginary) + b * re
-        re_2, im_2 = (a_2 * re_2 - real_2) - b_2 * im_2, (a_2 * im_2 - imaginary_2) + b_2 * re_2
-        _put(x, slot, re, im, re_2, im_2)
-        if large < math.inf:
-            factor, factor_2 = _shrink(x, slot, 4 * last, large), _shrink(x, slot + 2, 4 * last, large)
-            total, total_2 = total * factor * factor, total_2 * factor_2 * factor_2
-            re, im, re_2, im_2 = re * factor, im * factor, re_2 * factor_2, im_2 * factor_2
-    fine = _finish(x, 4 * p, length, total, re, im)
-    return _finish(x, 4 * p + 2, length + 1, total_2, re_2, im_2) and fine
+    point = _four(x, at)
+    total = total_2 = zero = 0.0 * point[0]
+    newest = zero + 1.0, zero, zero + 1.0, zero
+    _put(x, 4 * last, newest)
+    # Two rows at a time: their sums over what they have in common are taken at once.
+    for first in range(last, p, -2):
+        sums, above = _two_sums(rows, (top + first) * size, size, first + 1, last, x)
+        for r in range(first, max(first - 2, p), -1):
+            square, square_2 = _squares(newest)
+            total, total_2 = total + square, total_2 + square_2
+            before, newest = newest, _next(rows, (top + r) * size + r - 1, point, newest, sums)
+            _put(x, 4 * r - 4, newest)
+            if large < math.inf:
+                factor, factor_2 = _shrink(x, 4 * r - 4, 4 * last, large), _shrink(x, 4 * r - 2, 4 * last, large)
+                total, total_2 = total * factor * factor, total_2 * factor_2 * factor_2
+                newest, before = _scaled(newest, factor, factor_2), _scaled(before, factor, factor_2)
+                above = _scaled(above, factor, factor_2)
+            sums = _plus(above, load(rows, (top + first - 1) * size + first, 0), before)
+    fine = _finish(x, 4 * p, length, total, newest[0], newest[1])
+    return _finish(x, 4 * p + 2, length + 1, total_2, newest[2], newest[3]) and fine
+
+
+@inlined
+def _squares(numbers: Four) -> tuple[Number, Number]:
+    re, im, re_2, im_2 = numbers
+    return re * re + im * im, re_2 * re_2 + im_2 * im_2
+
+
+@inlined
+def _scaled(numbers: Four, factor: Number, factor_2: Number) -> Four:
+    return numbers[0] * factor, numbers[1] * factor, numbers[2] * factor_2, numbers[3] * factor_2
+
+
+@inlined
+def _plus(sums: Four, factor: float, numbers: Four) -> Four:
+    """Return sums and a multiple of other numbers."""
+    re, im, re_2, im_2 = numbers
+    return sums[0] + factor * re, sums[1] + factor * im, sums[2] + factor * re_2, sums[3] + factor * im_2
 
 
 @inlined
@@ -167,25 +188,51 @@ def _finish(x: FloatArray, slot: int, length: int, total: Number, re: Number, im
 
 
 @inlined
-def _sums(rows: FloatArray, row: int, first: int, last: int, x: FloatArray) -> tuple[Number, Number, Number, Number]:
+def _four(x: FloatArray, slot: int) -> Four:
+    return load(x, slot, None), load(x, slot + 1, None), load(x, slot + 2, None), load(x, slot + 3, None)
+
+
+@inlined
+def _sums(rows: FloatArray, row: int, first: int, last: int, x: FloatArray) -> Four:
     """Return the product of the columns `first` to `last` of a row with those components of x."""
-    re = im = re_2 = im_2 = 0.0 * load(x, 4 * last, None)
+    zero = 0.0 * load(x, 4 * last, None)
+    sums = zero, zero, zero, zero
     # From behind: what came last is ready last.
     for k in range(last, first - 1, -1):
-        entry = load(rows, row + k, 0)
-        re += entry * load(x, 4 * k, None)
-        im += entry * load(x, 4 * k + 1, None)
-        re_2 += entry * load(x, 4 * k + 2, None)
-        im_2 += entry * load(x, 4 * k + 3, None)
-    return re, im, re_2, im_2
+        sums = _plus(sums, load(rows, row + k, 0), _four(x, 4 * k))
+    return sums
 
 
-@internal
-def _put(x: FloatArray, slot: int, re: Number, im: Number, re_2: Number, im_2: Number) -> None:
-    store(x, slot, None, re)
-    store(x, slot + 1, None, im)
-    store(x, slot + 2, None, re_2)
-    store(x, slot + 3, None, im_2)
+@inlined
+def _two_sums(rows: FloatArray, row: int, size: int, first: int, last: int, x: FloatArray) -> tuple[Four, Four]:
+    """Return `_sums` of a row and of the one above it."""
+    zero = 0.0 * load(x, 4 * last, None)
+    sums = above = zero, zero, zero, zero
+    for k in range(last, first - 1, -1):
+        numbers = _four(x, 4 * k)
+        sums = _plus(sums, load(rows, row + k, 0), numbers)
+        above = _plus(above, load(rows, row - size + k, 0), numbers)
+    return sums, above
+
+
+@inlined
+def _next(rows: FloatArray, diagonal: int, point: Four, newest: Four, sums: Four) -> Four:
+    """Return the component before the newest one; the row's inverse of what is left of the diagonal is at `diagonal`."""
+    unit, own = load(rows, diagonal, 0), load(rows, diagonal + 1, 0)
+    a, b, a_2, b_2 = point[0] * unit - own, point[1] * unit, point[2] * unit - own, point[3] * unit
+    re, im, re_2, im_2 = newest
+    return (
+        (a * re - sums[0]) - b * im,
+        (a * im - sums[1]) + b * re,
+        (a_2 * re_2 - sums[2]) - b_2 * im_2,
+        (a_2 * im_2 - sums[3]) + b_2 * re_2,
+    )
+
+
+@inlined
+def _put(x: FloatArray, slot: int, numbers: Four) -> None:
+    for k in range(4):
+        store(x, slot + k, None, numbers[k])
 
 
 @internal

@@ -7,6 +7,7 @@ and what takes its place there goes on until it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,11 +22,17 @@ from platform_ctrl.frozen import FloatArray
 if TYPE_CHECKING:
     import control
 
+    from platform_ctrl.analysis.chains import Chains
+    from platform_ctrl.analysis.hessenberg import HessenbergRefinement
+    from platform_ctrl.analysis.refinement import Band, Refinement
+
 
 # Error of the quick recurrence above which something better takes its place: what is found is then right to 1e-9.
 _TOLERATED = 2.5e-10
 # The same for curves and grids: next to what is between their points it is nothing.
 ON_A_GRID = 1e-6
+# States from which on a narrow band is looked for before anything else.
+LARGE = 40
 
 
 def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency: ArrayLike) -> ComplexArray:
@@ -319,9 +326,6 @@ class Resolvent:
         lacks: FloatArray | None = None,
         tolerated: float = _TOLERATED,
     ) -> None:
-        from platform_ctrl.analysis.chains import chains
-        from platform_ctrl.analysis.resolvent import respond
-
         D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
         self._tolerated = tolerated
         # One recurrence an input: of a system with fewer outputs, the transposed one.
@@ -330,20 +334,54 @@ class Resolvent:
             A, B, C, D = A.T, C.T, B.T, D.T
         self._A, self._B, self._C, self._D = (_plain(item) for item in (A, B, C, D))
         self._lacks = np.zeros(len(A)) if lacks is None else _plain(lacks)
-        self._quick, self._chains = respond, chains(self._A, self._B, self._C)
+
+    @cached_property
+    def _band(self) -> Band:
+        from platform_ctrl.analysis.refinement import band
+
+        return band(self._A)
+
+    @cached_property
+    def _chains(self) -> Chains:
+        from platform_ctrl.analysis.chains import chains
+
+        return chains(self._A, self._B, self._C)
+
+    @cached_property
+    def _hessenberg(self) -> HessenbergRefinement:
+        from platform_ctrl.analysis.hessenberg import HessenbergRefinement
+
+        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._lacks)
+
+    @cached_property
+    def _refinement(self) -> Refinement:
+        from platform_ctrl.analysis.refinement import Refinement
+
+        return Refinement(self._A, self._B, self._C, self._D, self._lacks, self._band)
 
     def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
         """Return the response at z (N,), (p, m, N); `lacks` says on demand what z has beyond its doubles."""
         (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
+        n = len(self._A)
         H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
-        poor = self._quick(self._chains, self._D, z, H, self._turned, self._tolerated)
-        if poor.size:
-            from platform_ctrl.analysis.refinement import refine
+        if n >= LARGE and self._band.work(m) < n * (m + 1) * (3.0 + n / (len(z) + 1)):
+            # Elimination in a narrow band takes less than the recurrence and its preparation.
+            poor = np.arange(len(z))
+        else:
+            from platform_ctrl.analysis.resolvent import respond
 
+            poor = respond(self._chains, self._D, z, H, self._turned, self._tolerated)
+        if poor.size:
             z_lacks = np.zeros(len(poor), dtype=np.complex128) if lacks is None else lacks(poor)
-            found = refine(self._A, self._lacks, self._B, self._C, self._D, z[poor], z_lacks)
+            found = self._refined(z[poor], z_lacks)
             H[..., poor] = found if self._turned else found.swapaxes(0, 1)
         return H
+
+    def _refined(self, z: ComplexArray, lacks: ComplexArray) -> ComplexArray:
+        n, m = self._B.shape
+        if n < LARGE or self._band.work(m) < 64 * n * m:
+            return self._refinement.at(z, lacks)
+        return self._hessenberg.at(z, lacks)
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""

@@ -1,0 +1,269 @@
+"""Responses of systems of many states without structure, refined: what `resolvent` leaves over of those.
+
+An orthogonal change of states makes A a Hessenberg matrix once. At each point z I - H is then eliminated from behind,
+by columns: two of them are at work, which needs no memory for factors and takes all inputs at once (G. Henry, The
+shifted Hessenberg system solve computation, Cornell Theory Center report CTC94TR163, 1994). Residuals come from the
+states as they are given, in twice the digits, as products of matrices that are free of rounding: of parts of A and of
+the solutions so short that nothing is rounded in a sum of their products (Ozaki, Ogita, Oishi and Rump, Numerical
+Algorithms 59, 2012). So the refined solution is that of the very numbers of A.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.refinement import exact_sum, plus_product
+from platform_ctrl.frozen import FloatArray
+from platform_ctrl.lanes import LANES, Number, choose, compiled, greater, inlined, internal, load, memory, store
+
+# Points at a time.
+CHUNK = 16 * LANES
+# Corrections at most.
+STEPS = 4
+# Share of a solution that its correction may have: where it has more, the digits of A decide, and no refinement helps.
+CONTRACTING = 0.1
+# What the next correction may still change an entry by; the entry, or this times the largest one at that point.
+ENOUGH, FLOOR = 1e-12, 1e-3
+
+
+class HessenbergRefinement:
+    """D + C (z I - A)^-1 B of one system by elimination in Hessenberg form, refined.
+
+    Parameters
+    ----------
+    A, B, C, D
+        Arrays of one system with two states or more, inputs and outputs.
+    lacks : (n,)
+        What the diagonal of A has beyond its doubles.
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lacks: FloatArray) -> None:
+        from scipy.linalg.lapack import dgehrd, dorghr
+
+        n = len(A)
+        H, tau, _ = dgehrd(A, lwork=32 * n)
+        self._columns = np.ascontiguousarray(np.triu(H, -1).T)
+        self._Q = dorghr(H, tau, lwork=32 * n)[0]
+        self._A, self._B, self._D, self._lacks = A, B, D, lacks
+        # In the states of the Hessenberg form.
+        self._driven, self._seen = self._Q.T @ B, C @ self._Q
+        # Two numbers of so many bits: n products of them in a sum that has room for all of their digits.
+        self._bits = (52 - math.ceil(math.log2(n))) // 2
+        self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
+
+    def at(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+        """Return the response at z (N,), (m, p, N), `beyond` being what z has beyond its doubles; inf at a pole z = 0."""
+        N, (p, m) = len(z), self._D.shape
+        found = np.empty((m, p, N), dtype=np.complex128)
+        for first in range(0, N, CHUNK):
+            part = slice(first, min(first + CHUNK, N))
+            found[:, :, part] = self._refined(z[part], beyond[part])
+        return found
+
+    def _refined(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+        (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
+        N = -(-count // LANES) * LANES
+        points = np.empty((4, N))
+        points[:, :count] = z.real, z.imag, beyond.real, beyond.imag
+        # The last point fills what is left of a register.
+        points[:, count:] = points[:, count - 1 : count]
+        # In all of these: states (or outputs), real and imaginary parts, inputs, points.
+        change = np.zeros((n, 2, m, N))
+        change[:, 0] = self._driven[:, :, None]
+        low, residual = np.zeros_like(change), np.empty_like(change)
+        self._solve(points, change)
+        x, whole = _times(self._Q, change), _size(change)
+        found, going = np.empty((p, m, N), dtype=np.complex128), np.ones(N, dtype=np.bool_)
+        for step in range(STEPS):
+            top, rest = _parted(x, self._bits, axis=0)
+            rest += low
+            product, product_low = _times(self._top, top), _times(self._top, rest)
+            product_low += _times(self._rest, x)
+            _residuals(*map(_lanes, (points, x, low, product, product_low)), self._B, self._lacks, _lanes(residual))
+            change = _times(self._Q.T, residual)
+            self._solve(points, change)
+            entries, added = self._entries(product[n:], product_low[n:], change)
+            found[:, :, going] = entries[:, :, going]
+            share = _size(change) / whole
+            size = np.abs(entries)
+            size = np.maximum(size, FLOOR * size.max(axis=(0, 1)))
+            # The next correction is smaller than this one as this one is than x.
+            going &= (share < CONTRACTING).all(axis=0) & (np.abs(added) * share > ENOUGH * size).any(axis=(0, 1))
+            if not going.any() or step == STEPS - 1:
+                break
+            x, low = _exact_sums(x, low + _times(self._Q, change))
+        self._at_rest(z, beyond, found)
+        return found[:, :, :count].swapaxes(0, 1)
+
+    def _at_rest(self, z: ComplexArray, beyond: ComplexArray, found: ComplexArray) -> None:
+        """Write inf where z = 0 is a pole: A is singular digit by digit."""
+        from scipy.linalg.lapack import dgetrf
+
+        rest = np.flatnonzero((z == 0.0) & (beyond == 0.0))
+        if rest.size and not np.any(self._lacks) and dgetrf(self._A)[2] > 0:
+            found[:, :, rest] = np.inf
+
+    def _solve(self, points: FloatArray, numbers: FloatArray) -> None:
+        """Solve (z I - H) x = `numbers` (n, 2, m, N) in place."""
+        n, _, m, _ = numbers.shape
+        _eliminated(self._columns, _lanes(points), _lanes(numbers), memory(2 * n * (m + 1)), memory(3 * n))
+
+    def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the entries (p, m, N), and what the correction adds to them; `product` and `low` are C x."""
+        added = _times(self._seen, change)
+        total, more = _exact_sums(product[:, 0], self._D[:, :, None])
+        entries = (total + (low[:, 0] + more + added[:, 0])) + 1j * (product[:, 1] + (low[:, 1] + added[:, 1]))
+        return entries, added[:, 0] + 1j * added[:, 1]
+
+
+def _lanes(array: FloatArray) -> FloatArray:
+    """Return an array (..., N) as a memory whose slots are registers of points."""
+    return array.reshape(-1, LANES)
+
+
+def _times(matrix: FloatArray, numbers: FloatArray) -> FloatArray:
+    """Return a matrix times numbers (n, 2, m, N)."""
+    out: FloatArray = (matrix @ numbers.reshape(len(numbers), -1)).reshape(-1, *numbers.shape[1:])
+    return out
+
+
+def _size(numbers: FloatArray) -> FloatArray:
+    """Return sums of absolute values over the states, (m, N)."""
+    out: FloatArray = np.abs(numbers).sum(axis=(0, 1))
+    return out
+
+
+def _parted(numbers: FloatArray, bits: int, axis: int) -> tuple[FloatArray, FloatArray]:
+    """Return so many leading bits of numbers, counted from the largest one along an axis, and the rest, exactly."""
+    largest = np.abs(numbers).max(axis=axis, keepdims=True)
+    # Added and taken away again, this rounds to what is left of its own digits.
+    pad = np.ldexp(0.75, np.frexp(largest)[1] + 54 - bits)
+    top = (numbers + pad) - pad
+    return top, numbers - top
+
+
+def _exact_sums(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a + b as numbers and what they lack (Knuth)."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+@compiled
+def _residuals(
+    z: FloatArray,
+    x: FloatArray,
+    low: FloatArray,
+    product: FloatArray,
+    product_low: FloatArray,
+    B: FloatArray,
+    lacks: FloatArray,
+    residual: FloatArray,
+) -> None:
+    """Put B - (z I - A) x into `residual`, from A x in twice the digits; z (4, N) with what it lacks."""
+    (n, m), blocks = B.shape, len(z) // 4
+    for i in range(n):
+        for j in range(m):
+            for block in range(blocks):
+                real = (2 * i * m + j) * blocks + block
+                imaginary = real + m * blocks
+                zr, zi = load(z, block, None), load(z, blocks + block, None)
+                xr, xi = load(x, real, None), load(x, imaginary, None)
+                low_r, low_i = load(low, real, None), load(low, imaginary, None)
+                beyond_r, beyond_i = lacks[i] - load(z, 2 * blocks + block, None), -load(z, 3 * blocks + block, None)
+                zero = 0.0 * zr
+                re_low = (beyond_r * xr - beyond_i * xi) - (zr * low_r - zi * low_i)
+                im_low = (beyond_r * xi + beyond_i * xr) - (zr * low_i + zi * low_r)
+                re, more = exact_sum(load(product, real, None), zero + B[i, j])
+                re_low += load(product_low, real, None) + more
+                im, im_low = load(product, imaginary, None), im_low + load(product_low, imaginary, None)
+                re, re_low = plus_product(re, re_low, -zr, xr)
+                re, re_low = plus_product(re, re_low, zi, xi)
+                im, im_low = plus_product(im, im_low, -zr, xi)
+                im, im_low = plus_product(im, im_low, -zi, xr)
+                store(residual, real, None, re + re_low)
+                store(residual, imaginary, None, im + im_low)
+
+
+@compiled
+def _eliminated(columns: FloatArray, z: FloatArray, x: FloatArray, work: FloatArray, steps: FloatArray) -> None:
+    """Solve (z I - H) x = x in place; row k of `columns` is column k of H, x (n, 2, m, blocks), z (4, blocks)."""
+    n, blocks = len(columns), len(z) // 4
+    m = len(x) // (2 * n * blocks)
+    right = 2 * n
+    for block in range(blocks):
+        zr, zi = load(z, block, None), load(z, blocks + block, None)
+        for i in range(n):
+            for part in range(2):
+                for j in range(m):
+                    store(work, right + 2 * (j * n + i) + part, None, load(x, ((2 * i + part) * m + j) * blocks + block, None))
+            store(work, 2 * i, None, 0.0 * zr - columns[n - 1, i])
+            store(work, 2 * i + 1, None, 0.0 * zr)
+        store(work, 2 * n - 2, None, load(work, 2 * n - 2, None) + zr)
+        store(work, 2 * n - 1, None, zi)
+        for k in range(n - 1, 0, -1):
+            _step(columns[k - 1], k, n, m, zr, zi, work, steps)
+        re, im = _inverse(load(work, 0, None), load(work, 1, None))
+        for j in range(m):
+            first = right + 2 * j * n
+            br, bi = load(work, first, None), load(work, first + 1, None)
+            vr, vi = br * re - bi * im, br * im + bi * re
+            for k in range(1, n):
+                lr, li, swapped = load(steps, 3 * k, None), load(steps, 3 * k + 1, None), load(steps, 3 * k + 2, None) > 0.0
+                tr = load(work, first + 2 * k, None) - (lr * vr - li * vi)
+                ti = load(work, first + 2 * k + 1, None) - (lr * vi + li * vr)
+                slot = (2 * (k - 1) * m + j) * blocks + block
+                store(x, slot, None, choose(swapped, tr, vr))
+                store(x, slot + m * blocks, None, choose(swapped, ti, vi))
+                vr, vi = choose(swapped, vr, tr), choose(swapped, vi, ti)
+            slot = (2 * (n - 1) * m + j) * blocks + block
+            store(x, slot, None, vr)
+            store(x, slot + m * blocks, None, vi)
+
+
+@internal
+def _step(
+    column: FloatArray, k: int, n: int, m: int, zr: Number, zi: Number, work: FloatArray, steps: FloatArray
+) -> None:
+    """Eliminate row k: from the column at work, in the first slots, and column k - 1; solve for one unknown."""
+    zero = 0.0 * zr
+    ar, ai, c = load(work, 2 * k, None), load(work, 2 * k + 1, None), zero - column[k]
+    swapped = greater(c, -c) > greater(ar, -ar) + greater(ai, -ai)
+    re, im = _inverse(choose(swapped, c, ar), choose(swapped, 0.0, ai))
+    other_r, other_i = choose(swapped, ar, c), choose(swapped, ai, 0.0)
+    lr, li = other_r * re - other_i * im, other_r * im + other_i * re
+    store(steps, 3 * k, None, lr)
+    store(steps, 3 * k + 1, None, li)
+    store(steps, 3 * k + 2, None, choose(swapped, zero + 1.0, zero))
+    # In the other column z stands in row k - 1 alone.
+    column_z = k - 1
+    for j in range(m):
+        slot = 2 * (n + j * n + k)
+        br, bi = load(work, slot, None), load(work, slot + 1, None)
+        store(work, slot, None, br * re - bi * im)
+        store(work, slot + 1, None, br * im + bi * re)
+    for i in range(k):
+        cr, ci = zero - column[i], zero
+        if i == column_z:
+            cr, ci = cr + zr, zi
+        ar, ai = load(work, 2 * i, None), load(work, 2 * i + 1, None)
+        pr, pi = choose(swapped, cr, ar), choose(swapped, ci, ai)
+        store(work, 2 * i, None, choose(swapped, ar, cr) - (lr * pr - li * pi))
+        store(work, 2 * i + 1, None, choose(swapped, ai, ci) - (lr * pi + li * pr))
+        for j in range(m):
+            slot, y = 2 * (n + j * n + i), 2 * (n + j * n + k)
+            yr, yi = load(work, y, None), load(work, y + 1, None)
+            store(work, slot, None, load(work, slot, None) - (yr * pr - yi * pi))
+            store(work, slot + 1, None, load(work, slot + 1, None) - (yr * pi + yi * pr))
+
+
+@inlined
+def _inverse(re: Number, im: Number) -> tuple[Number, Number]:
+    """Return 1/(re + j im); squares might be out of range."""
+    size = greater(re, -re) + greater(im, -im)
+    a, b = re / size, im / size
+    size = re * a + im * b
+    return a / size, -b / size
