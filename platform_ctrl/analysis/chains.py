@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.analysis.response import LARGE
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.lanes import LANES, Number, choose, compiled, greater, internal, load, memory, root, store
 
 # What is below this share of |A| goes on to no state behind.
 NOTHING = 2.0**-54
-# States from which on LAPACK is faster.
-LONG = 48
 
 
 class Chains(NamedTuple):
@@ -33,22 +32,35 @@ class Chains(NamedTuple):
         Column of the last state that the chain reaches; p if none.
     norms : (p + 1,)
         Of each row of C, and |A|.
+    reflected : (p + 1 + n, p + 1 + n) and (p + n,), optional
+        What LAPACK's dgehrd returns of the first chain, where it was asked.
     """
 
     rows: FloatArray
     lasts: NDArray[np.int64]
     norms: FloatArray
+    reflected: tuple[FloatArray, FloatArray] | None = None
+
+    def hessenberg(self) -> tuple[FloatArray, FloatArray]:
+        """Return H and Q with A = Q H Q', both (n, n)."""
+        from scipy.linalg.lapack import dorghr
+
+        assert self.reflected is not None
+        M, tau = self.reflected
+        top = len(self.norms)
+        Q = dorghr(M, tau, lo=top - 1, hi=len(M) - 1, lwork=32 * len(M))[0]
+        return np.triu(M[top:, top:], -1), Q[top:, top:]
 
 
 def chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
     """Return the chains of a system with states, inputs and outputs; arrays are contiguous and may be written to."""
     (n, m), p = B.shape, C.shape[0]
-    if n >= LONG:
+    if n >= LARGE:
         return _long_chains(A, B, C)
     size = p + 1 + n
     out = Chains(np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1))
     work = memory(size * size + n)
-    _reduce(A, B, C, work[:-n], work[-n:], *out)
+    _reduce(A, B, C, work[:-n], work[-n:], *out[:3])
     return out
 
 
@@ -65,7 +77,9 @@ def _long_chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
         M[:p, p + 1 :] = C
         M[p + 1 :, p + 1 :] = A if j < m else A.T
         M[p + 1 :, p] = B[:, j] if j < m else _mixture(C, norms[:p])
-        M = dgehrd(M, lo=p, hi=size - 1, lwork=32 * size, overwrite_a=1)[0]
+        M, tau, _ = dgehrd(M, lo=p, hi=size - 1, lwork=32 * size, overwrite_a=1)
+        if j == 0:
+            reflected = M, tau
         below = M.diagonal(-1)[p:].copy()
         ends = np.abs(below) <= NOTHING * norms[p]
         ends[0] = below[0] == 0.0
@@ -75,7 +89,7 @@ def _long_chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
         reached, before = np.arange(p + 1, p + 1 + count), np.arange(p, p + count)
         rows[j, reached] /= below[:count, None]
         rows[j, reached, before] = 1.0 / below[:count]
-    return Chains(rows.ravel(), lasts, norms)
+    return Chains(rows.ravel(), lasts, norms, reflected)
 
 
 def _mixture(C: FloatArray, norms: FloatArray) -> FloatArray:

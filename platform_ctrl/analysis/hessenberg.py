@@ -38,15 +38,22 @@ class HessenbergRefinement:
         Arrays of one system with two states or more, inputs and outputs.
     lacks : (n,)
         What the diagonal of A has beyond its doubles.
+    H, Q : (n, n)
+        Hessenberg form and orthogonal change of states: A = Q H Q'.
     """
 
-    def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lacks: FloatArray) -> None:
-        from scipy.linalg.lapack import dgehrd, dorghr
-
+    def __init__(
+        self,
+        A: FloatArray,
+        B: FloatArray,
+        C: FloatArray,
+        D: FloatArray,
+        lacks: FloatArray,
+        H: FloatArray,
+        Q: FloatArray,
+    ) -> None:
         n = len(A)
-        H, tau, _ = dgehrd(A, lwork=32 * n)
-        self._columns = np.ascontiguousarray(np.triu(H, -1).T)
-        self._Q = dorghr(H, tau, lwork=32 * n)[0]
+        self._columns, self._Q = np.ascontiguousarray(H.T), Q
         self._A, self._B, self._D, self._lacks = A, B, D, lacks
         # In the states of the Hessenberg form.
         self._driven, self._seen = self._Q.T @ B, C @ self._Q

@@ -65,7 +65,7 @@ def respond(
     size = math.isqrt(len(chains.rows) // (m + 1))
     down, across = (1, p) if turned else (m, 1)
     poor, work = np.empty(N, dtype=np.int64), memory(4 * (size + m * p + 1) + 2 * (m + 1))
-    return poor[: _quick(z, *chains, D, H.reshape(p * m, N), size, down, across, tolerated, poor, work)]
+    return poor[: _quick(z, *chains[:3], D, H.reshape(p * m, N), size, down, across, tolerated, poor, work)]
 
 
 @compiled

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 _TOLERATED = 2.5e-10
 # The same for curves and grids: next to what is between their points it is nothing.
 ON_A_GRID = 1e-6
-# States from which on a narrow band is looked for before anything else.
-LARGE = 40
+# States from which on LAPACK reduces faster, and a narrow band is looked for before anything else.
+LARGE = 48
 
 
 def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency: ArrayLike) -> ComplexArray:
@@ -351,7 +351,9 @@ class Resolvent:
     def _hessenberg(self) -> HessenbergRefinement:
         from platform_ctrl.analysis.hessenberg import HessenbergRefinement
 
-        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._lacks)
+        return HessenbergRefinement(
+            self._A, self._B, self._C, self._D, self._lacks, *self._chains.hessenberg()
+        )
 
     @cached_property
     def _refinement(self) -> Refinement:
