@@ -1,10 +1,11 @@
 """The engine's figures as ratios: ours beside MuJoCo, python-control with and without slycot, SciPy.
 
-    python benchmarks/engine.py [--only SECTION ...] [--rounds 15] [--plain]
+    python benchmarks/engine.py [--only SECTION ...] [--rounds 15] [--wall] [--plain]
 
 Every figure is measured in one process: the sides give their answers, which have to agree, then take turns for a number
 of rounds. Shown are median times and the median of the ratios within a round; above 1, ours is faster. Matrix libraries
-run on one thread. Needs what the tests need (`pip install platform_ctrl[test]`); a library that is absent is left out.
+run on one thread; with `--wall` on as many as they take, and every time is that of a clock on the wall. Needs what the
+tests need (`pip install platform_ctrl[test]`); a library that is absent is left out.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import os
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 from side_by_side import DisagreementError, Outcome, Section, measured, quantity, versions
@@ -79,23 +81,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", action="append", default=[], metavar="SECTION", help="its name or the start of it")
     parser.add_argument("--rounds", type=int, default=15, help="interleaved rounds a figure")
+    parser.add_argument("--wall", action="store_true", help="time of the wall clock, matrix libraries with threads")
     parser.add_argument("--plain", action="store_true", help="tables without lines, as into a file")
     chosen = parser.parse_args()
     if chosen.rounds < 1:
         parser.error(f"--rounds: given {chosen.rounds}; expected at least 1")
-    for name in THREADS:
+    for name in () if chosen.wall else THREADS:
         os.environ[name] = "1"
     warnings.simplefilter("ignore")
     known = sections()
     wanted = [name for name in known if not chosen.only or any(name.startswith(start) for start in chosen.only)]
     if not wanted:
         parser.error(f"--only: given {chosen.only[0]!r}; expected one of {', '.join(known) or 'none at all'}")
-    print(f"{time.strftime('%Y-%m-%d')}, {versions(PACKAGES)}; one thread; medians of {chosen.rounds} rounds")
+    clock = "wall clock" if chosen.wall else "one thread"
+    print(f"{time.strftime('%Y-%m-%d')}, {versions(PACKAGES)}; {clock}; medians of {chosen.rounds} rounds")
     wrong: list[str] = []
     for section in wanted:
         lines: list[tuple[str, ...]] = []
         notes: list[str] = []
         for comparison in known[section]():
+            if chosen.wall:
+                comparison = replace(comparison, clock="wall")
             try:
                 outcome = measured(comparison, chosen.rounds)
             except DisagreementError as error:

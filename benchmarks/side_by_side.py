@@ -71,6 +71,8 @@ class Comparison:
         rates.
     clock
         ``"wall"``, or ``"cpu"``: seconds of the processor in all threads.
+    rounds
+        At most so many, where one takes long.
     note
         Called after the timing: a line below the row, for what a ratio does not tell.
     """
@@ -85,6 +87,7 @@ class Comparison:
     work: float = 1.0
     their_work: Mapping[str, float] = field(default_factory=dict)
     clock: Literal["wall", "cpu"] = "wall"
+    rounds: int = 1000
     note: Callable[[], str] | None = None
 
 
@@ -140,7 +143,7 @@ def measured(comparison: Comparison, rounds: int) -> Outcome:
     gc.collect()
     gc.disable()
     try:
-        for k in range(rounds):
+        for k in range(min(rounds, comparison.rounds)):
             order = list(sides)
             for name in order if k % 2 == 0 else reversed(order):
                 began = clock()

@@ -10,6 +10,7 @@ import pytest
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.chains import chains
+from platform_ctrl.analysis.refinement import band
 from platform_ctrl.analysis.resolvent import respond
 from platform_ctrl.frozen import FloatArray
 
@@ -181,3 +182,78 @@ def test_long_chains_do_not_leave_the_range_of_numbers(n: int) -> None:
     # And elimination has not been needed for that.
     H = np.empty((1, 1, len(w)), dtype=np.complex128)
     assert not respond(chains(system.A, system.B, system.C), system.D, 1j * w, H, False, 2.5e-10).size
+
+
+# Many states: a narrow band of states in another order, and matrices without structure.
+
+
+def sum_of_modes(frequency: FloatArray, damping: FloatArray, b: FloatArray, c: FloatArray, w: float) -> complex:
+    """Return the sum of c_k b_k w_k / (w_k^2 - w^2 + 2 j zeta_k w_k w) with all digits."""
+    with flint.ctx.workprec(200):
+        total = flint.acb(0)
+        for own, zeta, inwards, out in zip(frequency, damping, b, c, strict=True):
+            own, s = flint.arb(float(own)), flint.acb(0, float(w))
+            total += float(inwards) * float(out) * own / (s * s + 2 * s * float(zeta) * own + own * own)
+        return complex(total)
+
+
+@pytest.mark.parametrize("count", [30, 200])
+def test_modes_whose_states_stand_in_any_order_add_up(count: int) -> None:
+    rng = np.random.default_rng(count)
+    # Powers of two times whole numbers: products in A are exact.
+    frequency, damping = rng.integers(1, 2**20, count) * 2.0**-10, 2.0 ** -rng.integers(1, 24, count)
+    b, c = rng.normal(size=count), rng.normal(size=count)
+    A, B, C = modes(frequency, damping), np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
+    B[1::2, 0], C[0, ::2] = b, c
+    order = rng.permutation(2 * count)
+    assert band(A[np.ix_(order, order)])[1:] == (1, 1)
+    system = control.ss(A[np.ix_(order, order)], B[order], C[:, order], 0, remove_useless_states=False)
+    w = np.concatenate([np.geomspace(1e-3, 1e4, 10), frequency[:6], frequency[:6] * (1.0 + damping[:6])])
+    truth = np.array([sum_of_modes(frequency, damping, b, c, one) for one in w])
+    # Where modes cancel, too.
+    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-11)
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-3])
+def test_lightly_damped_modes_of_many_states_that_all_mix(dt: float) -> None:
+    rng = np.random.default_rng(12)
+    own = np.geomspace(0.5, 500.0, 30)
+    system = system_of(turned(modes(own, np.full(30, 1e-7)), rng), 2, 3, rng)
+    if dt:
+        system = analysis.sampled(system, dt)
+    w = np.concatenate([[1e-4, 3.0], own[[0, 29]], own[[0, 15]] * (1.0 + 1e-7)])
+    assert deviation(system, w) < 1e-9
+
+
+def test_the_steep_roll_off_of_many_states_keeps_its_digits() -> None:
+    # From one state to another 30 places down a chain: the response falls with the 31st power of the frequency.
+    rng = np.random.default_rng(4)
+    n = 50
+    A = np.triu(rng.normal(size=(n, n)), -1) - 9.0 * np.eye(n)
+    B, C = np.zeros((n, 1)), np.zeros((1, n))
+    B[10, 0] = C[0, 40] = 1.0
+    assert deviation(control.ss(A, B, C, 0, remove_useless_states=False), np.geomspace(0.1, 1e4, 6)) < 1e-9
+
+
+def test_a_chain_of_many_masses_sags_as_springs_in_series_do() -> None:
+    # 200 masses between walls, a force of 1 at mass j: mass i moves by (1 + min)(200 - max)/(201 k).
+    count, k = 200, 3e4
+    K = k * (2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1))
+    A = np.block([[np.zeros((count, count)), np.eye(count)], [-K, -1e-5 * K]])
+    force, place = 60, np.array([10, 60, 150])
+    B, C = np.zeros((2 * count, 1)), np.zeros((3, 2 * count))
+    B[count + force, 0], C[[0, 1, 2], place] = 1.0, 1.0
+    narrow = band(A)
+    assert max(narrow.below, narrow.above) <= 4
+    H = analysis.frequency_response(control.ss(A, B, C, 0, remove_useless_states=False), [0.0])[:, 0, 0]
+    low, high = np.minimum(place, force) + 1, np.maximum(place, force) + 1
+    np.testing.assert_allclose(H, low * (count + 1 - high) / ((count + 1) * k), rtol=1e-12)
+
+
+def test_a_body_that_is_free_has_an_infinite_response_at_rest_however_many_states_it_has() -> None:
+    rng = np.random.default_rng(2)
+    A = rng.normal(size=(60, 60)) - 9.0 * np.eye(60)
+    A[:, 0] = 0.0
+    H = analysis.frequency_response(system_of(A, 1, 1, rng), [0.0, 1e-3])[0, 0]
+    assert np.isinf(H[0])
+    assert np.isfinite(H[1])

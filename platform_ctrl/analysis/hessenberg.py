@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.refinement import exact_sum, plus_product
@@ -25,8 +26,10 @@ CHUNK = 16 * LANES
 STEPS = 4
 # Share of a solution that its correction may have: where it has more, the digits of A decide, and no refinement helps.
 CONTRACTING = 0.1
-# What the next correction may still change an entry by; the entry, or this times the largest one at that point.
-ENOUGH, FLOOR = 1e-12, 1e-3
+# What may still be missing of an entry; the entry, or this times the largest one at that point.
+ENOUGH, FLOOR = 1e-11, 1e-3
+# Share of the first correction that rounding of its residual can be.
+ROUNDED = 2.0**-18
 
 
 class HessenbergRefinement:
@@ -57,20 +60,26 @@ class HessenbergRefinement:
         self._A, self._B, self._D, self._lacks = A, B, D, lacks
         # In the states of the Hessenberg form.
         self._driven, self._seen = self._Q.T @ B, C @ self._Q
+        self._weights = np.maximum(np.linalg.norm(C, axis=1), 1e-300)
         # Two numbers of so many bits: n products of them in a sum that has room for all of their digits.
         self._bits = (52 - math.ceil(math.log2(n))) // 2
         self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
 
-    def at(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
-        """Return the response at z (N,), (m, p, N), `beyond` being what z has beyond its doubles; inf at a pole z = 0."""
+    def at(self, z: ComplexArray, beyond: ComplexArray) -> tuple[ComplexArray, NDArray[np.int64]]:
+        """Return the response at z (N,), (m, p, N), and at which points that is not accurate.
+
+        `beyond` is what z has beyond its doubles. Inf at a pole z = 0. Not accurate is an entry that is next to nothing
+        beside the solution it comes from. What the digits of A leave open is not told.
+        """
         N, (p, m) = len(z), self._D.shape
-        found = np.empty((m, p, N), dtype=np.complex128)
+        found, short = np.empty((m, p, N), dtype=np.complex128), np.empty(N, dtype=np.bool_)
         for first in range(0, N, CHUNK):
             part = slice(first, min(first + CHUNK, N))
-            found[:, :, part] = self._refined(z[part], beyond[part])
-        return found
+            with np.errstate(all="ignore"):  # at a pole
+                found[:, :, part], short[part] = self._refined(z[part], beyond[part])
+        return found, np.flatnonzero(short)
 
-    def _refined(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
+    def _refined(self, z: ComplexArray, beyond: ComplexArray) -> tuple[ComplexArray, NDArray[np.bool_]]:
         (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
         N = -(-count // LANES) * LANES
         points = np.empty((4, N))
@@ -84,6 +93,7 @@ class HessenbergRefinement:
         self._solve(points, change)
         x, whole = _times(self._Q, change), _size(change)
         found, going = np.empty((p, m, N), dtype=np.complex128), np.ones(N, dtype=np.bool_)
+        short, rounded = np.zeros(N, dtype=np.bool_), np.zeros((m, N))
         for step in range(STEPS):
             top, rest = _parted(x, self._bits, axis=0)
             rest += low
@@ -92,18 +102,23 @@ class HessenbergRefinement:
             _residuals(*map(_lanes, (points, x, low, product, product_low)), self._B, self._lacks, _lanes(residual))
             change = _times(self._Q.T, residual)
             self._solve(points, change)
-            entries, added = self._entries(product[n:], product_low[n:], change)
+            entries = self._entries(product[n:], product_low[n:], change)
             found[:, :, going] = entries[:, :, going]
-            share = _size(change) / whole
+            missing = _size(change)
+            share = missing / whole
+            if step == 0:
+                rounded = ROUNDED * missing
             size = np.abs(entries)
-            size = np.maximum(size, FLOOR * size.max(axis=(0, 1)))
+            size = ENOUGH * np.maximum(size, FLOOR * size.max(axis=(0, 1))) / self._weights[:, None, None]
+            going &= (share < CONTRACTING).all(axis=0)
+            short[going] = (rounded > 10.0 * size).any(axis=(0, 1))[going]
             # The next correction is smaller than this one as this one is than x.
-            going &= (share < CONTRACTING).all(axis=0) & (np.abs(added) * share > ENOUGH * size).any(axis=(0, 1))
+            going &= ~short & (missing * share > size).any(axis=(0, 1))
             if not going.any() or step == STEPS - 1:
                 break
             x, low = _exact_sums(x, low + _times(self._Q, change))
         self._at_rest(z, beyond, found)
-        return found[:, :, :count].swapaxes(0, 1)
+        return found[:, :, :count].swapaxes(0, 1), short[:count]
 
     def _at_rest(self, z: ComplexArray, beyond: ComplexArray, found: ComplexArray) -> None:
         """Write inf where z = 0 is a pole: A is singular digit by digit."""
@@ -118,12 +133,12 @@ class HessenbergRefinement:
         n, _, m, _ = numbers.shape
         _eliminated(self._columns, _lanes(points), _lanes(numbers), memory(2 * n * (m + 1)), memory(3 * n))
 
-    def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the entries (p, m, N), and what the correction adds to them; `product` and `low` are C x."""
+    def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> ComplexArray:
+        """Return the entries (p, m, N) with what the correction adds to them; `product` and `low` are C x."""
         added = _times(self._seen, change)
         total, more = _exact_sums(product[:, 0], self._D[:, :, None])
-        entries = (total + (low[:, 0] + more + added[:, 0])) + 1j * (product[:, 1] + (low[:, 1] + added[:, 1]))
-        return entries, added[:, 0] + 1j * added[:, 1]
+        out: ComplexArray = total + (low[:, 0] + more + added[:, 0]) + 1j * (product[:, 1] + (low[:, 1] + added[:, 1]))
+        return out
 
 
 def _lanes(array: FloatArray) -> FloatArray:
@@ -138,9 +153,8 @@ def _times(matrix: FloatArray, numbers: FloatArray) -> FloatArray:
 
 
 def _size(numbers: FloatArray) -> FloatArray:
-    """Return sums of absolute values over the states, (m, N)."""
-    out: FloatArray = np.abs(numbers).sum(axis=(0, 1))
-    return out
+    """Return lengths of vectors of states, (m, N)."""
+    return np.sqrt(np.einsum("ikjt,ikjt->jt", numbers, numbers))
 
 
 def _parted(numbers: FloatArray, bits: int, axis: int) -> tuple[FloatArray, FloatArray]:
@@ -206,7 +220,12 @@ def _eliminated(columns: FloatArray, z: FloatArray, x: FloatArray, work: FloatAr
         for i in range(n):
             for part in range(2):
                 for j in range(m):
-                    store(work, right + 2 * (j * n + i) + part, None, load(x, ((2 * i + part) * m + j) * blocks + block, None))
+                    store(
+                        work,
+                        right + 2 * (j * n + i) + part,
+                        None,
+                        load(x, ((2 * i + part) * m + j) * blocks + block, None),
+                    )
             store(work, 2 * i, None, 0.0 * zr - columns[n - 1, i])
             store(work, 2 * i + 1, None, 0.0 * zr)
         store(work, 2 * n - 2, None, load(work, 2 * n - 2, None) + zr)
@@ -219,7 +238,11 @@ def _eliminated(columns: FloatArray, z: FloatArray, x: FloatArray, work: FloatAr
             br, bi = load(work, first, None), load(work, first + 1, None)
             vr, vi = br * re - bi * im, br * im + bi * re
             for k in range(1, n):
-                lr, li, swapped = load(steps, 3 * k, None), load(steps, 3 * k + 1, None), load(steps, 3 * k + 2, None) > 0.0
+                lr, li, swapped = (
+                    load(steps, 3 * k, None),
+                    load(steps, 3 * k + 1, None),
+                    load(steps, 3 * k + 2, None) > 0.0,
+                )
                 tr = load(work, first + 2 * k, None) - (lr * vr - li * vi)
                 ti = load(work, first + 2 * k + 1, None) - (lr * vi + li * vr)
                 slot = (2 * (k - 1) * m + j) * blocks + block

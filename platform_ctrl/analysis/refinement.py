@@ -77,7 +77,8 @@ def band(A: FloatArray) -> Band:
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-    order = reverse_cuthill_mckee(csr_array(A)).astype(np.int64)
+    # Of the sum with the transpose: w and -w would cancel.
+    order = reverse_cuthill_mckee(csr_array(np.abs(A))).astype(np.int64)
     row, column = np.nonzero(A[np.ix_(order, order)])
     below, above = max(0, int((row - column).max(initial=0))), max(0, int((column - row).max(initial=0)))
     return Band(order, below, above) if 2 * below + above < n else found

@@ -217,7 +217,7 @@ def _two_sums(rows: FloatArray, row: int, size: int, first: int, last: int, x: F
 
 @inlined
 def _next(rows: FloatArray, diagonal: int, point: Four, newest: Four, sums: Four) -> Four:
-    """Return the component before the newest one; the row's inverse of what is left of the diagonal is at `diagonal`."""
+    """Return the component before the newest one, from a row whose entry left of the diagonal is at slot `diagonal`."""
     unit, own = load(rows, diagonal, 0), load(rows, diagonal + 1, 0)
     a, b, a_2, b_2 = point[0] * unit - own, point[1] * unit, point[2] * unit - own, point[3] * unit
     re, im, re_2, im_2 = newest

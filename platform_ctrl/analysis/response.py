@@ -41,7 +41,8 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     Each entry is right to 1e-9 of itself, or to 1e-12 of the largest entry at that frequency where it is smaller than
     a thousandth of that one; mostly to rounding. That holds for the system matrices digit by digit as they are,
     whatever the eigenvectors of A, and next to lightly damped poles, until the last digit of A decides: where |A| times
-    |(z I - A)^-1| goes beyond 1e15 in balanced states.
+    |(z I - A)^-1| goes beyond 1e15 in balanced states; beyond 1e13 with 48 states or more, unless these fall apart into
+    small groups or an order of them gives A a narrow band (modes, chains of bodies, finite elements, lumped masses).
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     Returns
     -------
     complex (p, m, N), or (K, p, m, N) for a sequence
-        In the units of the outputs per unit of the inputs; inf where a frequency coincides with a pole.
+        In the units of the outputs per unit of the inputs; inf where a frequency coincides with a pole (with
+        48 states or more, all coupled, at frequency 0 only: elsewhere it is large).
 
     Raises
     ------
@@ -67,6 +69,8 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     J. H. Wilkinson, The Algebraic Eigenvalue Problem, 1965, ch. 7, sec. 11.
 
     J. Demmel et al., ACM Transactions on Mathematical Software 32, 2006.
+
+    G. Henry, The shifted Hessenberg system solve computation, Cornell Theory Center CTC94TR163, 1994.
     """
     w = frequencies(frequency, "frequency_response")
     if not isinstance(system, Sequence):
@@ -351,9 +355,7 @@ class Resolvent:
     def _hessenberg(self) -> HessenbergRefinement:
         from platform_ctrl.analysis.hessenberg import HessenbergRefinement
 
-        return HessenbergRefinement(
-            self._A, self._B, self._C, self._D, self._lacks, *self._chains.hessenberg()
-        )
+        return HessenbergRefinement(self._A, self._B, self._C, self._D, self._lacks, *self._chains.hessenberg())
 
     @cached_property
     def _refinement(self) -> Refinement:
@@ -383,7 +385,10 @@ class Resolvent:
         n, m = self._B.shape
         if n < LARGE or self._band.work(m) < 64 * n * m:
             return self._refinement.at(z, lacks)
-        return self._hessenberg.at(z, lacks)
+        found, short = self._hessenberg.at(z, lacks)
+        if short.size:
+            found[:, :, short] = self._refinement.at(z[short], lacks[short])
+        return found
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""
