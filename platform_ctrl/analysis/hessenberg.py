@@ -99,7 +99,8 @@ class HessenbergRefinement:
             rest += low
             product, product_low = _times(self._top, top), _times(self._top, rest)
             product_low += _times(self._rest, x)
-            _residuals(*map(_lanes, (points, x, low, product, product_low)), self._B, self._lacks, _lanes(residual))
+            solution, image = (_lanes(x), _lanes(low)), (_lanes(product), _lanes(product_low))
+            _residuals(_lanes(points), *solution, *image, self._B, self._lacks, _lanes(residual))
             change = _times(self._Q.T, residual)
             self._solve(points, change)
             entries = self._entries(product[n:], product_low[n:], change)
@@ -154,7 +155,8 @@ def _times(matrix: FloatArray, numbers: FloatArray) -> FloatArray:
 
 def _size(numbers: FloatArray) -> FloatArray:
     """Return lengths of vectors of states, (m, N)."""
-    return np.sqrt(np.einsum("ikjt,ikjt->jt", numbers, numbers))
+    out: FloatArray = np.sqrt(np.einsum("ikjt,ikjt->jt", numbers, numbers))
+    return out
 
 
 def _parted(numbers: FloatArray, bits: int, axis: int) -> tuple[FloatArray, FloatArray]:

@@ -101,9 +101,8 @@ class Refinement:
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, lacks: FloatArray, narrow: Band
     ) -> None:
         n, order = len(A), narrow.order
-        self._system = tuple(
-            np.ascontiguousarray(item) for item in (A[np.ix_(order, order)], lacks[order], B[order], C[:, order], D)
-        )
+        self._A, self._lacks = np.ascontiguousarray(A[np.ix_(order, order)]), lacks[order]
+        self._B, self._C, self._D = np.ascontiguousarray(B[order]), np.ascontiguousarray(C[:, order]), D
         whole = 2 * narrow.below + narrow.above >= n
         # Rows of the factors are cut off where their band ends.
         self._stride, self._first = (n, 0) if whole else (2 * narrow.below + narrow.above, narrow.below)
@@ -111,8 +110,7 @@ class Refinement:
 
     def at(self, z: ComplexArray, beyond: ComplexArray) -> ComplexArray:
         """Return the response at z (N,), (m, p, N), `beyond` being what z has beyond its doubles; inf at a pole."""
-        A, _, _, _, D = self._system
-        n, (p, m), N = len(A), D.shape, len(z)
+        n, (p, m), N = len(self._A), self._D.shape, len(z)
         # The last point fills what is left of a register.
         points = np.empty((2, -(-N // LANES) * LANES), dtype=np.complex128)
         points[0, :N], points[1, :N] = z, beyond
@@ -120,7 +118,8 @@ class Refinement:
         found = np.empty((m, p, points.shape[1]), dtype=np.complex128)
         shape = self._below, self._above, self._stride, self._first
         factors = memory(2 * (n * self._stride + n + self._first + 1) + n * self._below)
-        _refined(*self._system, points, shape, factors, memory(STATE * n), memory(4), found)
+        system = self._A, self._lacks, self._B, self._C, self._D
+        _refined(*system, points, shape, factors, memory(STATE * n), memory(4), found)
         return found[..., :N]
 
 

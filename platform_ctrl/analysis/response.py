@@ -69,8 +69,6 @@ def frequency_response(system: LinearSystem | Sequence[LinearSystem], frequency:
     J. H. Wilkinson, The Algebraic Eigenvalue Problem, 1965, ch. 7, sec. 11.
 
     J. Demmel et al., ACM Transactions on Mathematical Software 32, 2006.
-
-    G. Henry, The shifted Hessenberg system solve computation, Cornell Theory Center CTC94TR163, 1994.
     """
     w = frequencies(frequency, "frequency_response")
     if not isinstance(system, Sequence):
