@@ -51,9 +51,9 @@ def around_poles(A: np.ndarray, period: float) -> np.ndarray:
     z = np.linalg.eigvals(A)
     z = z[np.abs(z) > 1e-12]
     s = np.log(z.astype(complex)) / period
-    steps = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 120)])
+    steps = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 80)])
     near = [np.abs(one.imag) + sign * steps * max(abs(one.real), 1e-9) for one in s for sign in (-1.0, 1.0)]
-    w = np.concatenate([[0.0, nyquist], np.geomspace(1e-3, nyquist, 4000), *near])
+    w = np.concatenate([[0.0, nyquist], np.geomspace(1e-3, nyquist, 1500), *near])
     return np.unique(w[(w >= 0.0) & (w <= nyquist)])
 
 
@@ -146,3 +146,20 @@ def controller_gain(K, start: float) -> float:
         return size(K.C @ np.linalg.solve(points * np.eye(len(K.A)) - K.A, K.B.astype(complex)) + K.D)
 
     return highest(gain, around_poles(K.A, K.dt), (start, np.inf))
+
+
+def eigenvalues(A: np.ndarray) -> np.ndarray:
+    """Return the eigenvalues of a matrix of doubles from 60 digits, without those of pure delays."""
+    from flint import acb_mat, ctx
+
+    with ctx.workprec(200):
+        found = np.array([complex(one) for one in acb_mat(A.tolist()).eig(algorithm="approx")])
+    return found[np.abs(found) > 1e-9]
+
+
+def noise(loop: Loop, rms: np.ndarray) -> np.ndarray:
+    """Return the rms of the torques from white samples at the pick-offs."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    B, C, D = loop.B["n"] * rms, loop.C["u"], loop.D["u", "n"] * rms
+    return np.sqrt(np.diag(C @ solve_discrete_lyapunov(loop.A, B @ B.T, method="bilinear") @ C.T + D @ D.T))

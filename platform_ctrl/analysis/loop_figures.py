@@ -24,7 +24,7 @@ from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_arrays, bandwidth_
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.norms import gains, noise_rms_arrays, resonances
-from platform_ctrl.analysis.peaks import WHOLE, Band, exceeds, peak
+from platform_ctrl.analysis.peaks import TOLERANCE, WHOLE, Band, exceeds, peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     continuous_poles,
@@ -57,6 +57,8 @@ OF_CONTROLLER = frozenset({"controller poles", "controller gain"})
 GRIDDED = PEAKS | {"bandwidth", "controller gain"}
 # Figures that are the worse the smaller they are.
 _AT_LEAST = frozenset({"disk margin", "bandwidth"})
+# Relative distance above a bandwidth.
+_ABOVE = 1e-7
 # Half-widths of a resonance up to which it may hide between two points of the grid, over their spacing.
 _NARROW = 0.5
 
@@ -235,7 +237,8 @@ class LoopFigures:
         stable = bool(self.decay[k] > 0.0)
         if asked.kind == "bandwidth":
             at = min(map(bandwidth_arrays, self._parts(asked, k))) if stable else 0.0
-            return at / (2.0 * np.pi), at
+            # At a frequency just above it S is seen to be that large.
+            return (1.0 - TOLERANCE) * at / (2.0 * np.pi), (1.0 + _ABOVE) * at
         found, at = max(peak(part, _band(asked)) for part in self._parts(asked, k)) if stable else (np.inf, 0.0)
         return float(self._peak_figure(asked.kind, np.array([found]))[0]), at
 

@@ -170,7 +170,7 @@ class PlantSet:
         Parameters
         ----------
         frequency : (k,)
-            rad/s, up to the Nyquist frequency; those that the grid has already change nothing.
+            rad/s; those that the grid has already, or beyond the Nyquist frequency, change nothing.
 
         Returns
         -------
@@ -181,7 +181,7 @@ class PlantSet:
         -----
         The arguments are not judged.
         """
-        new = np.setdiff1d(frequency, self.frequency)
+        new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
         if not len(new):
             return self
         order = np.argsort(np.concatenate([self.frequency, new]), kind="stable")

@@ -1,0 +1,94 @@
+"""Loops of gimbals 9 and 10 with a narrow notch or resonance in the controller, and a search for the worst of them.
+
+The search makes the largest value over all frequencies as large as it can, compared with what a grid of frequencies
+sees: there a verdict is most likely to be wrong.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import differential_evolution
+
+from platform_ctrl.analysis import PlantSet, StateArrays
+from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.design.blocks import first_order, notch
+from platform_ctrl.design.plants import loop_plants
+from platform_ctrl.reading import read_job
+from platform_ctrl.requirements import LoopRequirement
+
+PERIOD = 5e-4
+L, J9, J10 = 0.15, 5e-4, 2e-4
+# Zeros, rad/s, and rates, 1/s, of the leads of 9 and 10; cross gain, rad/s; notch: centre, Hz, depth and width.
+LOWEST = np.log([5.0, 60.0, 5.0, 60.0, 20.0, 2.0, 0.05, 3e-4])
+HIGHEST = np.log([100.0, 600.0, 100.0, 600.0, 250.0, 300.0, 20.0, 5e-2])
+
+
+@cache
+def plants(delay: float) -> PlantSet:
+    """The nominal plant, the corners of ±10 % in J and L, and those of the platform's rate."""
+    loop = {"name": "9-10", "kind": "caging", "gimbals": ["9", "10"], "use": "K"}
+    return loop_plants(
+        read_job(
+            {
+                "schema": 1,
+                "name": "9-10",
+                "plant": "three_gyro_platform",
+                "operation": {"Omega": [1.0, 1.0, 1.0]},
+                "spread": {"inertia": 0.1, "spin": 0.1},
+                "sampling": {"rate_hz": 2000, "delay": delay},
+                "loop": [loop | {"design": [{"name": "K", "method": "classical"}]}],
+            }
+        ),
+        ("9", "10"),
+    )
+
+
+def controller(numbers: np.ndarray) -> StateArrays:
+    """Return a PD in either axis with cross gain, behind a notch; of a depth above 1 it is a resonance."""
+    zero9, rate9, zero10, rate10, cross, centre, depth, width = numbers
+    leads = []
+    for J, zero, rate in ((J9, zero9, rate9), (J10, zero10, rate10)):
+        a, b, c, d = first_order(1.0, zero, 1.0 / (2.0 * np.pi * 800.0), 1.0, PERIOD)
+        leads.append((a, b, -J * rate * c, -J * rate * d))
+    A, B, C, D = (block_diag(*parts) for parts in zip(*leads, strict=True))
+    D = D + L * cross * np.array([[0.0, -1.0], [1.0, 0.0]])
+    one = notch(2.0 * np.pi * centre, depth, width, PERIOD)
+    a, b, c, d = (block_diag(part, part) for part in one)
+    both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
+    return StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
+
+
+class OnGrid(LoopFigures):
+    """Figures at the frequencies of the grid, and nothing else."""
+
+    _narrow: dict[int, np.ndarray] = {}  # type: ignore[assignment]  # noqa: RUF012
+
+
+def hidden(asked: LoopRequirement, K: StateArrays, among: PlantSet) -> float:
+    """Return ln of how much worse a figure is next to the closed loops' poles than on the grid; −1 if not stable."""
+    loops = OnGrid(among, K)
+    if loops.decay.min() < 0.05:
+        return -1.0
+    grid, seen = loops.figure(asked), LoopFigures(among, K)
+    s = np.abs(continuous_poles(loops.poles, among.period).imag)
+    seen._narrow = {k: np.unique(s[k][np.isfinite(s[k]) & (s[k] > 0.0)]) for k in range(len(s))}  # type: ignore[misc]
+    ratio = np.array([asked.ratio(float(one)) for one in (*grid, *seen.figure(asked))]).reshape(2, -1).max(axis=1)
+    return float(np.log(ratio[1] / ratio[0]))
+
+
+def worst_found(asked: LoopRequirement, delay: float, seed: int) -> tuple[np.ndarray, float]:
+    """Search for the loop whose figure a grid misses the most: numbers of its controller, and ln of the factor."""
+    among = plants(delay).only(range(9))
+    found = differential_evolution(
+        lambda x: -hidden(asked, controller(np.exp(x)), among),
+        list(zip(LOWEST, HIGHEST, strict=True)),
+        seed=seed,
+        maxiter=12,
+        popsize=5,
+        polish=False,
+    )
+    return np.exp(found.x), -float(found.fun)
