@@ -29,6 +29,8 @@ from platform_ctrl.cli.terminal import show_result
 from platform_ctrl.design import loops
 from platform_ctrl.design.loop import closed_loop_poles, remeasured
 from platform_ctrl.errors import InputError
+from platform_ctrl.force_elements import Spring
+from platform_ctrl.reading import shipped_models
 from platform_ctrl.report import (
     comparison,
     coupled_figures,
@@ -843,13 +845,78 @@ def test_every_pole_belongs_to_one_mode(result: JobResult, Omega: tuple[float, f
 
 def test_at_rest_three_gyros_have_one_inertial_direction(result: JobResult) -> None:
     kinds = [mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0)) if len(mode.gimbals) == 3]
-    assert kinds == ["nutation", "precession", "inertial"]
+    assert kinds == ["nutation", "precession", "rigid body"]
 
 
 def test_nutation_is_proportional_to_rotor_speed(result: JobResult) -> None:
     speed = np.array([0.0, 0.5, 1.0, 1.5])
     for _, line in modes.nutation_over_speed(result, speed):
         assert line == pytest.approx(speed * line[2], abs=1e-6 * line[2])
+
+
+def camera(sign: float, rotors: list[dict[str, Any]] | None = None) -> pc.LinearModel:
+    """A two-axis camera gimbal, the pitch body's centre of mass off its axis by 3 g m, upwards or downwards."""
+    return pc.linearise(
+        pc.read_platform(
+            {
+                "schema": 1,
+                "name": "camera",
+                "source": "assumed",
+                "root": {"name": "base", "inertia": [1, 1, 1], "specific_force": [0, 0, 9.81]},
+                "gimbal": [
+                    {"name": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.06, 0.07]},
+                    {"name": "pitch", "parent": "yaw", "axis": [0, 1, 0], "inertia": [0.02, 0.03, 0.04]},
+                ],
+                "unbalance": [{"body": "pitch", "moment": [0, 0, 0.003 * sign]}],
+                "rotor": rotors or [],
+            }
+        )
+    )
+
+
+def test_modes_of_a_plant_without_rotors_are_those_of_a_pendulum_and_of_a_rigid_body() -> None:
+    hanging, standing = camera(-1.0), camera(1.0)
+    [still] = modes.modes(hanging, ("yaw",))
+    assert (still.kind, still.poles, still.frequency, still.growth) == ("rigid body", 2, 0.0, 0.0)
+    [swing] = modes.modes(hanging, ("pitch",))
+    assert (swing.kind, swing.poles, swing.growth) == ("pendulum", 2, 0.0)
+    assert swing.frequency == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
+    [fall] = modes.modes(standing, ("pitch",))
+    assert (fall.kind, fall.poles, fall.frequency) == ("divergence", 2, 0.0)
+    assert fall.growth == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
+
+
+def test_a_rotor_makes_a_mode_nutation_or_precession_only_where_its_torques_hold_the_balance() -> None:
+    rotor = {"name": "wheel", "carrier": "pitch", "axis": [1, 0, 0], "axial_inertia": 1e-3, "transverse_inertia": 6e-4}
+    both = ("yaw", "pitch")
+    # A fast wheel: nutation at L/sqrt(J1 J2), and precession under gravity at about zero, for yaw is not restrained.
+    fast = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 5.0}]), both)
+    assert fast[0].kind == "nutation"
+    assert fast[0].frequency == pytest.approx(5.0 / np.sqrt(0.1106 * 0.0306), rel=1e-3)
+    # A wheel that hardly spins leaves the pendulum what it is.
+    slow = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 1e-3}]), both)
+    assert [mode.kind for mode in slow] == ["pendulum", "rigid body"]
+
+
+def test_a_gyro_on_springs_has_nutation_and_precession() -> None:
+    gyro = pc.read_platform("gimballed_gyro")
+    springs = tuple(Spring(gimbal=one.name, stiffness=0.05) for one in gyro.gimbals)
+    model = pc.linearise(dataclasses.replace(gyro, springs=springs, frictions=()))
+    found = modes.modes(model, model.gimbal_names)
+    assert [mode.kind for mode in found] == ["nutation", "precession"]
+    # Their product is sqrt(det K / det M), whatever the momentum.
+    product = np.sqrt(np.linalg.det(model.stiffness) / np.linalg.det(model.M))
+    assert found[0].frequency * found[1].frequency == pytest.approx(product, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("Omega", [(0.0, 0.0, 0.0), (0.1, 0.2, -0.3)])
+def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str, Omega: tuple[float, float, float]) -> None:
+    model = pc.linearise(pc.read_platform(name), Omega=Omega)
+    found = [mode for group in pc.subsystems(model) for mode in modes.modes(model, group)]
+    assert sum(mode.poles for mode in found) == 2 * len(model.gimbal_names)
+    if not any(rotor.angular_momentum for rotor in model.platform.rotors):
+        assert not {mode.kind for mode in found} & {"nutation", "precession"}
 
 
 # Responses

@@ -107,8 +107,8 @@ def loop_transfer(outcome: LoopOutcome) -> str:
     return (
         f"First column: singular values of the loop transfer at the torquers{which}, and the controller's largest "
         f"gain.{gain} Others: the loop that each torquer closes while all the others stay closed. Stability margins "
-        "show where the gain passes 1: the phase there should keep away from −180° and its odd multiples; the "
-        "nutation shows as a resonance that the phase has to pass on the safe side."
+        "show where the gain passes 1: the phase there should keep away from −180° and its odd multiples; modes of "
+        "the plant with little damping, such as nutation, are resonances that the phase has to pass on the safe side."
     )
 
 
@@ -142,8 +142,8 @@ def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
             "of a torquer's limit (grey line: 1), at any frequency."
         )
     return (
-        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller the gimbals drift "
-        f"away at low frequency and ring at nutation. With “{outcome.closed.name}” no sinusoidal platform rate "
+        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller. "
+        f"With “{outcome.closed.name}” no sinusoidal platform rate "
         f"moves them by more than {plain(worst, 3, 'up')} mrad per rad/s.{text}"
     )
 
@@ -199,7 +199,7 @@ def servo() -> str:
     """The platform servo's loops."""
     return (
         "The loop through each torquer of the platform, all others closed: gain 1 is crossed at the servo's "
-        "crossover; the gyros' own loops must be fast enough to leave phase there."
+        "crossover; the loops of the gimbals must be fast enough to leave phase there."
     )
 
 
@@ -244,7 +244,7 @@ def margin_bars(result: JobResult) -> str:
     asked = result.job.coupled.coupling_cost
     limit = f" A loss of {plain(100.0 * asked, 3)} % is allowed." if asked is not None else ""
     return (
-        "Each pair of bars: the disk margin of one loop before and after the platform feels the gyros' reactions. "
+        "Each pair of bars: the disk margin of one loop before and after the platform feels the gimbals' reactions. "
         f"The design models are good where the pairs are alike.{limit}"
     )
 
@@ -267,8 +267,8 @@ def platform_disturbance() -> str:
     )
 
 
-def run(one: Run) -> str:
-    """A simulated run."""
+def run(one: Run, spinning: bool) -> str:
+    """A simulated run; `spinning`: of a plant whose rotors spin."""
     trajectory = one.trajectory
     if not trajectory.completed:
         return (
@@ -278,15 +278,14 @@ def run(one: Run) -> str:
     worst = 1e3 * float(np.abs(trajectory.q).max(initial=0.0))
     text = f"No gimbal leaves ±{plain(worst, 3, 'up')} mrad."
     saturated = int(trajectory.saturated.sum())
-    if trajectory.mode == "caged":
+    if trajectory.mode == "caged" and spinning:
         text += (
             " A caged gyro holds the rate with the torque L Ω: the torques copy the rate; transient and noise are left "
+            "in the angles."
         )
-        text += "in the angles."
-    else:
-        text += (
-            " The platform gives way until the servo holds the torque; the torques of the caged gyros measure its rate."
-        )
+    elif trajectory.mode != "caged":
+        text += " The platform gives way until the servo holds the torque"
+        text += "; the torques of the caged gyros measure its rate." if spinning else "."
     if saturated:
         text += f" Torquers were at their limits in {count(saturated, 'sample')}."
     if int(trajectory.stop_contacts.sum()):

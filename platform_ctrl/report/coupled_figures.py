@@ -83,7 +83,7 @@ def coupled_pole_figure(result: JobResult) -> Figure:
         axes.set_xlabel("real part, 1/s")
     wide.set_ylabel("imaginary part, rad/s")
     wide.set_title("all poles up to the Nyquist frequency")
-    close.set_title("around the nutation frequencies and below")
+    close.set_title("closer to the origin")
     return figure
 
 

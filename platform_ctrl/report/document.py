@@ -178,11 +178,11 @@ def _groups_in_words(result: JobResult) -> str:
     groups = ["-".join(group) for group in result.subsystems]
     if len(groups) > 1:
         return (
-            f"The gimbals turn independently of one another in {count(len(groups), 'group')} as long as the platform's "
-            f"rate is given: {', '.join(groups)}."
+            f"The gimbals turn independently of one another in {count(len(groups), 'group')} at every constant rate of "
+            f"the platform within the job: {', '.join(groups)}."
         )
     if len(result.job.platform.gimbals) > 1:
-        return f"Also where the platform's rate is given all gimbals act on one another: {groups[0]}."
+        return f"At the platform rates of the job all gimbals act on one another: {groups[0]}."
     return "It has one gimbal." if groups else "It has no gimbals."
 
 
@@ -325,10 +325,11 @@ def _runs(result: JobResult) -> list[Section]:
         f"noise of seed {result.job.seed}. Dashed red lines and shaded areas are limits."
     )
     blocks: list[Block] = [Paragraph(text=words)]
+    spinning = any(rotor.angular_momentum != 0.0 for rotor in result.job.platform.rotors)
     for run in result.runs:
         name = run.manoeuvre.name
         if run.trajectory.t.size:
-            caption = " ".join(filter(None, [captions.run(run), survival(run, result.loops)]))
+            caption = " ".join(filter(None, [captions.run(run, spinning), survival(run, result.loops)]))
             blocks.append(_plate(figures.run_figure(run, result.job.platform), name, caption))
         else:
             nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")

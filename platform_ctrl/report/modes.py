@@ -1,22 +1,42 @@
-"""The modes of the uncontrolled gimbals, and what kind each of them is."""
+"""The modes of the uncontrolled gimbals, and what kind each of them is.
+
+Of an eigenvector x to a pole s of (s² M + s G + s D + K) x = 0, with G that of the rotors alone, the smallest of three
+torques says which two hold the balance, measured by x̄ᵀ M⁻¹ x:
+
+    smallest                              mode
+    restraint, s D x + K x                nutation: the rotors' torques against inertia
+    inertia, s² M x                       precession: the rotors' torques against restraint
+    the rotors' torques, s G x            oscillation, divergence or decay, as without rotors
+
+D holds friction, damping and what a platform rate makes of the inertias; K holds springs, unbalance and restraint by a
+platform rate.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.description import Platform
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.plants import changed, rows_of
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.state_space import state_space
 
+if TYPE_CHECKING:
+    from platform_ctrl.check.verdict import JobResult
+
+Kind = Literal["nutation", "precession", "rigid body", "pendulum", "oscillation", "divergence", "decay"]
+
 # A pole this small against the fastest of its group counts as zero: multiple zeros come out that large in floats.
 _ZERO = 1e-5
+# Real parts, or differences of real poles, this small against a pole are rounding.
+_EQUAL = 1e-6
 
 
 @value
@@ -28,7 +48,8 @@ class Mode:
     gimbals
         The subsystem.
     kind
-        ``nutation``, ``precession``, ``inertial`` (a direction that no gyro stiffens).
+        ``nutation`` and ``precession`` of rotors; ``rigid body``: poles at the origin that no rotor and no restraint
+        takes away; ``pendulum``: an oscillation by unbalance; ``oscillation``, ``divergence`` and ``decay``.
     poles
         How many.
     frequency
@@ -38,7 +59,7 @@ class Mode:
     """
 
     gimbals: tuple[str, ...]
-    kind: str
+    kind: Kind
     poles: int
     frequency: float
     growth: float
@@ -51,34 +72,79 @@ def gimbal_poles(model: LinearModel, gimbals: tuple[str, ...]) -> ComplexArray:
 
 
 def modes(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Mode, ...]:
-    """Return the modes of a subsystem at the model's trim, fastest first.
-
-    Every gyroscopic pair has a nutation and a precession; the directions that no gyro stiffens are plain inertias.
-    """
-    s = gimbal_poles(model, gimbals)
-    pairs = len(channels(model, rows_of(model, gimbals)).momenta)
-    out = []
-    for k in range(pairs):
-        pair = s[2 * k : 2 * k + 2]
-        out.append(_mode(gimbals, "nutation", pair, s))
-    slow = s[2 * pairs :]
-    inertial = len(gimbals) - 2 * pairs
-    if not slow.size:
-        return tuple(out)
-    if np.abs(slow).max() <= _ZERO * np.abs(s).max(initial=0.0) or np.abs(s).max(initial=0.0) == 0.0:
-        if pairs:
-            out.append(_mode(gimbals, "precession", np.zeros(2 * pairs, dtype=np.complex128), s))
-        if inertial:
-            out.append(_mode(gimbals, "inertial", np.zeros(2 * inertial, dtype=np.complex128), s))
-        return tuple(out)
-    # With a platform rate the restraint mixes precession and inertial directions.
-    kind = "precession" if not inertial else "precession and inertial"
-    out += [_mode(gimbals, kind, slow[k : k + 2], s) for k in range(0, len(slow), 2)]
+    """Return the modes of a subsystem at the model's trim, fastest first."""
+    s, kinds = poles_and_kinds(model, gimbals)
+    small = _ZERO * float(np.abs(s).max(initial=0.0))
+    moving = int((np.abs(s) > small).sum())
+    out, k = [], 0
+    while k < moving:
+        # A conjugate pair, or two real poles at the same distance from the origin.
+        pair = k + 1 < moving and bool(abs(abs(s[k + 1]) - abs(s[k])) <= _EQUAL * abs(s[k]))
+        together = slice(k, k + 2 if pair else k + 1)
+        kind = "divergence" if "divergence" in kinds[together] else kinds[k]
+        out.append(_mode(gimbals, kind, s[together], small))
+        k = together.stop
+    rest, standing = len(s) - moving, _precessing(model, gimbals)
+    turned = min(standing, rest)
+    at_zero: tuple[tuple[Kind, int], ...] = (("precession", turned), ("rigid body", rest - turned))
+    out += [_mode(gimbals, kind, np.zeros(poles, dtype=np.complex128), small) for kind, poles in at_zero if poles]
     return tuple(out)
 
 
-def _mode(gimbals: tuple[str, ...], kind: str, s: ComplexArray, every: ComplexArray) -> Mode:
-    small = _ZERO * float(np.abs(every).max(initial=0.0))
+def poles_and_kinds(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[ComplexArray, list[Kind]]:
+    """Return the poles of a subsystem, fastest first, and the kind of each that is not at the origin."""
+    rows = rows_of(model, gimbals)
+    part = np.ix_(rows, rows)
+    M, spinning = model.M[part], _rotors_part(model)[part]
+    damping, stiffness = model.damping[part] - spinning, model.stiffness[part]
+    hanging = dataclasses.replace(model.platform, unbalances=())
+    unbalance = model.Q_angle[part] - _again(model, hanging).Q_angle[part]
+    s, vectors = np.linalg.eig(state_space(model, gimbals=gimbals).A)
+    order = np.argsort(-np.abs(s), kind="stable")
+    s, x = s[order], vectors[: len(rows), order]
+
+    def size(torques: ComplexArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.abs(np.einsum("ik,ik->k", torques.conj(), np.linalg.solve(M, torques)))))
+
+    inertia, rotors = size(s**2 * (M @ x)), size(s * (spinning @ x))
+    restraint, weight = size(s * (damping @ x) + stiffness @ x), size(unbalance @ x)
+    kinds: list[Kind] = []
+    for k, pole in enumerate(s):
+        if rotors[k] > min(inertia[k], restraint[k]):
+            kinds.append("nutation" if restraint[k] <= inertia[k] else "precession")
+        elif abs(pole.imag) > _EQUAL * abs(pole):
+            kinds.append("pendulum" if weight[k] > 0.5 * restraint[k] else "oscillation")
+        else:
+            kinds.append("divergence" if pole.real > 0.0 else "decay")
+    return s, kinds
+
+
+def _rotors_part(model: LinearModel) -> FloatArray:
+    """Return what the rotors' momenta make of G, (n, n): nutation and precession are theirs."""
+    return np.asarray(model.G - _again(model, without_spin(model)).G)
+
+
+def without_spin(model: LinearModel) -> Platform:
+    """Return the model's platform with all rotors at rest."""
+    return changed(model.platform, {}, {rotor.name: -1.0 for rotor in model.platform.rotors})
+
+
+def _again(model: LinearModel, platform: Platform) -> LinearModel:
+    """Return another platform's model at the same trim."""
+    return linearise(platform, Omega=model.Omega0, terms=model.terms, q=model.q0, specific_force=model.specific_force)
+
+
+def _precessing(model: LinearModel, gimbals: tuple[str, ...]) -> int:
+    """Return in how many directions without restraint a torque makes the rotors precess: poles at the origin."""
+    rows = rows_of(model, gimbals)
+    part = np.ix_(rows, rows)
+    spinning, stiffness = _rotors_part(model)[part], model.stiffness[part]
+    _, sizes, directions = np.linalg.svd(stiffness)
+    free = directions[sizes <= _EQUAL * max(float(sizes.max(initial=0.0)), 1e-300)]
+    return int(np.linalg.matrix_rank(free @ spinning @ free.T, tol=_EQUAL * float(np.abs(spinning).max(initial=0.0))))
+
+
+def _mode(gimbals: tuple[str, ...], kind: Kind, s: ComplexArray, small: float) -> Mode:
     frequency, growth = float(np.abs(s.imag).max(initial=0.0)), float(s.real.max(initial=0.0))
     return Mode(
         gimbals=gimbals,
@@ -101,9 +167,8 @@ def nutation_over_speed(result: JobResult, speed: FloatArray) -> list[tuple[tupl
     At rest the inertias do not depend on the rotors' momenta and the gyroscopic matrix is proportional to them, so
     two linearisations give every speed.
     """
-    platform = result.job.platform
-    still = linearise(changed(platform, {}, {rotor.name: -1.0 for rotor in platform.rotors}))
     turning = result.model
+    still = linearise(without_spin(turning))
     out = []
     for group in result.subsystems:
         pairs = len(channels(turning, rows_of(turning, group)).momenta)

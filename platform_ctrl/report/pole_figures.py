@@ -74,7 +74,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     extent = 1.7 * nutation
     _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
     wide.set_title("all poles up to the Nyquist frequency")
-    close.set_title("around the nutation frequency and below")
+    close.set_title("closer to the origin")
     legend_above(figure, handles, names)
     return figure
 
@@ -134,7 +134,7 @@ def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period:
     _label_gains(close, locus, marks, extent)
     legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])
     wide.set_title("all branches up to the Nyquist frequency")
-    close.set_title("around the nutation frequency and below")
+    close.set_title("closer to the origin")
     return figure
 
 

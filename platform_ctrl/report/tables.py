@@ -246,10 +246,9 @@ def axis_text(axis: Sequence[float] | np.ndarray) -> str:
 
 
 _KIND = {
-    "nutation": "nutation",
-    "precession": "precession",
-    "inertial": "free inertia: no gyro acts in this direction",
-    "precession and inertial": "precession and free inertia",
+    "rigid body": "rigid-body mode: free rotation, no gyro and no restraint acts",
+    "pendulum": "pendulum oscillation",
+    "divergence": "divergence",
 }
 
 
@@ -268,7 +267,7 @@ def _mode_cells(mode: Mode) -> tuple[str, str, str, str]:
         frequency = "at the origin" if mode.growth == 0.0 else "no oscillation"
     else:
         frequency = f"{plain(mode.frequency)} rad/s = {plain(mode.frequency / (2.0 * np.pi))} Hz"
-    kind = _KIND[mode.kind]
+    kind = _KIND.get(mode.kind, mode.kind)
     if mode.growth > 0.0:
         kind += f", unstable, grows at {plain(mode.growth, 3)} 1/s"
     return "-".join(mode.gimbals), kind, str(mode.poles), frequency

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.arguments import known_name, real_numbers
 from platform_ctrl.description import Platform
-from platform_ctrl.design.channels import channels
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.report.modes import poles_and_kinds
 from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import drawable
@@ -41,8 +41,6 @@ from platform_ctrl.state_space import state_space, subsystems, whole_subsystems
 _SPEEDS = 401
 # A frequency this small against the fastest is none: poles at zero come out that large.
 _ZERO = 1e-5
-# A mode whose frequency moves less than this with the speed, both relative, is no gyroscopic one.
-_GYRO = 0.01
 # Meetings in the corner, where everything begins, say nothing: share of the largest speed.
 _CORNER = 0.005
 _WIDTH, _HEIGHT = 9.6, 4.8
@@ -57,7 +55,7 @@ class SpinMode:
     gimbals
         The subsystem.
     kind
-        ``nutation``, ``precession``, or ``oscillation``: one that the rotors' speed hardly moves.
+        As `Mode.kind`, at the nominal speed.
     frequency : (N,)
         |Im s|, rad/s.
     nominal
@@ -196,20 +194,17 @@ def _modes(model: LinearModel, still: LinearModel, group: tuple[str, ...], speed
     scale = float(np.abs(poles).max(initial=0.0))
     turning = np.where(turning > _ZERO * scale, turning, 0.0)
     lines, nominal = _smooth(turning[:-1]), turning[-1]
-    pairs = len(channels(model, [model.gimbal_names.index(name) for name in group]).momenta)
+    poles, kinds = poles_and_kinds(model, group)
     beside = np.argmin(np.abs(speed - 1.0))
     # Which line a frequency at nominal speed belongs to.
     order = np.argsort(-lines[beside], kind="stable")
-    out, nutations = [], 0
+    out = []
     for rank, column in enumerate(order):
         line = lines[:, column]
         if line.max() <= 0.0 or (nominal[rank] == 0.0 and np.count_nonzero(line) < 0.5 * len(line)):
             continue
-        moved = float(np.ptp(line)) / float(line.max())
-        kind = "oscillation"
-        if moved > _GYRO:
-            kind = "nutation" if nutations < pairs else "precession"
-            nutations += kind == "nutation"
+        nearest = int(np.argmin(np.abs(np.abs(poles.imag) - nominal[rank])))
+        kind = kinds[nearest] if nominal[rank] > 0.0 else "oscillation"
         out.append(SpinMode(gimbals=group, kind=kind, frequency=line, nominal=float(nominal[rank])))
     return out
 
