@@ -179,8 +179,13 @@ def test_what_no_input_moves_or_no_weight_sees_is_named():
         lqr(DOUBLE, np.eye(2), [[-1.0]])
     with pytest.raises(IllPosedError, match="R2 is not positive definite, for "):
         lqe(gyro(), NOISE[0], np.ones((2, 2)))
-    with pytest.raises(IllPosedError, match="not positive semidefinite"):
+    with pytest.raises(IllPosedError, match="no stabilising solution: its Hamiltonian pencil has eigenvalues on"):
         lqr(gyro(), -WEIGHTS[0], WEIGHTS[1])
+    for negative in ((-NOISE[0], NOISE[1]), (NOISE[0], NOISE[1], 1e3 * np.ones((4, 2)))):
+        with pytest.raises(IllPosedError, match="not positive semidefinite; expected one: intensities of noise"):
+            lqe(gyro(), *negative)
+    with pytest.raises(IllPosedError, match="LQG's cost is a norm squared"):
+        lqg(gyro(), -WEIGHTS[0], WEIGHTS[1], *NOISE)
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ SOURCES = (
     "B. Bamieh, J. B. Pearson, Systems & Control Letters 18, 1992",
     "C. J. Clopper, E. S. Pearson, Biometrika 26, 1934",
     "C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997",
+    "D. L. Kleinman, IEEE Trans. Automatic Control 13, 1968",
     "I. M. Sobol, Mathematics and Computers in Simulation 55, 2001",
     "I. M. Sobol, USSR Computational Mathematics and Mathematical Physics 7, 1967",
     "I. Papaioannou, W. Betz, K. Zwirglmaier, D. Straub, Probabilistic Engineering Mechanics 41, 2015",

@@ -20,7 +20,7 @@ from platform_ctrl.design.assumptions import (
     zero_on_axis,
 )
 from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
-from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
+from platform_ctrl.design.riccati import relative_residual, riccati_solution
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
 from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
 from platform_ctrl.errors import UnscalableError
@@ -155,14 +155,14 @@ def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, di
     of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
     found = []
     for name, equation in (("X", of_X), ("Y", of_Y)):
-        solution = continuous_solution(*equation)
+        solution = riccati_solution(*equation, discrete=False)
         if solution is None:
             require_no_zero_on_axis(scaled, P, WHERE)
             raise UnscalableError(f"{WHERE}: the equation of {name} {NO_SOLUTION}", P)
         found.append(solution)
     if zero_on_axis(p) is not None:
         require_no_zero_on_axis(scaled, P, WHERE)
-    (X, F), (Y, Lt) = found
+    (X, F, _), (Y, Lt, _) = found
     L = Lt.T
     square = np.trace(p.B1.T @ X @ p.B1) + np.trace(of_X[3] @ F @ Y @ F.T)
     # The norm of a slower system: time is counted in units of 1/rate.
@@ -208,7 +208,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, di
     """
     of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
     of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
-    for_X, for_Y = discrete_solution(*of_X), discrete_solution(*of_Y)
+    for_X, for_Y = (riccati_solution(*equation, discrete=True) for equation in (of_X, of_Y))
     if for_X is None or for_Y is None:
         return None
     (X, F, W), (Y, Lt, S) = for_X, for_Y

@@ -44,7 +44,7 @@ class StateFeedback:
         K of u = −K [x, xi], as `control.lqr`, in the plant's units; xi (p,) are the integrals (sampled: sums) of y,
         where they are asked for.
     X : (n + p, n + p)
-        The least cost from the state x is x' X x, in units of the cost.
+        Of all inputs that bring the state x to rest, the least cost is x' X x, in units of the cost.
     poles : complex (n + p,)
         Of the closed loop: rad/s, or in z (dimensionless).
     integrals
@@ -175,7 +175,8 @@ def lqr(
     system
         Continuous or sampled plant.
     Q1, Q2
-        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike. Shapes (n, n), (m, m).
+        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike. Shapes (n, n), (m, m). Q1
+        may be indefinite, and Q2 of sampled plants singular, as long as there is a stabilising solution.
     Q12 : (n, m), optional
         Weight between them, in the same units; default 0.
     integral : (p, p), optional
@@ -191,16 +192,19 @@ def lqr(
     ArgumentError
         The arguments do not make sense.
     IllPosedError
-        Q2 is not positive definite, [Q1, Q12; Q12', Q2] is not positive semidefinite, or the cost does not see a mode
-        on the stability boundary; the message names it.
+        Q2 of a continuous plant is not positive definite; the Riccati equation has no stabilising solution (for
+        semidefinite weights: the cost does not see a mode on the stability boundary, which the message names); or the
+        cost of a sampled plant has no least value, Q2 + B'XB not being positive definite.
     NotStabilisableError
         No input moves a mode that is not stable.
-    UnscalableError, NotCertifiedError
+    NotCertifiedError
         The Riccati equation was not solved, or the loop is not stable.
 
     References
     ----------
     A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
+
+    D. L. Kleinman, IEEE Trans. Automatic Control 13, 1968.
 
     K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
 
@@ -214,7 +218,14 @@ def lqr(
     """
     arrays = state_arrays(system, "lqr")
     weights = judged_weights(
-        "lqr", "Q1, Q2, Q12", (Q1, Q2, Q12), len(arrays.A), arrays.B.shape[1], system.input_labels, system
+        "lqr",
+        "Q1, Q2, Q12",
+        (Q1, Q2, Q12),
+        len(arrays.A),
+        arrays.B.shape[1],
+        system.input_labels,
+        system,
+        semidefinite=False,
     )
     return _feedback(system, arrays, weights, integral, "lqr")
 
@@ -239,8 +250,9 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
 
     Raises
     ------
-    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
-        As `lqr`, for noise and measurements in place of weights and inputs.
+    ArgumentError, IllPosedError, NotStabilisableError, NotCertifiedError
+        As `lqr`, for noise and measurements in place of weights and inputs; and where [R1, R12; R12', R2] is not
+        positive semidefinite, or R2 not positive definite.
 
     References
     ----------
@@ -288,8 +300,10 @@ def lqg(
 
     Raises
     ------
-    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
-        As `lqr` and `lqe`; NotCertifiedError also where the closed loop does not have the cost that was promised.
+    ArgumentError, IllPosedError, NotStabilisableError, NotCertifiedError
+        As `lqr` and `lqe`; IllPosedError also where [Q1, Q12; Q12', Q2] is not positive semidefinite or Q2 not positive
+        definite, since the cost is a norm squared; NotCertifiedError also where the closed loop does not have the cost
+        that was promised.
 
     References
     ----------

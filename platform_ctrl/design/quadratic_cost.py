@@ -6,6 +6,7 @@ intensities and measurements too.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,8 +15,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, state_scaling
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.arguments import real_array
-from platform_ctrl.design.riccati import continuous_solution, discrete_solution, relative_residual
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
+from platform_ctrl.design.riccati import relative_residual, riccati_solution
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -23,12 +24,14 @@ if TYPE_CHECKING:
 
 # Largest relative residual of a Riccati equation (scaled).
 RESIDUAL = 1e-6
-# A weight may be negative by this share of its largest eigenvalue: rounding.
+# A noise intensity may be negative by this share of its largest eigenvalue: rounding.
 SEMIDEFINITE = 1e-10
+# A weight of the inputs whose least eigenvalue, of a unit diagonal, is below this is singular: rounding.
+SINGULAR = 1e-15
 
 
 class Weights(NamedTuple):
-    """[first, cross; cross', second], positive semidefinite with a positive definite second."""
+    """[first, cross; cross', second]."""
 
     first: FloatArray
     second: FloatArray
@@ -43,6 +46,8 @@ def judged_weights(
     m: int,
     labels: list[str],
     system: StateSpace,
+    *,
+    semidefinite: bool = True,
 ) -> Weights:
     """Judge weights or intensities.
 
@@ -56,13 +61,16 @@ def judged_weights(
         Numbers of states and inputs, and the inputs' names.
     system
         Attached to errors.
+    semidefinite
+        Whether they have to be positive semidefinite together, and the second positive definite: what are intensities,
+        or is a norm squared. Otherwise the second has to be so for continuous systems alone, and the equation decides.
 
     Raises
     ------
     ArgumentError
         A plant without states or such signals; wrong shapes, not finite, not symmetric.
     IllPosedError
-        The second is not positive definite, or the whole not positive semidefinite.
+        Not definite as above.
     """
     first, second, between = names.split(", ")
     if not (n and m):
@@ -77,33 +85,41 @@ def judged_weights(
         if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
             raise ArgumentError(f"{where}: {name} is not symmetric; expected a symmetric matrix")
     Q, R = 0.5 * (Q + Q.T), 0.5 * (R + R.T)
+    if semidefinite or not system.dt:
+        _require_definite(f"{where}: {second}", R, labels, bool(system.dt), system)
+    if semidefinite:
+        whole = np.block([[Q, N], [N.T, R]])
+        size = np.sqrt(np.maximum(np.diag(whole), 0.0))
+        size[size == 0.0] = 1.0
+        if np.linalg.eigvalsh(whole / size / size[:, None])[0] < -SEMIDEFINITE * (n + m):
+            raise IllPosedError(
+                f"{where}: [{first}, {between}; {between}', {second}] is not positive semidefinite; expected one: "
+                + ("intensities of noise are never negative" if first == "R1" else "LQG's cost is a norm squared"),
+                system,
+            )
+    return Weights(Q, R, N)
+
+
+def _require_definite(name: str, R: FloatArray, labels: list[str], sampled: bool, system: StateSpace) -> None:
+    """Raise an IllPosedError that names an input without a weight."""
     # In units of their own: a weight of 1e-12 beside one of 1 is small, not zero.
+    cure = "" if sampled else ": the best input has impulses otherwise"
     if not np.all(np.diag(R) > 0.0):
         k = int(np.argmin(np.diag(R)))
         raise IllPosedError(
-            f"{where}: {second} is {R[k, k]:.4g} for {labels[k]}; expected a positive definite {second}: every one "
-            'counts; give a small positive number, or design.h2 with method="lmi"',
+            f"{name} is {R[k, k]:.4g} for {labels[k]}; expected a positive definite matrix{cure}; give a small "
+            'positive number, or use design.h2 with method="lmi"',
             system,
         )
     unit = np.sqrt(np.diag(R))
     values, vectors = np.linalg.eigh(R / unit / unit[:, None])
-    if values[0] <= SEMIDEFINITE * values[-1]:
+    if values[0] <= SINGULAR * len(R) * values[-1]:
         k = int(np.argmax(np.abs(vectors[:, 0])))
         raise IllPosedError(
-            f"{where}: {second} is not positive definite, for {labels[k]} among others; expected a positive definite "
-            f"{second}; give larger numbers on its diagonal",
+            f"{name} is not positive definite, for {labels[k]} among others; expected a positive definite "
+            f"matrix{cure}; give larger numbers on its diagonal",
             system,
         )
-    rest = Q - N @ np.linalg.solve(R, N.T)
-    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
-    size[size == 0.0] = 1.0
-    if n and np.linalg.eigvalsh(rest / size / size[:, None])[0] < -SEMIDEFINITE * n:
-        raise IllPosedError(
-            f"{where}: [{first}, {between}; {between}', {second}] is not positive semidefinite; expected one: the cost "
-            "has no least value otherwise",
-            system,
-        )
-    return Weights(Q, R, N)
 
 
 def solved(
@@ -114,39 +130,44 @@ def solved(
     Raises
     ------
     IllPosedError
-        The weights do not see a mode on the stability boundary; the message names it.
-    UnscalableError
-        There is no stabilising solution in floating point.
+        There is no stabilising solution, for example because the weights do not see a mode on the stability boundary,
+        which the message then names; or the cost has no least value.
     NotCertifiedError
         The loop is not stable, or the equation is not solved.
     """
     Q, R, N = weights
-    unit = 1.0 / np.sqrt(np.diag(R))
+    # Powers of two are exact to undo: what is solved is the equation as given.
+    unit = _power_of_two(1.0 / np.sqrt(np.where(np.diag(R) > 0.0, np.diag(R), 1.0)))
     root_of_Q = square_root(Q).T
-    found = None
     # What balances A alone comes second: it suits a loop that is hardly faster than the plant.
-    for s, cost in (_units(A, B * unit, root_of_Q), _units_of_plant(A, B * unit, root_of_Q)):
+    found = None
+    for s, root in _all_units(A, B * unit, root_of_Q):
         As, Bs = A * s / s[:, None], B * unit / s[:, None]
         Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
-        root = np.sqrt(cost)
-        # The unit of time in which A is near one.
-        rate = 1.0 if dt else max(float(np.linalg.norm(As, 2)), np.finfo(float).tiny)
-        equation = (As / rate, Bs * root / rate, Qs / cost, Rs, Ns / root)
-        try:
-            found = discrete_solution(*equation) if dt else continuous_solution(*equation)
-        except np.linalg.LinAlgError:
-            found = None
-        if found is not None and relative_residual(*equation, found[0], discrete=dt > 0) <= RESIDUAL:
-            break
+        # The unit of time in which A and B are at most near one.
+        size = float(np.linalg.norm(As, 2) + np.linalg.norm(Bs) * root)
+        rate = 1.0 if dt or not size else float(_power_of_two(size))
+        equation = (As / rate, Bs * (root / rate), Qs / root**2, Rs, Ns / root)
+        found = riccati_solution(*equation, discrete=dt > 0)
+        if found is not None:
+            residual = relative_residual(*equation, found[0], discrete=dt > 0)
+            if residual <= RESIDUAL:
+                break
     if found is None:
         _name_blind_mode(equation, rate, dt, where, system)
-        raise UnscalableError(
-            f"{where}: the Riccati equation has no stabilising solution in scaled units; expected weights and modes "
-            "with less spread; try larger weights on the slow states",
+        raise IllPosedError(
+            f"{where}: the Riccati equation has no stabilising solution: its {'symplectic' if dt else 'Hamiltonian'} "
+            f"pencil has eigenvalues on the {'unit circle' if dt else 'imaginary axis'}, or too near to it for "
+            "floating point; expected weights (or intensities) that are positive definite, or less negative",
             system,
         )
-    X, F = found[0], found[1]
-    residual = relative_residual(*equation, X, discrete=dt > 0)
+    X, F, W = found
+    if dt and np.linalg.eigvalsh(W)[0] <= 0.0:
+        raise IllPosedError(
+            f"{where}: the weight of the inputs and of what they bring about, R + B'XB, is not positive definite: the "
+            "cost has no least value; expected larger weights of the inputs",
+            system,
+        )
     F = F * (unit[:, None] * root) / s
     poles = np.asarray(np.linalg.eigvals(A + B @ F), dtype=np.complex128)
     if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0 or not residual <= RESIDUAL:
@@ -155,25 +176,40 @@ def solved(
             f"stable loop and {RESIDUAL:g}; try weights with less spread",
             system,
         )
-    return X * (cost / rate) / s / s[:, None], F, poles, residual
+    return X * (root**2 / rate) / s / s[:, None], F, poles, residual
+
+
+def _power_of_two(number: ArrayLike) -> FloatArray:
+    return np.asarray(np.exp2(np.round(np.log2(number))))
+
+
+def _all_units(A: FloatArray, B: FloatArray, C: FloatArray) -> Iterator[tuple[FloatArray, float]]:
+    """Go through units of the states, and of the root of the cost."""
+    yield _units(A, B, C)
+    s, root = _units_of_plant(A, B, C)
+    yield s, root
+    # In which B is as large as A: for costs of the states that are nothing beside the effort of stabilising them.
+    fast, into = float(np.linalg.norm(A * s / s[:, None])), float(np.linalg.norm(B / s[:, None]))
+    if fast and into:
+        yield s, float(_power_of_two(fast / into))
 
 
 def _units(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
-    """Units s of the states, and of the cost in which B and the root C of their weights are equally large."""
-    s, cost = np.ones(len(A)), 1.0
+    """Units s of the states, and of the root of the cost, in which B and the root C of their weights are as large."""
+    s, root = np.ones(len(A)), 1.0
     for _ in range(3):
-        s = s * state_scaling(A * s / s[:, None], B * np.sqrt(cost) / s[:, None], C * s / np.sqrt(cost))
+        s = s * state_scaling(A * s / s[:, None], B * root / s[:, None], C * s / root)
         into, seen = float(np.linalg.norm(B / s[:, None])), float(np.linalg.norm(C * s))
         if not (into and seen):
             break
-        cost = float(2.0 ** np.round(np.log2(seen / into)))
-    return s, cost
+        root = float(_power_of_two(np.sqrt(seen / into)))
+    return s, root
 
 
 def _units_of_plant(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, float]:
     """Units of the states that balance [A B; C 0], and of the cost in which the weight of the states is near one."""
     s = state_scaling(A, B, C if len(C) else np.zeros((1, len(A))))
-    return s, max(float(np.linalg.norm(C * s, 2)) ** 2, np.finfo(float).tiny) if len(C) else 1.0
+    return s, float(_power_of_two(max(float(np.linalg.norm(C * s, 2)), np.finfo(float).tiny))) if len(C) else 1.0
 
 
 def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
@@ -194,9 +230,10 @@ def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, w
 
 
 def square_root(Q: FloatArray) -> FloatArray:
-    """Return a square root G, Q = G G', of a positive semidefinite matrix; zero columns left out."""
-    size = np.sqrt(np.maximum(np.diag(Q), 0.0))
+    """Return a root G, Q = G G', of a semidefinite matrix, zero columns left out; of |Q| if it is indefinite."""
+    size = np.sqrt(np.abs(np.diag(Q)))
     size[size == 0.0] = 1.0
     values, vectors = np.linalg.eigh(Q / size / size[:, None])
-    keep = values > 1e-14 * max(float(values[-1]), 0.0)
+    values = np.abs(values)
+    keep = values > 1e-14 * float(values.max(initial=0.0))
     return np.asarray(size[:, None] * vectors[:, keep] * np.sqrt(values[keep]))

@@ -1,17 +1,25 @@
-"""Stabilising solutions of Riccati equations, by the stable subspace of their Hamiltonian or symplectic pencil.
+"""Stabilising solutions of algebraic Riccati equations, continuous and discrete.
 
-Continuous equations by the ordered real Schur form (Laub, IEEE Transactions on Automatic Control 24, 1979), discrete
-ones by SciPy's ordered QZ. None means that there is no stabilising solution: an eigenvalue lies on the stability
-boundary, or so near to it that rounding cannot tell.
+A first solution comes from the ordered real Schur form of the Hamiltonian matrix (Laub, IEEE Transactions on Automatic
+Control 24, 1979) or from SciPy's ordered QZ form of the extended pencil, whichever has a stable loop. Newton's method
+(Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) then takes back what it has lost, with residuals that are worked out
+in more digits: what a nearly singular weight takes from a residual in double precision would be its limit.
+
+None means that there is no stabilising solution: an eigenvalue lies on the stability boundary. Where double precision
+cannot tell, the eigenvalues are found in more digits.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.certificates.balls import Balls, balls, blocks, identity
 from platform_ctrl.frozen import FloatArray
 
 # Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
@@ -19,8 +27,31 @@ AXIS = 1e-10
 # Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
 # the matrices of the equation are near one: the solution 0 comes out as rounding.
 SYMMETRY, ZERO = 1e-6, 1e-9
-# Steps of Newton's method at most.
-NEWTON_STEPS = 8
+# Steps of Newton's method at most, and the share of the residual that a step has to leave less than.
+NEWTON_STEPS, NEWTON_PROGRESS = 30, 0.7
+# Step of Newton's method, in units in which the diagonal of X is near one, that X in doubles does not feel.
+NO_STEP = 1e-18
+# Smallest entry on the diagonal of X that units of the states bring to one, relative to the largest.
+SMALLEST_COST = 1e-24
+# Bits of a residual, and states up to which it is worked out in them.
+BITS, PRECISE_STATES = 128, 128
+# Decay of a pole in times of its rounding, or over the norm of the loop's matrix (of sampled loops over 1), with which
+# it is not on the stability boundary; and over that norm where nothing better tells.
+SURE, DEEP, FAR = 1e3, 0.2, 1e-3
+# Else the eigenvalues are found in so many bits, up to so many states. On the boundary is one with less decay over its
+# size, or less size over the largest one's: several that meet in a point are parted by a root of the rounding unit.
+EIGENVALUE_BITS, EIGENVALUE_STATES, NO_DECAY, NO_SIZE = 400, 40, 1e-14, 1e-20
+
+
+class Equation(NamedTuple):
+    """A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0, or A'XA − X + Q − (A'XB + N) (R + B'XB)⁻¹ (B'XA + N') = 0."""
+
+    A: FloatArray
+    B: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    N: FloatArray
+    discrete: bool
 
 
 class Subspace(NamedTuple):
@@ -37,7 +68,7 @@ class Subspace(NamedTuple):
     """
 
     X: FloatArray | None
-    eigenvalues: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+    eigenvalues: ComplexArray
     distance: float
 
 
@@ -45,10 +76,11 @@ def _in_left_half(real: float, imaginary: float) -> bool:
     return real < 0.0
 
 
-def stabilising(H: FloatArray) -> Subspace:
+def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
     """Return the stabilising solution of the equation with the Hamiltonian matrix H = [A, −S; −Q, −A'].
 
-    X makes A − S X stable and solves A'X + XA − XSX + Q = 0.
+    X makes A − S X stable and solves A'X + XA − XSX + Q = 0. Eigenvalues nearer to the imaginary axis than `axis` times
+    the norm of H count as on it.
     """
     from scipy.linalg import lapack
 
@@ -62,7 +94,7 @@ def stabilising(H: FloatArray) -> Subspace:
     eigenvalues = real + 1j * imaginary
     distance = float(np.abs(real).min(initial=np.inf)) / size if size else 0.0
     # Eigenvalues on the axis come out on either side of it, sometimes n on each.
-    if failed or stable != n or distance < AXIS:
+    if failed or stable != n or distance < axis:
         return Subspace(None, eigenvalues, distance)
     try:
         X = np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T
@@ -74,82 +106,213 @@ def stabilising(H: FloatArray) -> Subspace:
     return Subspace(0.5 * (X + X.T), eigenvalues, distance)
 
 
-def continuous_solution(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return X and the gain F = −R⁻¹(B'X + N') that makes A + B F stable, or None.
+def riccati_solution(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, discrete: bool
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, the gain F = −W⁻¹(B'X + N') that makes A + B F stable, and W = R, or None.
 
-    X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: the least of ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive
-    definite.
+    X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: of all inputs that bring x to rest, the least of
+    ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not be.
+
+    Of discrete equations, A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0 with W = R + B'XB and F = −W⁻¹(B'XA + N'): the
+    same for the sum, where W is positive definite. R may be singular, W must not be.
     """
-    from scipy.linalg import solve_continuous_lyapunov
+    equation = Equation(A, B, Q, R, N, discrete)
+    for start in _starts(equation):
+        found = _refined(equation, start)
+        if found is not None:
+            return found if _off_boundary(equation, *found) else None
+    return None
 
-    into = np.linalg.solve(R, np.hstack([B.T, N.T]))
-    n = len(A)
-    left = A - B @ into[:, n:]
-    H = np.block([[left, -B @ into[:, :n]], [N @ into[:, n:] - Q, -left.T]])
-    X = stabilising(H).X
-    if X is None:
-        return None
-    # Newton's method (Kleinman) takes back what the change to U11⁻¹ has cost: mostly one step. It converges from
-    # wherever the loop is stable.
-    F = -into[:, :n] @ X - into[:, n:]
-    residual = A.T @ X + X @ A + Q - F.T @ R @ F
-    for _ in range(NEWTON_STEPS):
-        closed = A + B @ F
-        if not np.all(np.isfinite(closed)) or np.linalg.eigvals(closed).real.max(initial=-1.0) >= 0.0:
-            break
+
+def _starts(equation: Equation) -> Iterator[FloatArray]:
+    """Go through what the two methods find, each at its time."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+    A, B, Q, R, N, discrete = equation
+    if not discrete:
+        try:
+            X = stabilising(_hamiltonian(equation), axis=0.0).X
+        except np.linalg.LinAlgError:
+            X = None
+        if X is not None:
+            yield X
+    solve = solve_discrete_are if discrete else solve_continuous_are
+    for balanced in (True, False):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            step = solve_continuous_lyapunov(closed.T, -0.5 * (residual + residual.T))
-        if not np.all(np.isfinite(step)):
+            try:
+                X = np.asarray(solve(A, B, Q, R, s=N, balanced=balanced), dtype=np.float64)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+        if np.all(np.isfinite(X)):
+            yield 0.5 * (X + X.T)
+
+
+def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, F and W after Newton's method from X; None where the loop of F is not stable."""
+    found = _judged(equation, X)
+    if found is None:
+        return None
+    F, W, residual, _ = found
+    # Units of the states in which the diagonal of X is near one: there the loop is nearly dissipative, and small
+    # entries count as much as large ones. States that hardly cost anything suit the given units better.
+    costs = np.abs(np.diag(X))
+    costs = np.maximum(costs, SMALLEST_COST * (float(costs.max(initial=0.0)) or 1.0))
+    unit = np.exp2(-np.round(0.5 * np.log2(costs)))
+    left = _size(residual, unit)
+    for _ in range(NEWTON_STEPS):
+        closed = equation.A + equation.B @ F
+        for s in (unit, np.ones(len(X))):
+            step = _step(closed, residual, s, equation.discrete)
+            if step is None or np.all(np.abs(step * unit * unit[:, None]) <= NO_STEP):
+                continue
+            better = _judged(equation, X + step)
+            if better is not None and _size(better[2], unit) < NEWTON_PROGRESS * left:
+                X = X + step
+                F, W, residual, _ = better
+                left = _size(residual, unit)
+                break
+        else:
             break
-        new = X + 0.5 * (step + step.T)
-        F_new = -into[:, :n] @ new - into[:, n:]
-        left = A.T @ new + new @ A + Q - F_new.T @ R @ F_new
-        enough = np.linalg.norm(left) > 0.1 * np.linalg.norm(residual)
-        if np.linalg.norm(left) <= np.linalg.norm(residual):
-            X, F, residual = new, F_new, left
-        if enough:
-            break
-    return X, F
+    return X, F, W
 
 
-def discrete_solution(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return X, the gain F = −W⁻¹(B'XA + N') that makes A + B F stable, and W = R + B'XB; or None.
+def _step(closed: FloatArray, residual: FloatArray, unit: FloatArray, discrete: bool) -> FloatArray | None:
+    """Return Newton's step, by a Lyapunov (Stein) equation in units of the states."""
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-    X solves A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0: the least of Σ x'Qx + 2 x'Nu + u'Ru is x'Xx. R may be
-    singular, W must not be.
-    """
-    from scipy.linalg import solve_discrete_are
-
-    with warnings.catch_warnings():
+    scaled, right = (closed * unit / unit[:, None]).T, residual * unit * unit[:, None]
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
-            X = solve_discrete_are(A, B, Q, R, s=N)
-            X = 0.5 * (X + X.T)
-            W = R + B.T @ X @ B
-            F = -np.linalg.solve(W, B.T @ X @ A + N.T)
+            step = solve_discrete_lyapunov(scaled, right) if discrete else solve_continuous_lyapunov(scaled, -right)
         except (np.linalg.LinAlgError, ValueError):
             return None
-    if not np.all(np.isfinite(F)) or np.abs(np.linalg.eigvals(A + B @ F)).max(initial=0.0) >= 1.0 - AXIS:
+    step = 0.5 * (step + step.T) / unit / unit[:, None]
+    return step if np.all(np.isfinite(step)) else None
+
+
+def _size(residual: FloatArray, unit: FloatArray) -> float:
+    """Return the size of a residual, in the given units times in others."""
+    return float(np.linalg.norm(residual)) * float(np.linalg.norm(residual * unit * unit[:, None]))
+
+
+def _judged(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+    """Return F and W of X, the residual and the size of its largest term; None where the loop of F is not stable."""
+    try:
+        found = _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
+    except (np.linalg.LinAlgError, ZeroDivisionError):
         return None
-    return X, F, 0.5 * (W + W.T)
+    F, _, residual, _ = found
+    if not (np.all(np.isfinite(F)) and np.all(np.isfinite(residual))):
+        return None
+    poles = np.linalg.eigvals(equation.A + equation.B @ F)
+    inside = np.abs(poles).max(initial=0.0) < 1.0 if equation.discrete else poles.real.max(initial=-1.0) < 0.0
+    return found if inside else None
+
+
+def _in_doubles(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    A, B, Q, R, N, discrete = equation
+    terms = [A.T @ X @ A, -X, Q] if discrete else [A.T @ X, X @ A, Q]
+    cross, W = (A.T @ X @ B + N, R + B.T @ X @ B) if discrete else (X @ B + N, R)
+    F = np.asarray(-np.linalg.solve(W, cross.T), dtype=np.float64)
+    terms.append(cross @ F)
+    residual = terms[0] + terms[1] + terms[2] + terms[3]
+    return F, W, 0.5 * (residual + residual.T), max(float(np.linalg.norm(term)) for term in terms)
+
+
+def _in_digits(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """As `_in_doubles`, rounded to doubles at the end alone."""
+    import flint
+
+    with flint.ctx.workprec(BITS):
+        A, B, Q, R, N, P = (balls(item) for item in (*equation[:5], X))
+        At, PB = A.transpose(), P * B
+        terms = [At * (P * A), -1 * P, Q] if equation.discrete else [At * P, P * A, Q]
+        cross, W = (At * PB + N, R + B.transpose() * PB) if equation.discrete else (PB + N, R)
+        F = -1 * W.mid().solve(cross.transpose().mid(), algorithm="approx")
+        terms.append(cross * F)
+        size = max(float(np.linalg.norm(_doubles(term))) for term in terms)
+        residual = _doubles(terms[0] + terms[1] + terms[2] + terms[3])
+        return _doubles(F), _doubles(W), 0.5 * (residual + residual.T), size
+
+
+def _doubles(matrix: Balls) -> FloatArray:
+    return np.array([float(x) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())
+
+
+def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArray) -> bool:
+    """Return whether the solution belongs to a pencil without eigenvalues on the stability boundary.
+
+    With the loop's eigenvalue λ of decay d, and its right and left eigenvectors v and w, a residual E leaves the
+    eigenvalues λ and −λ* of the Hamiltonian matrix apart as long as d² > |w'Sw| |v'Ev|, S = B R⁻¹ B'.
+    """
+    from scipy.linalg import eig
+
+    closed = equation.A + equation.B @ F
+    poles, left, right = eig(closed, left=True, right=True)
+    decay = 1.0 - np.abs(poles) if equation.discrete else -poles.real
+    eps, n = float(np.finfo(np.float64).eps), len(closed)
+    _, _, residual, size = _in_doubles(equation, X)
+    with np.errstate(all="ignore"):
+        left = left / np.abs(np.einsum("ij,ij->j", left.conj(), right))
+        input_gain = np.einsum("ij,jk,ki->i", left.conj().T, equation.B @ np.linalg.solve(W, equation.B.T), left).real
+        rounding = eps * np.linalg.norm(closed) * np.linalg.norm(left, axis=0)
+        error = float(np.linalg.norm(residual)) + math.sqrt(n) * eps * size
+        apart = (decay > SURE * rounding) & (decay * decay > SURE * np.abs(input_gain) * error)
+    scale = 1.0 if equation.discrete else float(np.linalg.norm(closed, 2))
+    # Several that meet in a point (the states of a delay) have no eigenvectors to tell by.
+    if np.all(apart | (decay > DEEP * scale)):
+        return True
+    if n <= EIGENVALUE_STATES:
+        return not _on_boundary(equation)
+    return bool(np.all(decay > FAR * scale))
+
+
+def _on_boundary(equation: Equation) -> bool:
+    """Return whether the Hamiltonian (symplectic) pencil has an eigenvalue on the stability boundary."""
+    import flint
+
+    with flint.ctx.workprec(EIGENVALUE_BITS):
+        A, B, Q, R, N = (balls(item) for item in equation[:5])
+        try:
+            if equation.discrete:
+                H = _in_half_plane(A, B, Q, R, N)
+            else:
+                into, across = R.solve(B.transpose()), R.solve(N.transpose())
+                left = A - B * across
+                H = blocks([[left, -1 * (B * into)], [N * across - Q, -1 * left.transpose()]])
+            values = flint.acb_mat(H.mid()).eig(algorithm="approx")
+        except ZeroDivisionError:
+            # R is singular; or the pencil at z = −1: an eigenvalue on the unit circle.
+            return True
+        found = np.array([complex(float(one.real), float(one.imag)) for one in values])
+    size = np.abs(found)
+    return bool(np.any((np.abs(found.real) <= NO_DECAY * size) | (size <= NO_SIZE * size.max(initial=0.0))))
+
+
+def _in_half_plane(A: Balls, B: Balls, Q: Balls, R: Balls, N: Balls) -> Balls:
+    """Return a matrix with the eigenvalues w = (z − 1)/(z + 1) of the extended symplectic pencil, by Cayley's map."""
+    n, m = A.nrows(), B.ncols()
+    one, zero, empty = identity(n), balls(np.zeros((n, n))), balls(np.zeros((n, m)))
+    M = blocks([[A, zero, B], [-1 * Q, one, -1 * N], [N.transpose(), empty.transpose(), R]])
+    none = balls(np.zeros((m, m)))
+    L = blocks([[one, zero, empty], [zero, A.transpose(), empty], [empty.transpose(), -1 * B.transpose(), none]])
+    return (M + L).solve(M - L)
+
+
+def _hamiltonian(equation: Equation) -> FloatArray:
+    A, B, Q, R, N, _ = equation
+    into = np.linalg.solve(R, np.hstack([B.T, N.T]))
+    left = A - B @ into[:, len(A) :]
+    return np.block([[left, -B @ into[:, : len(A)]], [N @ into[:, len(A) :] - Q, -left.T]])
 
 
 def relative_residual(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
 ) -> float:
     """Return the residual of the equation at X relative to the largest of its terms."""
-    terms: tuple[FloatArray, ...]
-    if discrete:
-        terms = (A.T @ X @ A, -X, Q)
-        cross, weight = A.T @ X @ B + N, R + B.T @ X @ B
-    else:
-        terms = (A.T @ X, X @ A, Q)
-        cross, weight = X @ B + N, R
-    terms = (*terms, -cross @ np.linalg.solve(weight, cross.T))
-    size = max(float(np.linalg.norm(term)) for term in terms)
-    return float(np.linalg.norm(sum(terms))) / size if size else 0.0
+    equation = Equation(A, B, Q, R, N, discrete)
+    _, _, residual, size = (_in_digits if len(X) <= PRECISE_STATES else _in_doubles)(equation, X)
+    return float(np.linalg.norm(residual)) / size if size else 0.0
