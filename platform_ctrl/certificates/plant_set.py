@@ -22,8 +22,8 @@ def plant_set_certificates(
     plants, controller
         The loop, u = K y.
     decay, margin : (N,)
-        Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured. What is unstable is not claimed to
-        be stable.
+        Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured: exact of the worst, of the others
+        at least the true one. What is unstable is not claimed to be stable.
     asked : (N,)
         Disk margin that is asked for with each plant, dimensionless, 0: none. Where the measured one is larger, the
         asked one is proved; with the nominal plant that which it has.
@@ -58,14 +58,20 @@ def plant_set_certificates(
         except NotCertifiedError as error:
             unproved.append(str(error))
     for k in np.flatnonzero((decay > 0.0) & ((asked < margin) & (asked > 0.0) | (np.arange(len(decay)) == 0))):
-        # With the nominal plant the norm itself; with the others what is asked, for which their norm is known.
-        known = {} if k == 0 else {"gamma": 1.0 / float(asked[k]), "norm": 1.0 / float(margin[k])}
+        # With the nominal plant the norm itself; with the others what is asked. Of these the norm is known, or, where
+        # another plant is the worst, known from below.
+        bound = {} if k == 0 else {"gamma": 1.0 / float(asked[k])}
+        known = {} if k == 0 else {"norm": 1.0 / float(margin[k])}
         for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
             label = f"{plants.labels[k]}, (S − T)/2 at the {where}"
-            try:
-                proved.append(norm_certificate(*system, controller=controller, label=label, **known))
-            except NotCertifiedError as error:
-                unproved.append(str(error))
+            for given in (bound | known, bound) if known else (bound,):
+                try:
+                    proved.append(norm_certificate(*system, controller=controller, label=label, **given))
+                    break
+                except NotCertifiedError as error:
+                    reason = str(error)
+            else:
+                unproved.append(reason)
     return tuple(proved), tuple(unproved)
 
 

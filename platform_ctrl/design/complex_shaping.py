@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays
+from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates import Certificate, stability_certificate
@@ -56,7 +58,8 @@ class TwoSidedNyquist:
     open_unstable, closed_unstable
         Number of unstable poles without and with the loop; closed = open − encirclements.
     disk_margin
-        1/max |(S − T)/2|, dimensionless; 0 where the loop is unstable.
+        1/max |(S − T)/2|, dimensionless; 0 where the loop is unstable. Over all frequencies; with a dead time, which no
+        finite number of states has, the highest points of `frequency` refined between their neighbours.
     margin_frequency
         Where that is, rad/s, with its sign.
     crossings : (k,)
@@ -258,7 +261,7 @@ def two_sided_nyquist(
     unstable = int(np.sum(s.real > _ON_AXIS * size))
     turns = _turns(loop, _contour(dense, s))
     closed = unstable - turns
-    margin, at = _disk_margin(loop, dense)
+    margin, at = _disk_margin(plant, controller, loop) if plant.delay == 0.0 else _grid_margin(loop, dense)
     crossings = _crossings(loop, dense)
     return TwoSidedNyquist(
         frequency=shown,
@@ -310,8 +313,25 @@ def _turns(loop: Callable[[ComplexArray], ComplexArray], path: ComplexArray) -> 
     return round(float(np.angle(F[1:] / F[:-1]).sum()) / (2.0 * np.pi))
 
 
-def _disk_margin(loop: Callable[[ComplexArray], ComplexArray], w: FloatArray) -> tuple[float, float]:
-    """Return 1/max |S − 1/2| and its frequency: the highest grid points, each refined between its neighbours."""
+def _disk_margin(
+    plant: ComplexSystem, controller: ComplexSystem, loop: Callable[[ComplexArray], ComplexArray]
+) -> tuple[float, float]:
+    """Return 1/max |S − 1/2| over all frequencies and where it is reached, rad/s.
+
+    Real and imaginary parts are a real loop, whose norm is the larger one of both signs of the frequency.
+    """
+    P, K = plant.real_arrays(), controller.real_arrays()
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    # From noise at the pick-offs to the angles the closed loop is −T = S − 1.
+    norm, w = peak(StateArrays(A, B[:, 2:], C[2:], D[2:, 2:] + 0.5 * np.eye(2), plant.dt))
+    if not np.isfinite(w):
+        return 1.0 / norm, w
+    both = np.abs(1.0 / (1.0 + loop(1j * np.array([-w, w]))) - 0.5)
+    return 1.0 / norm, float(w if both[1] >= both[0] else -w)
+
+
+def _grid_margin(loop: Callable[[ComplexArray], ComplexArray], w: FloatArray) -> tuple[float, float]:
+    """Return 1/max |S − 1/2| of a loop with dead time: the highest points of a grid, refined between neighbours."""
     from scipy.optimize import minimize_scalar
 
     def size(frequency: FloatArray) -> FloatArray:

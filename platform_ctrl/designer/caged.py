@@ -112,7 +112,11 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
             margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact)),
             requirements=requirements,
             goals=goals,
-            notes=() if exact else ("peaks are taken on a grid: the loop is too large for norms while a slider moves",),
+            notes=()
+            if exact
+            else (
+                "peaks are the highest at some frequencies: the loop is too large for exact ones while a slider moves",
+            ),
         )
 
     drawn = Drawn(

@@ -218,6 +218,7 @@ def _row(one: CheckResult) -> dict[str, Any]:
         "margin": one.margin if math.isfinite(one.margin) else None,
         "passed": bool(one.passed),
         "hard": one.hard,
+        "method": one.method,
     }
 
 
@@ -233,8 +234,10 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
     if count == 0:
         return "good", "Stable", "nothing is asked of this loop"
     least = min(picture.requirements, key=lambda one: one.margin)
+    # What lies between the frequencies of a grid is no verdict.
+    here = " at the frequencies looked at" if any(one.method == "sampled" for one in picture.requirements) else ""
     left = f"least left: {least.name}, {100 * least.margin:.1f} %"
-    return "good", "Met" if count == 1 else f"All {count} requirements met", left
+    return "good", f"Met{here}" if count == 1 else f"All {count} requirements met{here}", left
 
 
 def _figures(margins: Margins, stable: bool) -> list[dict[str, Any]]:

@@ -49,7 +49,7 @@ const buildTable = (requirements, knobs) => {
       asked: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
       cells: knobs.map((knob) => made("td", { className: "cell", "data-knob": knob.name })),
     };
-    row.element = made("tr", {}, made("th", { scope: "row", title: one.full }, one.name), row.asked, row.reached, row.left,
+    row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.asked, row.reached, row.left,
       made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
     return row;
   });
