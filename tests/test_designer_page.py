@@ -78,7 +78,8 @@ bandwidth_hz = 20
 name = "out of reach"
 method = "hinf"
 bandwidth_hz = 20
-disturbance = 1e9
+complementary = 1e12
+disturbance = 1e14
 
 [[manoeuvre]]
 name = "0.5 rad/s about axis 1"
