@@ -18,13 +18,17 @@ from pathlib import Path
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-from platform_ctrl.designer.values import Knob, Settings  # noqa: E402  # threads are pinned before numpy is loaded
+import numpy as np  # noqa: E402  # threads are pinned before it is loaded
+
+from platform_ctrl.designer.values import Knob, Settings  # noqa: E402
 from platform_ctrl.designer.workbench import Workbench  # noqa: E402
 from platform_ctrl.errors import PlatformCtrlError  # noqa: E402
 
 LIMIT = 0.100
 REPEATS = 9
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
+# Steps of a drag.
+DRAG = 12
 # Slider moves of an hour: about one a second.
 MOVES = 4000
 
@@ -71,15 +75,34 @@ def times(bench: Workbench) -> bool:
 def acts(bench: Workbench, settings: Settings) -> None:
     """Print the times of what follows a gesture instead of a slider."""
     first = bench.picture(settings)
-    pole = first.locus.present[first.locus.draggable][0]
+    crossover = float(first.bode.crossovers[-1])
+    for name, free in (("pole dragged", False), ("pole dragged, Shift", True)):
+        steps, held = dragged(bench, settings, complex(first.locus.present[first.locus.draggable][0]), free)
+        print(
+            f"  {name:24} {1e3 * statistics.median(steps):6.0f} ms {1e3 * max(steps):6.0f} ms   "
+            f"pull and picture, processor; {held} of {len(steps)} held back"
+        )
     for name, act in (
-        ("pole pulled", lambda: bench.pulled_pole(settings, pole, 1.03 * pole)),
-        ("crossover pulled", lambda: bench.pulled_crossover(settings, 1.05 * first.bode.crossovers[-1])),
+        ("crossover pulled", lambda: bench.pulled_crossover(settings, 1.05 * crossover)),
         ("influence", lambda: bench.influence(settings)),
     ):
         begun = time.perf_counter()
         act()
         print(f"  {name:24} {1e3 * (time.perf_counter() - begun):6.0f} ms")
+
+
+def dragged(bench: Workbench, settings: Settings, pole: complex, free: bool) -> tuple[list[float], int]:
+    """Return the processor times of the steps of a drag of a pole, each with its picture, and how many were held."""
+    times, held, first = [], [], pole
+    for k in range(1, 1 + DRAG):
+        target = first * (1.0 + 0.01 * k)
+        begun = time.process_time()
+        settings = bench.pulled_pole(settings, pole, target, free=free, held=held.append)
+        present = bench.picture(settings).locus.present
+        times.append(time.process_time() - begun)
+        away = np.abs(present - (target if free else pole))
+        pole = complex(present[int(np.nanargmin(away))])
+    return times, len(held)
 
 
 def resident() -> float:

@@ -190,7 +190,7 @@ def default_rows(cases: list[Case], slycot: Any, rounds: int, lmi_states: int) -
         for route, width in (("LMI", 11), ("hinfsyn", 14)):
             theirs = found.get(route)
             if theirs is None or isinstance(theirs, Exception):
-                print(f"{'-' if theirs is None else type(theirs).__name__[:width - 1]:>{width}}", end="")
+                print(f"{'-' if theirs is None else type(theirs).__name__[: width - 1]:>{width}}", end="")
             elif route == "LMI":
                 print(f"{theirs.gamma_optimal / least - 1.0:>{width}.1e}", end="")
             else:  # the norm that the loop really has

@@ -249,17 +249,17 @@ def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Workbench, settings: S
     for k in np.flatnonzero(picture.locus.draggable)[:3]:
         pole = complex(picture.locus.present[k])
         target = pole * (1.04 + 0.02j)
-        pulled = bench.pulled_pole(settings, pole, target)
+        pulled = bench.pulled_pole(settings, pole, target, free=True)
         assert np.nanmin(np.abs(bench.picture(pulled).locus.present - target)) < 1e-6 * abs(target)
     held = settings.but(fixed=frozenset({"crossover_hz", "damping_hz"}))
-    pulled = bench.pulled_pole(held, pole, target)
+    pulled = bench.pulled_pole(held, pole, target, free=True)
     mine, now = (one.options[LOOP]["classical"] for one in (settings, pulled))
     assert {name for name in mine if mine[name] != now[name]} <= {"damping2_hz", "lead_hz", "rolloff_hz"}
 
 
 def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
     target = 1.1 * picture.bode.crossovers[-1]
-    pulled = bench.pulled_crossover(settings, target)
+    pulled = bench.pulled_crossover(settings, target, free=True)
     assert np.abs(bench.picture(pulled).bode.crossovers - target).min() < 1e-3 * target
 
 
@@ -271,7 +271,7 @@ def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_
     others = [knob.name for knob in bench.knobs(settings) if knob.name != "crossover_hz"]
     held = settings.but(fixed=frozenset(others))
     target = min(share * now, 0.9 * picture.bode.nyquist)
-    pulled = bench.picture(bench.pulled_crossover(held, target)).bode.crossovers
+    pulled = bench.picture(bench.pulled_crossover(held, target, free=True)).bode.crossovers
     assert len(pulled) > 0
     assert np.abs(np.log(pulled / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
 
@@ -479,5 +479,5 @@ def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
     settings = slow.start()
     for share in (0.8, 1e-3):
         now = float(slow.picture(settings).bode.crossovers[-1])
-        bode = slow.picture(slow.pulled_crossover(settings, share * now)).bode
+        bode = slow.picture(slow.pulled_crossover(settings, share * now, free=True)).bode
         assert bode.frequency[0] < bode.crossovers[-1] < now

@@ -246,6 +246,41 @@ def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None
     assert page.locator("#undo").is_disabled()
 
 
+PLACE = """([name, x, y]) => {
+  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
+  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
+  const box = view.canvas_view.el.getBoundingClientRect();
+  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
+}"""
+HANDLE = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "crossover-handle") return Math.sqrt(model.left * model.right);
+  }
+}"""
+
+
+def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page: Page) -> None:
+    def drag_down(steps: int) -> None:
+        at = float(page.evaluate(HANDLE))
+        first, last = (page.evaluate(PLACE, ["bode-figure-0", f, 10.0]) for f in (at, 0.2 * at))
+        page.mouse.move(*first)
+        page.mouse.down()
+        page.mouse.move(*last, steps=steps)
+        page.mouse.up()
+
+    # The job asks for 20 Hz of bandwidth: the crossover cannot be dragged to a fifth.
+    assert "met" in (page.locator("#verdict").text_content() or "")
+    drag_down(6)
+    assert "Held back by bandwidth" in line(page, "with Shift the drag goes on")
+    settled(page)
+    assert "met" in (page.locator("#verdict").text_content() or "")
+    page.keyboard.down("Shift")
+    drag_down(6)
+    page.keyboard.up("Shift")
+    until(page, lambda: "missed" in (page.locator("#verdict").text_content() or ""))
+    assert "Held back" not in (page.locator("#line").text_content() or "")
+
+
 def test_keys_of_curves_that_have_no_room_are_counted_and_every_axis_has_numbers(page: Page) -> None:
     cut = """() => [...document.querySelectorAll("#plots .panel")].flatMap((panel) => {
       const every = (root) => [...root.querySelectorAll("*")].flatMap((one) => [

@@ -76,12 +76,28 @@ class CagedLoop:
     controller: StateArrays
 
 
-def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
+# Measures of a loop that may be known already; else they are taken.
+KeptMeasures = Callable[[Callable[[], LoopMeasures]], LoopMeasures]
+
+
+def loop_measures(loop: CagedLoop, whole: LoopFigures | None = None) -> LoopMeasures:
+    """Return the measures that the page shows of a loop: peaks are norms unless it has too many states for that."""
+    asked = asked_of(loop.spec)
+    if _exact(loop):
+        return exact_measures(loop.plants, loop.controller, asked, whole)
+    return measure(loop.plants, loop.controller, asked)
+
+
+def _exact(loop: CagedLoop) -> bool:
+    return int(loop.plants.A.shape[-1]) + len(loop.controller.A) <= _QUICK
+
+
+def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Parts:
     """Return what is drawn for a caging loop, and what measures it."""
     spec, plants, K = loop.spec, loop.plants, loop.controller
     channel = plants.torques.index(settings.channel) if settings.channel in plants.torques else 0
     shown = LoopFigures(loop.shown, K)
-    exact = plants.A.shape[-1] + len(K.A) <= _QUICK
+    exact = _exact(loop)
     whole = LoopFigures(plants, K)
     inside = np.flatnonzero(plants.of(_BAND))
     banded = bool(settings.band and len(plants.labels) > 1)
@@ -106,7 +122,7 @@ def caged_parts(loop: CagedLoop, settings: Settings) -> Parts:
     asked = asked_of(spec)
 
     def measured() -> Measured:
-        measures = exact_measures(plants, K, asked, whole) if exact else measure(plants, K, asked)
+        measures = kept(lambda: loop_measures(loop, whole))
         requirements, goals = judged(spec, loop.design, plants, measures)
         return Measured(
             margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact)),
@@ -146,9 +162,7 @@ def caged_overlay(
     s = continuous_poles(shown.poles[0], loop.shown.period)
     results: tuple[CheckResult, ...] = ()
     if measured:
-        exact = loop.plants.A.shape[-1] + len(loop.controller.A) <= _QUICK
-        measures = (exact_measures if exact else measure)(loop.plants, loop.controller, asked_of(loop.spec))
-        results = judged(loop.spec, loop.design, loop.plants, measures)[0]
+        results = judged(loop.spec, loop.design, loop.plants, loop_measures(loop))[0]
     return Overlay(
         design=loop.design,
         method=method,

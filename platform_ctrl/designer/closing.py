@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.loop_measures import LoopMeasures
 from platform_ctrl.arguments import known_name
 from platform_ctrl.check.coupled import sensed_rates
 from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.designer.bounded import Bounded
-from platform_ctrl.designer.caged import CagedLoop
+from platform_ctrl.designer.caged import CagedLoop, KeptMeasures
 from platform_ctrl.designer.controllers import classical_arrays
 from platform_ctrl.designer.design_options import DesignOptions, live
 from platform_ctrl.designer.free_loop import StabilisedLoop
@@ -23,6 +24,7 @@ from platform_ctrl.designer.tasks import Made
 from platform_ctrl.designer.values import Conditions, Settings
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.requirements import CheckResult
 
 if TYPE_CHECKING:
     import control
@@ -46,6 +48,8 @@ class Closing:
         self.store = Store()
         self._specs = {spec.name: spec for spec in job.loops}
         self._margins: Bounded[dict[str, float]] = Bounded(16)
+        self._measures: Bounded[LoopMeasures] = Bounded(8)
+        self._judged: Bounded[tuple[CheckResult, ...]] = Bounded(8)
         self._take([] if controllers is None else given_designs(controllers, job))
 
     @property
@@ -235,6 +239,17 @@ class Closing:
 
         return of
 
+    def measured(self, settings: Settings, loop: CagedLoop) -> KeptMeasures:
+        """Return what keeps the measures of a caging loop: a drag that is judged is drawn next."""
+        key = (loop.spec.name, self.plants.key(settings), _content(loop.controller))
+        return lambda make: self._measures.get(key, make)
+
+    def judged(
+        self, settings: Settings, K: StateArrays, make: Callable[[], tuple[CheckResult, ...]]
+    ) -> tuple[CheckResult, ...]:
+        """Return what is found of all loops together with one controller, made where it is not kept."""
+        return self._judged.get((self.plants.key(settings), _content(K)), make)
+
     def all_controllers(
         self, settings: Settings, strict: bool = False
     ) -> tuple[list[control.StateSpace], tuple[str, ...]]:
@@ -323,6 +338,11 @@ class Closing:
             carried = "" if K is made.controller else " and carried over to this sample rate by Tustin's rule"
             note = f"{design.name}: was made for other settings{carried}; moving one of its numbers designs it anew"
         return K, note
+
+
+def _content(K: StateArrays) -> tuple[object, ...]:
+    """Return the numbers of a controller as part of a key."""
+    return (K.A.shape, *(item.tobytes() for item in K[:4]))
 
 
 def _designed_for(settings: Settings, loop: str, design: str, conditions: Conditions | None) -> Settings:

@@ -31,9 +31,14 @@ def caged_influence(loop: CagedLoop, knobs: Sequence[Knob], loop_with: Callable[
     """Return what `knobs` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
     asked = [one for one in asked_of(loop.spec) if one.hard]
     whole = measure(loop.plants, loop.controller, asked)
-    view = _view(whole, asked)
+    view = deciding(whole, asked)
     names = tuple(one.name for one in asked)
-    return _influence(knobs, names, _ratios(loop, view, asked), lambda knob: _ratios(loop_with(knob), view, asked))
+
+    def ratios(now: CagedLoop) -> FloatArray:
+        plants = now.plants.only([k for k in view if k < len(now.plants.labels)])
+        return largest_ratios(measure(plants, now.controller, asked), asked)
+
+    return _influence(knobs, names, ratios(loop), lambda knob: ratios(loop_with(knob)))
 
 
 def stabilised_influence(
@@ -68,8 +73,8 @@ def _influence(
     return Influence(knobs=tuple(knob.name for knob in knobs), requirements=requirements, ratios=before, change=change)
 
 
-def _view(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]:
-    """Return the nominal plant and those that decide a requirement."""
+def deciding(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]:
+    """Return the nominal plant and the two that are worst for each requirement."""
     out = {0}
     for one in asked:
         ratios = one.ratios(measures)
@@ -79,7 +84,6 @@ def _view(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]
     return sorted(out)
 
 
-def _ratios(loop: CagedLoop, view: list[int], asked: Sequence[LoopRequirement]) -> FloatArray:
-    plants = loop.plants.only([k for k in view if k < len(loop.plants.labels)])
-    measures = measure(plants, loop.controller, asked)
+def largest_ratios(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> FloatArray:
+    """Return the largest ratio of each requirement (k,)."""
     return np.array([float(one.ratios(measures).max(initial=0.0)) for one in asked])

@@ -1,13 +1,14 @@
 """Pulling a closed-loop pole or the crossover somewhere: the knobs that may move follow, as little as they can.
 
 The logarithms of the knobs take Gauss-Newton steps of least norm, dx = W Jᵀ (J W Jᵀ)⁻¹ r, along a straight path from
-where the pole is to where it is wanted, so that it stays the same pole.
+where the pole is to where it is wanted, so that it stays the same pole. Where a requirement that is met would be
+missed, steps that keep its linearisation go on along it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.frozen import FloatArray, value
 
 Build = Callable[[Mapping[str, float]], StateArrays]
+Ratios = Callable[[Mapping[str, float]], FloatArray]
 Residual = Callable[[StateArrays], FloatArray]
 
 # Most steps along the way, and the share of a frequency that one of fewer may be.
@@ -34,6 +36,16 @@ _CROSSED, _HALVINGS = 1e-6, 5
 # Relative distance at which it is above on one side and below on the other.
 _BESIDE = 1e-3
 _DIFFERENCE = 1e-6
+# Steps along a limit, the share of the way to the goal that one of them has to make for another to follow, and the
+# relative distance to the goal that nobody sees.
+_SLIDES, _PROGRESS, _ARRIVED = 2, 0.02, 5e-4
+# By how much a ratio on a grid may be wrong.
+_GROSS = 0.02
+# How much more a relative distance to the place wanted counts than the logarithm of a knob.
+_PULL = 100.0
+# By how much less than a limit a step along it aims at, for its curvature, and how often it is halved where that is
+# not enough.
+_INSIDE, _SHORTER = 1e-3, 4
 
 
 @value
@@ -69,10 +81,62 @@ class Reins:
         return {name: float(v) for name, v in zip(self.names, moved, strict=True)}
 
 
-def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex) -> dict[str, float]:
+@value
+class Limits:
+    """The requirements that are met where a pull begins, and that it must not make missed.
+
+    Attributes
+    ----------
+    names
+        Of the k requirements.
+    bound : (k,)
+        Ratios up to which they count as met.
+    exact, rough, near, local
+        Knobs → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
+        with its error where the pull begins taken out; the same of the plants that decide alone, good for slopes.
+    """
+
+    names: tuple[str, ...]
+    bound: FloatArray
+    exact: Ratios
+    rough: Ratios
+    near: Ratios
+    local: Ratios
+
+    def broken(self, ratios: Ratios, numbers: Mapping[str, float], slack: float = 0.0) -> tuple[str, ...]:
+        """Return the names of the requirements that these knobs make missed; all of them where there is no loop."""
+        if not self.names:
+            return ()
+        try:
+            beyond = ~(ratios(numbers) <= self.bound + slack)
+        except PlatformCtrlError:
+            return self.names
+        return tuple(name for name, one in zip(self.names, beyond, strict=True) if one)
+
+
+NO_LIMITS = Limits(
+    names=(),
+    bound=np.zeros(0),
+    exact=lambda _: np.zeros(0),
+    rough=lambda _: np.zeros(0),
+    near=lambda _: np.zeros(0),
+    local=lambda _: np.zeros(0),
+)
+
+
+@value
+class Pulled:
+    """Where a pull has brought the knobs, and which requirements kept it from going all the way."""
+
+    numbers: dict[str, float]
+    held_by: tuple[str, ...] = ()
+
+
+def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex, limits: Limits = NO_LIMITS) -> Pulled:
     """Return the knobs that bring the closed-loop pole nearest to `pole` to `target`, or as near as they can.
 
-    Poles are s-plane equivalents ln(z)/T, rad/s.
+    Poles are s-plane equivalents ln(z)/T, rad/s. No requirement of `limits` is missed on the way: where one would be,
+    the pole goes on along the limit.
 
     Raises
     ------
@@ -81,12 +145,12 @@ def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex
     """
     _expect_knobs(reins)
 
-    def poles(K: StateArrays) -> ComplexArray:
-        A = closed_loop_arrays(*plant[:4], *K[:4])[0]
-        return continuous_poles(pole_arrays(A), plant.dt)
+    def poles(x: FloatArray) -> ComplexArray:
+        return _poles(reins.controller(x), plant)
 
-    start = poles(reins.controller(np.log(reins.start)))
-    here = complex(start[int(np.nanargmin(_distance(start, pole)))])
+    low, high = np.log(reins.low), np.log(reins.high)
+    x = np.log(reins.start)
+    here = _nearest(poles(x), pole)
     real = abs(here.imag) < 1e-9 * abs(here)
     goal = complex(target.real, 0.0 if real else abs(target.imag))
     here = here if here.imag >= 0.0 else here.conjugate()
@@ -94,18 +158,131 @@ def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex
 
     def residual(wanted: complex) -> Residual:
         def of(K: StateArrays) -> FloatArray:
-            s = poles(K)
-            nearest = complex(s[int(np.nanargmin(_distance(s, wanted)))]) - wanted
-            return np.array([nearest.real] if real else [nearest.real, nearest.imag]) / scale
+            away = _nearest(_poles(K, plant), wanted) - wanted
+            return np.array([away.real] if real else [away.real, away.imag]) / scale
 
         return of
 
-    way = [residual(here + (goal - here) * share) for share in _shares(abs(goal - here) / scale)]
-    return reins.numbers(_followed(reins, way, f"the pole at {here:.4g} rad/s"))
+    what = f"the pole at {here:.4g} rad/s"
+    path, first, held_by = [x], here, NO_LIMITS.names
+    shares = _shares(abs(goal - here) / scale)
+    for share in shares:
+        last = share == shares[-1]
+        wanted = first + (goal - first) * share
+        new = _reached(reins, path[-1], residual(wanted), low, high, what, _THERE if last else 1e-3)
+        numbers = reins.numbers(new)
+        held_by = limits.broken(limits.rough, numbers, _GROSS)
+        if last and not held_by:
+            # As the page judges it, which then need not be done again.
+            held_by = limits.broken(limits.exact, numbers)
+        if held_by:
+            path += _along(reins, limits, path[-1], goal, residual, poles, here)
+            break
+        path.append(new)
+        here = wanted
+    return _met(reins, limits, path, held_by)
 
 
-def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float, target: float) -> dict[str, float]:
+def _along(
+    reins: Reins,
+    limits: Limits,
+    x: FloatArray,
+    goal: complex,
+    residual: Callable[[complex], Residual],
+    poles: Callable[[FloatArray], ComplexArray],
+    here: complex,
+) -> list[FloatArray]:
+    """Return the places of the knobs at which the pole comes nearer to the goal while every limit is kept, in turn."""
+    out: list[FloatArray] = []
+    here = _nearest(poles(x), here)
+    for _ in range(_SLIDES):
+        away = abs(goal - here)
+        wanted = here + (goal - here) * min(1.0, _STRIDE * abs(goal) / max(away, 1e-300))
+        found = _kept_step(reins, limits, x, residual(wanted))
+        if found is None:
+            break
+        x, here = found, _nearest(poles(found), wanted)
+        out.append(x)
+        if abs(goal - here) < _ARRIVED * abs(goal) or abs(goal - here) > (1.0 - _PROGRESS) * away:
+            break
+    return out
+
+
+def _met(reins: Reins, limits: Limits, path: list[FloatArray], held_by: tuple[str, ...]) -> Pulled:
+    """Return the last place of a path at which every limit is met as the page measures it, and what holds it there."""
+    while len(path) > 1 and (narrow := limits.broken(limits.exact, reins.numbers(path[-1]))):
+        # A peak between the points of a grid.
+        held_by = narrow
+        path.pop()
+    numbers = reins.numbers(path[-1])
+    if held_by:
+        # A long step breaks much at once: what is next to its limit is what holds.
+        tight = limits.local(numbers) > limits.bound - 5.0 * _INSIDE
+        held_by = tuple(name for name, one in zip(limits.names, tight, strict=True) if one) or held_by
+    return Pulled(numbers=numbers, held_by=held_by)
+
+
+def _kept_step(reins: Reins, limits: Limits, x: FloatArray, residual: Residual) -> FloatArray | None:
+    """Return a step towards a smaller residual that keeps all limits, by their slopes and then in truth, or None."""
+    numbers = reins.numbers
+    r = residual(reins.controller(x))
+    J = _slopes(reins, x, residual, r)
+    ratios = limits.local(numbers(x))
+    G = np.zeros((len(ratios), len(x)))
+    for k in np.flatnonzero(reins.weights > 0.0):
+        moved = x.copy()
+        moved[k] += _DIFFERENCE
+        G[:, k] = (limits.local(numbers(moved)) - ratios) / _DIFFERENCE
+    low, high = np.log(reins.low), np.log(reins.high)
+    reach = np.minimum(high - x, _LONGEST), np.minimum(x - low, _LONGEST)
+    A = np.vstack([_PULL * J, np.diag(1.0 / np.sqrt(np.maximum(reins.weights, 1e-12)))])
+    b = np.concatenate([-_PULL * r, np.zeros(len(x))])
+    within = np.vstack([np.nan_to_num(G), np.eye(len(x)), -np.eye(len(x))])
+    room = np.concatenate([np.maximum(limits.bound - _INSIDE - ratios, 0.0), *reach])
+    dx = constrained_least_squares(A, b, within, room)
+    for _ in range(_SHORTER):
+        new = np.clip(x + dx, low, high)
+        try:
+            nearer = bool(np.linalg.norm(residual(reins.controller(new))) < np.linalg.norm(r))
+        except PlatformCtrlError:
+            nearer = False
+        if nearer and not limits.broken(limits.near, numbers(new)):
+            return new
+        dx = 0.5 * dx
+    return None
+
+
+def constrained_least_squares(A: FloatArray, b: FloatArray, G: FloatArray, h: FloatArray) -> FloatArray:
+    """Return the x (n,) of least |A x - b| with G x <= h, h >= 0; A has full column rank.
+
+    With A = Q R and z = R x - Qᵀ b it is the least z within other half spaces, which non-negative least squares finds.
+
+    References
+    ----------
+    C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
+    """
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import nnls
+
+    Q, R = np.linalg.qr(A)
+    u = Q.T @ b
+    M = solve_triangular(R, G.T, trans="T").T
+    rhs = M @ u - h
+    E = np.vstack([-M.T, rhs])
+    wanted = np.zeros(len(E))
+    wanted[-1] = 1.0
+    y, rest = nnls(E, wanted)
+    away = E @ y - wanted
+    z = -away[:-1] / away[-1] if rest > 1e-12 else np.zeros(len(u))
+    return np.asarray(solve_triangular(R, z + u))
+
+
+def crossover_pulled(
+    reins: Reins, plant: StateArrays, channel: int, now: float, target: float, limits: Limits = NO_LIMITS
+) -> Pulled:
     """Return the knobs that bring the gain of one channel, all others closed, to 1 at `target` rad/s.
+
+    It stops where a requirement of `limits` would be missed.
 
     Raises
     ------
@@ -128,23 +305,42 @@ def crossover_pulled(reins: Reins, plant: StateArrays, channel: int, now: float,
         return of
 
     what = f"the gain at {target:.4g} rad/s"
-    x, here, beyond = np.log(reins.start), now, math.nan
+    held_by: tuple[str, ...] = ()
+
+    def crossing(x: FloatArray, w: float) -> FloatArray | None:
+        nonlocal held_by
+        found = _crossing(reins, x, residual, w, what)
+        broken = () if found is None else limits.broken(limits.near, reins.numbers(found))
+        held_by = broken or held_by
+        return None if broken else found
+
+    path, here, beyond = [np.log(reins.start)], now, math.nan
     for share in _shares(abs(math.log(target / now))):
         w = now * (target / now) ** share
-        found = _crossing(reins, x, residual, w, what)
+        found = crossing(path[-1], w)
         if found is None:
             beyond = w
             break
-        x, here = found, w
+        path.append(found)
+        here = w
     # Where it cannot go all the way it goes as far as it can: a gain that passes 1 nowhere is not taken hold of again.
     for _ in range(0 if math.isnan(beyond) else _HALVINGS):
         middle = math.sqrt(here * beyond)
-        found = _crossing(reins, x, residual, middle, what)
+        found = crossing(path[-1], middle)
         if found is None:
             beyond = middle
         else:
-            x, here = found, middle
-    return reins.numbers(x)
+            path.append(found)
+            here = middle
+    return _met(reins, limits, path, held_by)
+
+
+def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
+    return continuous_poles(pole_arrays(closed_loop_arrays(*plant[:4], *K[:4])[0]), plant.dt)
+
+
+def _nearest(s: ComplexArray, wanted: complex) -> complex:
+    return complex(s[int(np.nanargmin(_distance(s, wanted)))])
 
 
 def _shares(distance: float) -> list[float]:
@@ -170,15 +366,6 @@ def _distance(s: ComplexArray, wanted: complex) -> FloatArray:
 def _expect_knobs(reins: Reins) -> None:
     if not reins.names:
         raise DesignError("no knob may move: all are fixed, or the design has none; expected at least one that is free")
-
-
-def _followed(reins: Reins, way: Sequence[Residual], what: str) -> FloatArray:
-    x = np.log(reins.start)
-    low, high = np.log(reins.low), np.log(reins.high)
-    for step, residual in enumerate(way):
-        last = step == len(way) - 1
-        x = _reached(reins, x, residual, low, high, what, _THERE if last else 1e-3)
-    return x
 
 
 def _reached(

@@ -115,7 +115,7 @@ class Viewing(Settable):
         spec, _ = self._closing.design(settings)
         if spec.kind == "caging":
             loop, told = self._designs.caged(settings)
-            parts, measure = caged_parts(loop, settings)
+            parts, measure = caged_parts(loop, settings, self._closing.measured(settings, loop))
         else:
             free, told = self._closing.stabilised(settings)
             parts, measure = stabilised_parts(free, settings, self._closing.kept(settings))

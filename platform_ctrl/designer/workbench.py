@@ -7,7 +7,7 @@ saved and flown.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +19,8 @@ from platform_ctrl.designer.background import Cancelled, Progress
 from platform_ctrl.designer.design_options import live
 from platform_ctrl.designer.designs import never, silent
 from platform_ctrl.designer.knobs import with_options
-from platform_ctrl.designer.pulling import crossover_pulled, pole_pulled
-from platform_ctrl.designer.reins import reins_of
+from platform_ctrl.designer.pulling import NO_LIMITS, crossover_pulled, pole_pulled
+from platform_ctrl.designer.reins import limits_of, reins_of
 from platform_ctrl.designer.saving import Saved, save
 from platform_ctrl.designer.tasks import Flying, ServoTuning, Tuning
 from platform_ctrl.designer.values import Settings
@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 _DIGITS, _TYPED = 4, 6
 # A crossover that is pulled stays this far, as a factor, inside the diagram.
 _INSIDE = 1.1
+
+
+def unheard(names: tuple[str, ...]) -> None:
+    """Do nothing with the names of limits: nobody asks."""
 
 
 class Workbench(Viewing):
@@ -73,8 +77,16 @@ class Workbench(Viewing):
         self._designs.end()
         self._flier.end()
 
-    def pulled_pole(self, settings: Settings, pole: complex, target: complex) -> Settings:
-        """Return the settings in which a closed-loop pole lies at `target`, or as near as the free knobs bring it.
+    def pulled_pole(
+        self,
+        settings: Settings,
+        pole: complex,
+        target: complex,
+        *,
+        free: bool = False,
+        held: Callable[[tuple[str, ...]], None] = unheard,
+    ) -> Settings:
+        """Return the settings in which a closed-loop pole lies at `target`, or as near as it may be brought.
 
         Parameters
         ----------
@@ -84,6 +96,11 @@ class Workbench(Viewing):
             Where it is now, rad/s in the s-plane: the nearest one of the plant shown is meant.
         target
             Where it is wanted, rad/s.
+        free
+            Whether limits that are met may become missed. Otherwise the pole goes along them; limits that are missed
+            already keep it from nothing.
+        held
+            Called with the names of the limits that keep it from going all the way, where there are any.
 
         Returns
         -------
@@ -103,9 +120,21 @@ class Workbench(Viewing):
             raise ArgumentError(f"pole: given {pole} to {target}; expected finite numbers, rad/s")
         with np.errstate(all="ignore"):
             reins, plant, _ = reins_of(self._closing, settings, self.knobs(settings))
-            return with_options(settings, pole_pulled(reins, plant, complex(pole), complex(target)))
+            limits = NO_LIMITS if free else limits_of(self._closing, settings, reins)
+            pulled = pole_pulled(reins, plant, complex(pole), complex(target), limits)
+        if pulled.held_by:
+            held(pulled.held_by)
+        return with_options(settings, pulled.numbers)
 
-    def pulled_crossover(self, settings: Settings, frequency: float, now: float | None = None) -> Settings:
+    def pulled_crossover(
+        self,
+        settings: Settings,
+        frequency: float,
+        now: float | None = None,
+        *,
+        free: bool = False,
+        held: Callable[[tuple[str, ...]], None] = unheard,
+    ) -> Settings:
         """Return the settings in which the shown channel crosses over at `frequency`, or as near as can be.
 
         Parameters
@@ -116,6 +145,8 @@ class Workbench(Viewing):
             Where its gain is to be 1, rad/s.
         now
             The crossover that is pulled, rad/s; None: the highest.
+        free, held
+            As of `pulled_pole`; it stops where a limit would be missed.
 
         Returns
         -------
@@ -142,7 +173,11 @@ class Workbench(Viewing):
             frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
         with np.errstate(all="ignore"):
             reins, plant, channel = reins_of(self._closing, settings, self.knobs(settings))
-            return with_options(settings, crossover_pulled(reins, plant, channel, now, float(frequency)))
+            limits = NO_LIMITS if free else limits_of(self._closing, settings, reins)
+            pulled = crossover_pulled(reins, plant, channel, now, float(frequency), limits)
+        if pulled.held_by:
+            held(pulled.held_by)
+        return with_options(settings, pulled.numbers)
 
     def tuned(self, settings: Settings, progress: Progress = silent, cancelled: Cancelled = never) -> Settings:
         """Return the settings with all knobs of the design that are not fixed tuned until its limits are met.

@@ -22,6 +22,7 @@ ASKS: Mapping[str, Mapping[str, type]] = {
     "dark": {"dark": bool},
     "move": {"moves": list, "gesture": int},
     "fix": {"knob": str, "fixed": bool},
+    "free": {"free": bool},
     "part": {"part": str, "on": bool},
     "reset": {"knob": str},
     "set": {"name": str, "value": object},

@@ -47,11 +47,15 @@ class Task:
 
 @value
 class Outcome:
-    """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none."""
+    """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none.
+
+    `held_by` are the limits that kept a drag from going all the way.
+    """
 
     settings: Settings
     picture: Picture | None
     line: str | None
+    held_by: tuple[str, ...]
     awaits: bool
     count: int
     gesture: object
@@ -113,6 +117,9 @@ class Session:
         # What waits for a design that is being made.
         self._awaited: Outcome | None = None
         self._idle: Any = None
+        # Whether a drag may make limits missed that are met, and which of them hold the present one back.
+        self._free = False
+        self._held_by: tuple[str, ...] = ()
         self._errands = Errands(self)
         self._deaf = workbench.on_designed(self._designed)
 
@@ -229,13 +236,29 @@ class Session:
         there = step()
         self.change("history", lambda settings: there, count=ask.count, gesture="history")
 
+    def _ask_free(self, ask: Ask) -> None:
+        self._free = ask.more["free"]
+        self.answer(ask.count)
+
     def _pole_pulled(self, pole: complex, target: complex) -> None:
-        pulled = self.workbench.pulled_pole
-        self.change("pull", lambda settings: pulled(settings, pole, target), gesture=("pole", self.plots.drags))
+        pulled, free = self.workbench.pulled_pole, self._free
+
+        def change(settings: Settings) -> Settings:
+            return pulled(settings, pole, target, free=free, held=self._held)
+
+        self.change("pull", change, gesture=("pole", self.plots.drags))
 
     def _crossover_pulled(self, frequency: float) -> None:
-        pulled = self.workbench.pulled_crossover
-        self.change("pull", lambda settings: pulled(settings, frequency), gesture=("crossover", self.plots.drags))
+        pulled, free = self.workbench.pulled_crossover, self._free
+
+        def change(settings: Settings) -> Settings:
+            return pulled(settings, frequency, free=free, held=self._held)
+
+        self.change("pull", change, gesture=("crossover", self.plots.drags))
+
+    def _held(self, names: tuple[str, ...]) -> None:
+        """Note which limits hold a drag back; called while a change is worked out."""
+        self._held_by = names
 
     # What comes of it.
 
@@ -256,6 +279,7 @@ class Session:
         """Work out a picture for all tasks together; runs in a thread."""
         settings, line, picture, awaits = self.settings, None, None, False
         self._turn += 1
+        self._held_by = ()
         for task in tasks:
             try:
                 settings = task.change(settings)
@@ -281,6 +305,7 @@ class Session:
                 settings=settings,
                 picture=picture,
                 line=line,
+                held_by=self._held_by,
                 awaits=awaits,
                 count=count,
                 gesture=gesture,
@@ -316,6 +341,8 @@ class Session:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
+        if out.held_by:
+            notes = (f"Held back by {' and '.join(out.held_by)}; with Shift the drag goes on", *notes)
         kind = "error" if line and not out.awaits else "quiet"
         told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if out.gesture != "ready" or out.awaits:

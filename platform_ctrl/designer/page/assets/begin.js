@@ -16,6 +16,20 @@ window.designer = {
   },
 };
 
+// With Shift a drag in a plot may make limits missed: told as soon as it changes, before the place of the next move.
+const shiftFrees = () => {
+  let free = false;
+  const heard = (now) => {
+    if (now === free) return;
+    free = now;
+    ask("free", { free });
+  };
+  for (const name of ["keydown", "keyup", "pointerdown", "pointermove"]) {
+    window.addEventListener(name, (event) => heard(event.shiftKey === true), { capture: true, passive: true });
+  }
+  window.addEventListener("blur", () => heard(false));
+};
+
 const begin = (bokeh) => {
   const wire = bokeh.get_model_by_name("wire");
   connect((message) => { wire.asked = JSON.stringify(message); });
@@ -26,6 +40,7 @@ const begin = (bokeh) => {
     window.dispatchEvent(new CustomEvent("told", { detail: traffic() }));
   });
   watch(bokeh);
+  shiftFrees();
   themeChanged();
   ask("ready");
 };
