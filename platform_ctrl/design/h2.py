@@ -19,6 +19,7 @@ from platform_ctrl.design.assumptions import (
     without_direct_path,
     zero_on_axis,
 )
+from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
 from platform_ctrl.design.riccati import relative_residual, riccati_solution
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
@@ -102,14 +103,14 @@ def h2(
     if method == "lmi":
         from platform_ctrl.design.h2_lmi import h2_lmi
 
-        made, optimal, residual = h2_lmi(plant, direct, backoff, time_limit, P)
+        made, least, residual = h2_lmi(plant, direct, backoff, time_limit, P)
         tolerance = 0.01
     else:
         try:
             if plant.dt:
-                made, optimal, residual = _sampled(plant, direct, P, regularise)
+                made, least, residual = _sampled(plant, direct, P, regularise)
             else:
-                made, optimal, residual = _continuous(plant, P, regularise)
+                made, least, residual = _continuous(plant, P, regularise)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(
                 f'{WHERE}: {str(error).lower()} within the scaled problem; give method="lmi"', P
@@ -119,7 +120,8 @@ def h2(
         P,
         plant,
         made,
-        gamma_optimal=optimal,
+        gamma_optimal=h2_lower_bound(plant, direct),
+        least=least,
         backoff=backoff,
         method=f"h2, {method}",
         residual=residual,

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.arguments import real_array
 from platform_ctrl.certificates import Certificate, stability_certificate, static_gain
+from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, Realisation, partition, whole, with_direct_path
 from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
@@ -326,9 +327,11 @@ def lqg(
         ) from None
     measured = [*system.output_labels, *(f"integral of {name}" for name in system.output_labels[: feedback.integrals])]
     P = _as_system(plant, system, measured)
+    parts = partition(P, len(measured), m, sampled=True)
     synthesis = certify(
-        P, partition(P, len(measured), m, sampled=True), K,
-        gamma_optimal=least, backoff=0.0, method="lqg", norm="h2", tolerance=TOLERANCE,
+        P, parts, K,
+        gamma_optimal=h2_lower_bound(parts, direct), least=least, backoff=0.0,
+        method="lqg", norm="h2", tolerance=TOLERANCE,
         residual={
             "relative residual of the Riccati equation of X": feedback.residual,
             "relative residual of the Riccati equation of Y": estimator.residual,

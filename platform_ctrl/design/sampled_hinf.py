@@ -61,9 +61,9 @@ class SampledSynthesis:
     gamma, frequency
         `analysis.intersample_norm` of the actual loop, in units of z per w, and its frequency, rad/s (or None).
     gamma_optimal
-        The least level that was found, to 0.1 %, in the same units.
+        A level that no controller keeps, at most 0.1 % below the least one that was found, in the same units.
     backoff
-        Relative back-off: the controller was made for (1 + backoff) gamma_optimal.
+        Relative back-off: the controller was made for (1 + backoff) times the least level that was found.
     method
         The route of the discrete synthesis.
     poles : complex (n + delayed controls + nK,)
@@ -176,9 +176,9 @@ def sampled_hinf(
     def solved(level: float, inner: float) -> Synthesis:
         return hinf(_named(P, plant, level), nmeas, ncon, method=method, backoff=inner, time_limit=time_limit)
 
-    least = _least_level(P, plant, lambda level: solved(level, 0.05).gamma_optimal)
+    bound, least = _least_level(P, plant, lambda level: solved(level, 0.05))
     level = (1.0 + backoff) * least
-    room = 1.0 / solved(level, 0.05).gamma_optimal - 1.0
+    room = 1.0 / _reached(solved(level, 0.05)) - 1.0
     if not room > 0.0:
         raise NotCertifiedError(f"sampled_hinf: no room above the least norm {least:.6g}; {_CURE}", P)
     made = solved(level, room)
@@ -203,7 +203,7 @@ def sampled_hinf(
         controller=K,
         gamma=gamma,
         frequency=frequency,
-        gamma_optimal=least,
+        gamma_optimal=bound,
         backoff=backoff,
         method=f"sampled hinf, {method}",
         poles=pole_arrays(closed_loop_arrays(*_from_controls(plant)[:4], *state_arrays(K, "controller")[:4])[0]),
@@ -211,24 +211,29 @@ def sampled_hinf(
     )
 
 
-def _least_level(P: StateSpace, plant: SampledPlant, least_norm: Callable[[float], float]) -> float:
-    """Return a level, the least up to 0.1 %, at which a controller keeps the lifted plant at one.
+def _reached(made: Synthesis) -> float:
+    return made.level / (1.0 + made.backoff)
 
-    Far above it the lifted plant's least norm is proportional to 1/level: level times norm is nearly the answer.
+
+def _least_level(P: StateSpace, plant: SampledPlant, designed: Callable[[float], Synthesis]) -> tuple[float, float]:
+    """Return two levels, 0.1 % apart at most: no controller keeps the lifted plant at one at the first, one does after.
+
+    Far above them the lifted plant's least norm is proportional to 1/level: level times norm is nearly the answer.
     """
     low, high = 0.0, np.inf
-    level = least_norm(np.inf)
+    level = _reached(designed(np.inf))
     for _ in range(_ROUNDS):
         try:
-            norm = least_norm(level)
+            made = designed(level)
+            norm, kept = _reached(made), made.gamma_optimal <= 1.0
         except PeriodExceedsLevel:
-            norm = np.inf
+            norm, kept = np.inf, False
         if norm <= 1.0:
             high = level
-        else:
+        elif not kept:
             low = level
         if high <= (1.0 + _ACCURACY) * low:
-            return float(high)
+            return float(low), float(high)
         # A little above where it should be: mostly the other end of the bracket.
         guess = level * norm * (1.0 + 0.5 * _ACCURACY) if norm > 1.0 else level * norm * (1.0 - 0.5 * _ACCURACY)
         inside = low < guess < high and np.isfinite(guess)

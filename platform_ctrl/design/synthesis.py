@@ -24,6 +24,7 @@ from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.arguments import one_of, positive, short
 from platform_ctrl.certificates import Certificate, h2_certificate, norm_certificate
+from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
     Partition,
     Realisation,
@@ -97,9 +98,13 @@ class Synthesis:
         Norm of `closed_loop` in units of z per w, recomputed from it, and for the H-infinity norm the frequency of the
         peak, rad/s.
     gamma_optimal
-        The bound that was backed off from, in the same units: the least gamma that the route found.
+        What no controller of any order can undercut, in the same units, whatever the route (see
+        `design.lower_bounds`): the infimum up to rounding, which no controller has to attain; 0 where nothing is shown.
     backoff
-        Relative back-off: the controller was made for (1 + backoff) gamma_optimal.
+        Relative back-off from the least level that the route found.
+    level
+        What the controller was made for: (1 + backoff) times that level, in the same units. With `regularise` it is one
+        of the changed plant.
     method
         The route.
     poles : complex (n + nK,)
@@ -127,6 +132,7 @@ class Synthesis:
     frequency: float
     gamma_optimal: float
     backoff: float
+    level: float
     method: str
     poles: np.ndarray[Any, Any]
     residual: dict[str, float]
@@ -189,8 +195,9 @@ def hinf(
         Longest time that one call of the LMI solver may take, s.
     regularise
         Riccati route alone: what to add where an assumption does not hold, relative to scaled signals, for example
-        1e-3 (see `design.assumptions.Regularised`). `gamma` is still that of the plant as given, `gamma_optimal` that
-        of the changed one, and `residual` says what was added and what a tenth of it would do. None: it is an error.
+        1e-3 (see `design.assumptions.Regularised`). `gamma` and `gamma_optimal` are still those of the plant as given,
+        `level` is that of the changed one, and `residual` says what was added and what a tenth of it would do. None: it
+        is an error.
 
     Returns
     -------
@@ -259,17 +266,18 @@ def hinf(
             if route == "lmi":
                 from platform_ctrl.design.hinf_lmi import hinf_lmi
 
-                made, optimal, residual = hinf_lmi(flat, backoff, time_limit, P)
+                made, least, residual = hinf_lmi(flat, backoff, time_limit, P)
             else:
                 from platform_ctrl.design.hinf_riccati import hinf_riccati
 
-                made, optimal, residual = hinf_riccati(scaled, backoff, P, regularise)
+                made, least, residual = hinf_riccati(scaled, backoff, P, regularise)
             made = out_of_w_plane(made, plant.dt)
         except np.linalg.LinAlgError as error:
             raise UnscalableError(f"hinf, {route}: {str(error).lower()} within the scaled problem; {CURE}", P) from None
+        bound = hinf_lower_bound(flat, least, scaled)
         return certify(
-            P, plant, made, gamma_optimal=optimal, backoff=backoff, method=f"hinf, {route}", residual=residual,
-            reason=reason,
+            P, plant, made, gamma_optimal=bound, least=least, backoff=backoff, method=f"hinf, {route}",
+            residual=residual, reason=reason,
         )  # fmt: skip
 
     if method is not None or regularise is not None:
@@ -328,6 +336,7 @@ def certify(
     tolerance: float = NORM_TOLERANCE,
     claims: Sequence[Claim] = (),
     reason: str = "",
+    least: float | None = None,
 ) -> Synthesis:
     """Close the loop with the plant as given; return the result only if it is stable and keeps every promise.
 
@@ -337,12 +346,14 @@ def certify(
         The plant and its `partition`, continuous or sampled.
     controller
         u = K y, of the plant's own kind.
-    gamma_optimal, backoff, norm
-        The least norm that the route found, and the share that it backed off.
+    gamma_optimal, norm
+        What no controller can undercut.
+    least, backoff
+        The least norm that the route found, by default `gamma_optimal`, and the share that it backed off.
     method, residual, reason
         Kept in the result.
     tolerance
-        What the norm may exceed ``(1 + backoff) gamma_optimal`` by, relative to `gamma_optimal`.
+        What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
     claims
         What else was promised.
 
@@ -362,8 +373,9 @@ def certify(
     if norm == "h2" and plant.dt == 0.0:
         D = _without_rounding(D, plant, controller)
     loop = Realisation(A=loop.A, B=loop.B, C=loop.C, D=D)
-    limit = (1 + backoff + tolerance) * gamma_optimal
-    gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, gamma_optimal, P)
+    least = gamma_optimal if least is None else least
+    limit = (1 + backoff + tolerance) * least
+    gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, least, P)
     return Synthesis(
         plant=P,
         nmeas=plant.C2.shape[0],
@@ -372,8 +384,9 @@ def certify(
         closed_loop=closed_loop_system(P, loop),
         gamma=gamma,
         frequency=frequency,
-        gamma_optimal=float(gamma_optimal),
+        gamma_optimal=float(min(gamma_optimal, gamma)),
         backoff=float(backoff),
+        level=float((1 + backoff) * least),
         method=method,
         poles=poles,
         residual=dict(residual),

@@ -84,14 +84,14 @@ def _against_bounds(design: LoopDesign) -> list[str]:
         share = f": {_percent(bound / own - 1.0, 'up')} is all that any other could add" if own < bound else ""
         out.append(f"No controller within these limits reaches more than {most}{share}.")
     gamma, least = claims.get("gamma", np.nan), claims.get("gamma_optimal", np.nan)
-    told = claims.get("price", gamma / least - 1.0)
+    told = claims.get("price", gamma / least - 1.0 if least > 0.0 else np.nan)
     if np.isfinite(told) and np.isfinite(gamma) and np.isfinite(least):
         out.append(
-            f"On its weights the norm is {plain(gamma, rounding='up')}, {_percent(told)} above the least that any "
-            f"controller of whatever order reaches, {plain(least, rounding='down')}."
+            f"On its weights the norm is {plain(gamma, rounding='up')}, {_percent(told)} above "
+            f"{plain(least, rounding='down')}, which no controller of any order undercuts."
         )
     elif np.isfinite(told):
-        out.append(f"Its simplicity costs {_percent(told)} against the best controller of whatever order.")
+        out.append(f"Its simplicity costs at most {_percent(told)} against the best controller of any order.")
     return out
 
 

@@ -59,7 +59,7 @@ class Multiobjective:
         Every requirement with its value, recomputed from the closed loop, and its ratio, at most 1 when met.
     ratio_optimal
         Least common bound of the soft norms (all, where none is soft) as a ratio to their limits that the inequalities
-        allow; nan where no norm is asked.
+        allow, as the solver found it: sufficient, so other controllers may have less; nan where no norm is asked.
     backoff
         Relative distance from it.
     poles : complex (n,)

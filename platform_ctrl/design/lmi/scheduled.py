@@ -49,7 +49,8 @@ class Scheduled:
         For any rho(t) in the box, and x = 0 at the start, the energy of z is below gamma² times that of w; in units of
         z per w.
     gamma_optimal
-        The least gamma with a common Lyapunov matrix, in the same units.
+        The least gamma with a common Lyapunov matrix, as the solver found it, in the same units: sufficient, so other
+        controllers may have less.
     norms : (vertices,)
         H-infinity norms of the closed loops frozen at the vertices, in the same units.
     backoff

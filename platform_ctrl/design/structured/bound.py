@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
+from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
 from platform_ctrl.design.partition import Partition, Realisation, whole
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import DesignError, TimeLimitError
@@ -22,14 +23,14 @@ _BACKOFFS = (0.1, 0.5, 2.0)
 
 @value
 class Bound:
-    """A full-order design of one plant.
+    """What is known of controllers of full order for one plant.
 
     Attributes
     ----------
     gamma
-        The least norm of any controller; nan where it is not known.
+        What no controller of any order can undercut; 0 where nothing is shown.
     source
-        How it was found, or why not.
+        How it was found.
     controllers
         Some near it and some far from it, in the w-plane where the plant is sampled.
     cut
@@ -45,27 +46,25 @@ class Bound:
 def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
     """Return the full-order bound of a continuous (or w-plane) plant, in the H2 norm where `power`."""
     P = _system(plant)
-    failures, cut = [], False
+    cut = False
     for method in ("riccati", "lmi"):
         if method == "lmi" and len(plant.A) > _LMI_STATES:
-            failures.append(f"lmi: more than {_LMI_STATES} states")
             continue
         try:
             found = _designed(P, plant, power, method, time_limit)
         except DesignError as error:
-            failures.append(str(error))
             cut = cut or isinstance(error, TimeLimitError)
             continue
         more = () if power or method == "lmi" else _simpler(P, plant, None)
-        return Bound(
-            gamma=found.gamma_optimal,
-            source=f"{'H2' if power else 'H-infinity'} of full order, {method}",
-            controllers=(_realised(found), *more),
-            cut=cut,
-        )
-    # No bound then, but something to start from.
+        return _bound(found.gamma_optimal, power, (_realised(found), *more), cut)
     more = () if power else _simpler(P, plant, 1e-2)
-    return Bound(gamma=float("nan"), source=f"no bound: {'; '.join(failures)}", controllers=more, cut=cut)
+    return _bound(h2_lower_bound(plant) if power else hinf_lower_bound(plant), power, more, cut)
+
+
+def _bound(gamma: float, power: bool, controllers: tuple[Realisation, ...], cut: bool) -> Bound:
+    norm = "H2" if power else "H-infinity"
+    source = f"{norm} norm of any controller, by duality" if gamma > 0.0 else f"no {norm} bound above 0 shown"
+    return Bound(gamma=gamma, source=source, controllers=controllers, cut=cut)
 
 
 def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:

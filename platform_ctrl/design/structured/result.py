@@ -60,9 +60,9 @@ class StructuredDesign:
         The largest of them, in the same units.
     gamma_optimal
         What no controller of any order can undercut, in the same units: the largest full-order bound over the plants;
-        nan where none could be computed.
+        0 where nothing is shown.
     bound
-        Where that bound comes from, or why there is none.
+        Where that bound comes from.
     poles
         Closed-loop poles, one array (n,) a plant: rad/s, or in z (dimensionless).
     searches
@@ -99,8 +99,8 @@ class StructuredDesign:
 
     @property
     def price(self) -> float:
-        """What the structure costs: ratio of gamma to the full-order bound; nan without a bound."""
-        return self.gamma / self.gamma_optimal
+        """What the structure costs at most: ratio of gamma to the full-order bound; inf where that is 0."""
+        return self.gamma / self.gamma_optimal if self.gamma_optimal > 0.0 else float("inf")
 
     @property
     def passed(self) -> bool:

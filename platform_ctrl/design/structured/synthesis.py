@@ -393,7 +393,7 @@ def _judged(
             "bound the structure's numbers: gains this large are at the limit of floating point",
             given,
         )
-    largest = max((one for one in bounds), key=lambda one: one.gamma if np.isfinite(one.gamma) else -np.inf)
+    largest = max(bounds, key=lambda one: one.gamma)
     units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
     names = [one.name for one in structure.parameters(nmeas, ncon, units)]
     if whole is not None:

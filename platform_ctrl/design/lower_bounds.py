@@ -1,0 +1,504 @@
+"""Lower bounds on the norm of every closed loop around a plant: H-infinity and H2, no assumption on D12 and D21.
+
+Adjoint signals ζ, with p' = A'p + C1'ζ, that no control can see, B2'p + D12'ζ = 0, show what no control can undo: every
+controller leaves the gain from ζ to ω = B1'p + D11'ζ as it is. The transposed plant shows the same of measurements.
+Such signals live in a subspace, p = S ξ (the largest output-nulling one, of that its reachable and its antistable
+part), where they are those of a regular system
+
+    ξ' = A ξ + B η,   ζ = C ξ + D η,   ω = H ξ + E η
+
+whether D12 has full rank or not (Stoorvogel 1992). Any feedback η = K ξ that makes −A − B K stable gives a feasible
+point of the dual of the synthesis inequalities, and with it a bound that holds by an identity, not by the convergence
+of a solver; the optimal K, from a Riccati equation, makes it tight, and an error in K counts quadratically.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.design.assumptions import DIRECT
+from platform_ctrl.design.partition import Partition, in_w_plane
+from platform_ctrl.design.riccati import stabilising
+from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray
+
+# Share of the bound that is given away for rounding of its evaluation.
+ROUNDING = 1e-11
+# Singular values below this share of the largest are zero, when the subspace is found; and its least angle.
+RANK, ANGLE = 1e-13, 1e-8
+# Couplings below this share of the plant do not reach a state.
+REACH = 1e-12
+# How far the subspace may be from exact, and how near to the axis an eigenvalue that no input moves is not antistable,
+# relative to the scaled plant.
+LEAK, AXIS = 1e-11, 1e-8
+# Ratios of sizes below this are rounding, not units.
+UNITS = 1e-8
+# Eigenvalues farther from the axis than this share of the Hamiltonian matrix leave a solution that is only ill-scaled.
+DISTANCE = 1e-9
+# Added to the right-hand side of a Lyapunov equation in states of unit cost, until the inequality holds with rounding.
+SLACKS = 10.0 ** np.arange(-14.0, -6.0)
+# The search for the least level ends at this relative width of gamma^-2, or after so many steps.
+WIDTH, STEPS = 1e-10, 80
+# A bound this near to the level that a synthesis has reached needs no search.
+NEAR = 1e-8
+# Levels of a scaled plant below this count as zero.
+LEAST_LEVEL = 1e-9
+
+
+class Side(NamedTuple):
+    """The adjoint signals that no control (or, transposed, no measurement) sees, as above."""
+
+    S: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    H: FloatArray
+    E: FloatArray
+    fixed: float  # Gain at single frequencies: those of eigenvalues on the axis that η does not move, and infinity.
+
+
+class Level(NamedTuple):
+    """The solution of a side at t = gamma⁻²: the least ∫ |ζ|² − t |ω|² that leads to ξ is ξ'X ξ, by the feedback K."""
+
+    X: FloatArray
+    K: FloatArray
+
+
+def hinf_lower_bound(plant: Partition, near: float = math.nan, scaled: ScaledPlant | None = None) -> float:
+    """Return what no stabilising controller of any order can undercut in the H-infinity norm; 0 where nothing is shown.
+
+    Parameters
+    ----------
+    plant
+        Continuous, or in the w-plane.
+    near
+        A level that a synthesis has reached: spares a search.
+    scaled
+        The plant in scaled units, where it is at hand.
+
+    References
+    ----------
+    P. Gahinet, P. Apkarian, Int. J. Robust and Nonlinear Control 4, 1994.
+
+    A. A. Stoorvogel, The H-infinity Control Problem: a State Space Approach, 1992.
+    """
+    scaled = autoscaled_with_gain(plant) if scaled is None else scaled
+    try:
+        sides = _both_sides(_exact(scaled, plant))
+        level = 0.0 if sides is None else _least_level(sides, near / scaled.gain)
+    except (np.linalg.LinAlgError, ValueError):
+        return 0.0
+    return _shown(scaled.gain * level)
+
+
+def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
+    """Return what no stabilising controller of any order can undercut in the H2 norm; 0 where nothing is shown.
+
+    With P = S X⁻¹ S' and X the cost ∫ |ζ|² of *any* feedback K, every closed loop has
+    ‖z‖² = tr(B1'P B1) + ‖z − Z X⁻¹S'x‖², Z = C + D K; the transposed plant bounds the second term by tr(L Q L') with
+    L = C1 − Z X⁻¹S'.
+
+    Parameters
+    ----------
+    plant
+        Continuous or sampled.
+    direct
+        Sampled plants: whether u[k] may use y[k].
+
+    References
+    ----------
+    A. A. Stoorvogel, A. Saberi, B. M. Chen, Int. J. Robust and Nonlinear Control 3, 1993.
+    """
+    try:
+        plant = _with_white_noise(plant if direct else _delayed(plant)) if plant.dt else plant
+        scaled = autoscaled_with_gain(plant)
+        p = _exact(scaled, plant)
+        gain = -scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T
+        if np.linalg.norm(p.D11 + p.D12 @ gain @ p.D21) > DIRECT * np.linalg.norm(p.D11):
+            return 0.0  # There is no finite norm.
+        p = Partition(
+            A=p.A + p.B2 @ gain @ p.C2, B1=p.B1 + p.B2 @ gain @ p.D21, B2=p.B2, C1=p.C1 + p.D12 @ gain @ p.C2, C2=p.C2,
+            D11=np.zeros_like(p.D11), D12=p.D12, D21=p.D21, D22=p.D22,
+        )  # fmt: skip
+        sides = _both_sides(p)
+        controls, measurements = (None, None) if sides is None else (_cost(sides[0]), _cost(sides[1]))
+    except (ArgumentError, np.linalg.LinAlgError, ValueError):
+        return 0.0
+    if controls is None or measurements is None:
+        return 0.0
+    (V, seen), W = controls, measurements[0]
+    square = np.linalg.norm(p.B1.T @ V) ** 2 + np.linalg.norm((p.C1 - seen @ V.T) @ W) ** 2
+    return _shown(scaled.gain * math.sqrt(float(square) * scaled.rate))
+
+
+def _shown(bound: float) -> float:
+    return (1.0 - ROUNDING) * bound if math.isfinite(bound) else 0.0
+
+
+def _with_white_noise(plant: Partition) -> Partition:
+    """The w-plane plant behind √T / (1 + w T/2): its H2 norm is that of the sampled plant, in units of z per w."""
+    p = in_w_plane(plant)
+    (nz, nw), ny, nu = p.D11.shape, len(p.C2), p.B2.shape[1]
+    root, corner = math.sqrt(plant.dt), 2.0 / plant.dt
+    return Partition(
+        A=np.block([[p.A, root * p.B1], [np.zeros((nw, len(p.A))), -corner * np.eye(nw)]]),
+        B1=np.vstack([np.zeros((len(p.A), nw)), corner * np.eye(nw)]),
+        B2=np.vstack([p.B2, np.zeros((nw, nu))]),
+        C1=np.hstack([p.C1, root * p.D11]),
+        C2=np.hstack([p.C2, root * p.D21]),
+        D11=np.zeros((nz, nw)), D12=p.D12, D21=np.zeros((ny, nw)), D22=p.D22,
+    )  # fmt: skip
+
+
+def _delayed(plant: Partition) -> Partition:
+    """The sampled plant whose y comes a sample later: strictly proper controllers of `plant` are all those of this."""
+    p, ny = plant, len(plant.C2)
+    none = np.zeros((ny, ny))
+    return Partition(
+        A=np.block([[p.A, np.zeros((len(p.A), ny))], [p.C2, none]]),
+        B1=np.vstack([p.B1, p.D21]),
+        # What u adds to y directly the controller knows.
+        B2=np.vstack([p.B2, np.zeros((ny, p.B2.shape[1]))]),
+        C1=np.hstack([p.C1, np.zeros((len(p.C1), ny))]),
+        C2=np.hstack([np.zeros((ny, len(p.A))), np.eye(ny)]),
+        D11=p.D11, D12=p.D12, D21=np.zeros_like(p.D21), D22=np.zeros_like(p.D22), dt=p.dt,
+    )  # fmt: skip
+
+
+def _cost(side: Side) -> tuple[FloatArray, FloatArray] | None:
+    """V with V V' = P, and Z X^-½; None where the inequality does not hold in spite of rounding."""
+    from scipy.linalg import solve_continuous_lyapunov
+
+    level = _at(side, 0.0)[0]
+    if level is None:
+        return None
+    A, Z = side.A + side.B @ level.K, side.C + side.D @ level.K
+    if not len(A):
+        return side.S, Z
+    for slack in SLACKS:
+        X = solve_continuous_lyapunov(A.T, Z.T @ Z + slack * np.eye(len(A)))
+        drift = A.T @ X
+        if not np.all(np.isfinite(X)):
+            return None
+        values, vectors = np.linalg.eigh(0.5 * (X + X.T))
+        if values[0] > 0.0 and np.linalg.eigvalsh(drift + drift.T - Z.T @ Z)[0] >= 0.5 * slack:
+            root = vectors / np.sqrt(values)
+            return side.S @ root, Z @ root
+    return None
+
+
+def _exact(scaled: ScaledPlant, given: Partition) -> Partition:
+    """The scaled plant with D12 and D21 as they are: where they nearly lose rank, scaling sets the rest to zero."""
+    p, root = scaled.plant, math.sqrt(scaled.gain)
+    return Partition(
+        A=p.A, B1=p.B1, B2=p.B2, C1=p.C1, C2=p.C2, D11=p.D11,
+        D12=given.D12 / root @ scaled.control, D21=scaled.measurement @ given.D21 / root, D22=p.D22,
+    )  # fmt: skip
+
+
+def _both_sides(p: Partition) -> tuple[Side, Side] | None:
+    controls = _side(p.A, p.B1, p.B2, p.C1, p.D11, p.D12)
+    measurements = _side(p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T)
+    out = []
+    for side in (controls, measurements):
+        # Twice: the first costs are those of badly scaled states.
+        found = side and _in_states_of_unit_cost(_in_common_units(side))
+        found = found and _in_states_of_unit_cost(found)
+        if found is None:
+            return None
+        out.append(found)
+    return out[0], out[1]
+
+
+def _in_common_units(side: Side) -> Side:
+    """The same with B and C of one size."""
+    B, C = float(np.linalg.norm(side.B)), float(np.linalg.norm(side.C))
+    unit = math.sqrt(B / C) if B > UNITS * C and C > UNITS * B else 1.0
+    one = np.eye(len(side.A))
+    return _in_states(side, unit * one, one / unit)
+
+
+def _in_states(side: Side, T: FloatArray, back: FloatArray) -> Side:
+    """The same in states ξ', ξ = T ξ'; `back` is the inverse."""
+    return Side(
+        S=side.S @ T, A=back @ (side.A @ T), B=back @ side.B, C=side.C @ T, D=side.D, H=side.H @ T, E=side.E,
+        fixed=side.fixed,
+    )  # fmt: skip
+
+
+def _in_states_of_unit_cost(side: Side) -> Side | None:
+    """The same in states ξ that are reached with ∫ |ζ|² = |ξ|²; None where there is no least."""
+    level = _at(side, 0.0)[0]
+    if level is None:
+        return None
+    values, vectors = np.linalg.eigh(level.X)
+    if not np.all(values > 0.0):
+        return None
+    root = np.sqrt(values)
+    return _in_states(side, vectors / root, (vectors * root).T)
+
+
+def _kernel(M: FloatArray) -> FloatArray:
+    if not M.size:
+        return np.eye(M.shape[1])
+    _, sigma, Vt = np.linalg.svd(M)
+    return np.asarray(Vt[int(np.sum(sigma > RANK * max(1.0, sigma[0]))) :].T)
+
+
+def _split(V: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal bases of the range of V and of its complement."""
+    n = len(V)
+    if not V.shape[1]:
+        return np.zeros((n, 0)), np.eye(n)
+    U, sigma, _ = np.linalg.svd(V)
+    rank = int(np.sum(sigma > tolerance))
+    return U[:, :rank], U[:, rank:]
+
+
+def _side(
+    A: FloatArray, B1: FloatArray, B2: FloatArray, C1: FloatArray, D11: FloatArray, D12: FloatArray
+) -> Side | None:
+    """Return the reduced adjoint system; None where rounding does not leave it exact enough."""
+    n = len(A)
+    V, rest = np.eye(n), np.zeros((n, 0))
+    # Shrinks until every p in V can stay there, unseen by the controls.
+    while True:
+        k = V.shape[1]
+        N = _kernel(np.block([[B2.T @ V, D12.T], [rest.T @ A.T @ V, rest.T @ C1.T]]))
+        inside, _ = _split(N[:k], ANGLE)
+        if inside.shape[1] == k:
+            break
+        V, rest = _split(V @ inside, 0.5)
+    back = np.linalg.pinv(N[:k])
+    free = N[k:] @ _kernel_of_rows(N[:k])
+    C = N[k:] @ back
+    A_V, B_V = V.T @ (A.T @ V + C1.T @ C), V.T @ C1.T @ free
+    T, frequencies = _reachable_or_antistable(A_V, B_V)
+    H, E = B1.T @ V + D11.T @ C, D11.T @ free
+    axis = [_gain_at(one, A_V, B_V, np.hstack([C, free]), np.hstack([H, E])) for one in frequencies]
+    S = V @ T
+    # A controller that is proper leaves the direct term what the direct paths around it make of it.
+    unseen = _kernel(D12.T)
+    fixed = max([_gain(unseen, D11.T @ unseen), *axis])
+    side = Side(S=S, A=T.T @ A_V @ T, B=T.T @ B_V, C=C @ T, D=free, H=H @ T, E=E, fixed=fixed)
+    flow = np.hstack([A.T @ S + C1.T @ side.C, C1.T @ side.D])
+    seen = np.hstack([B2.T @ S + D12.T @ side.C, D12.T @ side.D])
+    leak = np.linalg.norm(flow - S @ (S.T @ flow)) + np.linalg.norm(seen)
+    size = 1.0 + np.linalg.norm(A) + np.linalg.norm(C1) * (1.0 + np.linalg.norm(side.C)) + np.linalg.norm(B2)
+    return side if leak <= LEAK * size else None
+
+
+def _kernel_of_rows(M: FloatArray) -> FloatArray:
+    """Kernel of a matrix of full row rank."""
+    return np.asarray(np.linalg.svd(M)[2][len(M) :].T) if len(M) else np.eye(M.shape[1])
+
+
+def _reachable_or_antistable(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Basis of the states that inputs reach, and with them of the eigenvalues in the right half-plane that they do not.
+
+    What decays by itself has been nothing ever since: no signal on (−∞, 0] contains it. Also returned are the
+    frequencies of eigenvalues on the axis that no input moves.
+    """
+    from scipy.linalg import schur
+
+    size = max(1.0, float(np.linalg.norm(A)))
+    reached, rest = _split(B, REACH * max(1.0, float(np.linalg.norm(B))))
+    while rest.shape[1]:
+        more, _ = _split(rest.T @ A @ reached, REACH * size)
+        if not more.shape[1]:
+            break
+        reached, rest = _split(np.hstack([reached, rest @ more]), 0.5)
+    if not rest.shape[1]:
+        return np.eye(len(A)), np.zeros(0)
+    _, Z, count = schur(rest.T @ A @ rest, output="real", sort=lambda x, y: x > AXIS * size)
+    poles = np.array(clustered(np.linalg.eigvals(rest.T @ A @ rest), size))
+    near = np.abs(poles.imag[np.abs(poles.real) <= AXIS * size])
+    near[near <= AXIS * size] = 0.0
+    return np.hstack([reached, rest @ Z[:, :count]]), np.unique(near)
+
+
+def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
+    """Return the solution at t, or None; and the frequencies of eigenvalues on the axis that stand in its way."""
+    _, A, B, C, D, H, E, _ = side
+    R = D.T @ D - t * E.T @ E
+    if not len(A):
+        return Level(np.zeros((0, 0)), np.zeros((D.shape[1], 0))), np.zeros(0)
+    if R.size and np.linalg.eigvalsh(R)[0] <= 0.0:
+        return None, np.zeros(0)
+    Q, N = C.T @ C - t * H.T @ H, C.T @ D - t * H.T @ E
+    into = np.linalg.solve(R, np.hstack([B.T, N.T]))
+    n = len(A)
+    # Backwards in time: what leads to ξ from rest is what leaves it.
+    left = -A + B @ into[:, n:]
+    found = stabilising(np.block([[left, -B @ into[:, :n]], [N @ into[:, n:] - Q, -left.T]]))
+    X = _balanced(-A, -B, Q, R, N) if found.X is None and found.distance > DISTANCE else found.X
+    if X is None:
+        near = np.abs(found.eigenvalues.real) <= 1e-5 * max(np.abs(found.eigenvalues).max(initial=0.0), 1.0)
+        return None, np.unique(np.abs(found.eigenvalues.imag[near]))
+    return Level(X, into[:, :n] @ X - into[:, n:]), np.zeros(0)
+
+
+def _balanced(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray) -> FloatArray | None:
+    """Solution by SciPy's balanced pencil, where X is large in some directions and small in others."""
+    from scipy.linalg import solve_continuous_are
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            X = np.asarray(solve_continuous_are(A, B, Q, R, s=N))
+        return X if np.all(np.isfinite(X)) else None
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+
+
+def _least_level(sides: tuple[Side, Side], near: float) -> float:
+    """Largest level that is shown to be a lower bound, by search in t = gamma⁻² for the last one that is feasible."""
+    bound = max(max(_gain(side.D, side.E), side.fixed) for side in sides)
+    feasible, beyond = 0.0, max(bound, LEAST_LEVEL) ** -2
+    t = min((1.0 - WIDTH) * near**-2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
+    for _ in range(STEPS):
+        levels, frequencies = zip(*(_at(side, t) for side in sides), strict=True)
+        shown = list(_of_frequencies(sides, frequencies))
+        reached = _is_feasible(sides, levels, t)
+        if reached:
+            feasible = t
+            shown += _of_levels(sides, levels)
+        else:
+            beyond = min(beyond, t)
+        bound = max([bound, *shown])
+        beyond = min(beyond, max(bound, LEAST_LEVEL) ** -2)
+        if beyond - feasible <= WIDTH * beyond or bound >= (1.0 - NEAR) * near:
+            break
+        # What a feasible level shows is nearly the least level itself: look just above it.
+        t = (1.0 - 0.5 * WIDTH) * beyond
+        if not reached or t <= feasible + 0.1 * (beyond - feasible):
+            far = feasible <= 0.1 * beyond
+            t = math.sqrt(max(feasible, 1e-4 * beyond) * beyond) if far else 0.5 * (feasible + beyond)
+    return bound
+
+
+def _is_feasible(sides: tuple[Side, Side], levels: tuple[Level | None, Level | None], t: float) -> bool:
+    if levels[0] is None or levels[1] is None:
+        return False
+    try:
+        return math.sqrt(t) * _coupling(sides, (levels[0], levels[1]))[0] < 1.0
+    except np.linalg.LinAlgError:
+        return False
+
+
+def _coupling(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> tuple[float, FloatArray, FloatArray]:
+    """Largest x'S_X'S_Y y for x'X x = y'Y y = 1, and x and y.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        X or Y is not positive definite.
+    """
+    L, M = (np.linalg.cholesky(level.X) for level in levels)
+    between = np.linalg.solve(L, np.linalg.solve(M, sides[1].S.T @ sides[0].S).T)
+    if not between.size:
+        return 0.0, np.zeros(len(L)), np.zeros(len(M))
+    U, sigma, Vt = np.linalg.svd(between)
+    return float(sigma[0]), np.linalg.solve(L.T, U[:, 0]), np.linalg.solve(M.T, Vt[0])
+
+
+def _gain(Z: FloatArray, W: FloatArray) -> float:
+    """Largest |W x| / |Z x|, evaluated at the vector that it belongs to."""
+    if not Z.shape[1]:
+        return 0.0
+    R = np.linalg.qr(Z)[1]
+    if np.abs(np.diag(R)).min() <= RANK * np.abs(R).max():
+        return 0.0
+    x = np.linalg.solve(R, np.linalg.svd(np.linalg.solve(R.T, W.T).T)[2][0].conj())
+    return float(np.linalg.norm(W @ x) / np.linalg.norm(Z @ x))
+
+
+def _gain_at(frequency: float, A: FloatArray, B: FloatArray, Z: FloatArray, W: FloatArray) -> float:
+    """Largest |W x| / |Z x| of the harmonic signals x = [ξ, η] of ξ' = A ξ + B η."""
+    n = len(A)
+    pencil = np.hstack([A - 1j * frequency * np.eye(n), B])
+    _, sigma, Vh = np.linalg.svd(pencil)
+    rank = int(np.sum(sigma > REACH * max(1.0, sigma.max(initial=0.0))))
+    x = Vh[rank:].conj().T
+    return _gain(Z @ x, W @ x)
+
+
+def _of_frequencies(sides: tuple[Side, Side], frequencies: tuple[FloatArray, ...]) -> Iterator[float]:
+    """Gains of the adjoint signals at frequencies, and between them."""
+    for side, found in zip(sides, frequencies, strict=True):
+        if not found.size:
+            continue
+        w = np.concatenate([[0.0], found, 0.5 * (found[1:] + found[:-1]), np.sqrt(found[1:] * found[:-1])])
+        for one in w:
+            yield _gain_at(one, side.A, side.B, np.hstack([side.C, side.D]), np.hstack([side.H, side.E]))
+
+
+class Signals(NamedTuple):
+    """Adjoint signals on (−∞, 0]: ∫ |ζ|² and ∫ |ω|², and a root of what is left at the end, W = ∫ d/dt ξξ'."""
+
+    size: float
+    seen: float
+    end: FloatArray
+
+
+def _signals(side: Side, level: Level, x: FloatArray) -> Signals:
+    """Return the signals that lead to x by the feedback of `level`.
+
+    In states of unit cost no feasible X exceeds γ: what W lacks to W >= 0 by rounding counts as so much more ∫ |ζ|².
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        There is no end to them.
+    """
+    from scipy.linalg import solve_continuous_lyapunov
+
+    n, A = len(x), side.A + side.B @ level.K
+    P = solve_continuous_lyapunov(A, np.outer(x, x))
+    root = _root(0.5 * (P + P.T))
+    drift = A @ root @ root.T
+    end = drift + drift.T
+    rounding = n * np.finfo(float).eps * float(np.linalg.norm(A)) * float(np.linalg.norm(root)) ** 2
+    lacks = n * (rounding + max(-float(np.linalg.eigvalsh(end)[0]), 0.0))
+    return Signals(
+        size=float(np.linalg.norm((side.C + side.D @ level.K) @ root) ** 2) + lacks,
+        seen=float(np.linalg.norm((side.H + side.E @ level.K) @ root) ** 2),
+        end=_root(end),
+    )
+
+
+def _root(P: FloatArray) -> FloatArray:
+    """Root of the positive semidefinite part."""
+    values, vectors = np.linalg.eigh(P)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _of_levels(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> Iterator[float]:
+    """Bounds from the signals that the two solutions are least compatible with, and from those of each alone."""
+    nothing = [Signals(0.0, 0.0, np.zeros_like(level.X)) for level in levels]
+    for k, (side, level) in enumerate(zip(sides, levels, strict=True)):
+        if len(level.X):
+            alone = nothing.copy()
+            alone[k] = _signals(side, level, np.linalg.eigh(level.X)[1][:, 0])
+            yield _dual(sides, *alone)
+    if all(len(level.X) for level in levels):
+        _, *ends = _coupling(sides, levels)
+        yield _dual(sides, *(_signals(*each) for each in zip(sides, levels, ends, strict=True)))
+
+
+def _dual(sides: tuple[Side, Side], one: Signals, other: Signals) -> float:
+    """Level below which these signals allow no controller: λ² s − λ f − g² = 0.
+
+    Every pair X, Y of the synthesis inequalities at γ has tr(X W) <= γ s − g²/γ, summed over both sides, with W the end
+    of the signals, and tr(X W_X) + tr(Y W_Y) >= f = 2 |W_X^½ S_X' S_Y W_Y^½| in the nuclear norm, by [X, I; I, Y] >= 0.
+    """
+    f = 2.0 * float(np.linalg.svd(one.end.T @ sides[0].S.T @ sides[1].S @ other.end, compute_uv=False).sum())
+    s, g2 = one.size + other.size, one.seen + other.seen
+    return (f + math.sqrt(f * f + 4.0 * s * g2)) / (2.0 * s) if s > 0.0 else 0.0
