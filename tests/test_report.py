@@ -531,7 +531,7 @@ def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobRes
     best = max(others, key=price.bandwidth_hz)
     assert f"“{best.name}”" in sentences[0]
     assert f"{outcome.closed.controller.nstates} states" in sentences[0]
-    assert "4\u00a0% above the least" in sentences[-1]
+    assert "4\u00a0% above 1.25, which no controller" in sentences[-1]
     gained = 100.0 * (80.0 / price.bandwidth_hz(outcome.closed) - 1.0)
     assert f"{plain(gained, 2, 'up')}\u00a0% is all that any other could add" in sentences[-2]
     for sentence in sentences:
