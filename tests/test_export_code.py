@@ -408,6 +408,16 @@ def test_a_pole_that_single_precision_moves_is_refused(job: Job, tmp_path: Path)
     assert write_c(job, [slow], tmp_path).files
 
 
+def test_a_resonance_that_single_precision_moves_by_more_than_its_width_is_refused(job: Job, tmp_path: Path) -> None:
+    # At 1 rad a sample, with a half-width of 1.5e-6: z² − 2 r cos(1) z + r² in float moves it by a part of that.
+    r = 1.0 - 1.5e-6
+    A = np.array([[2.0 * r * np.cos(1.0), -r * r], [1.0, 0.0]])
+    sharp = entry(job, "caging 9-10", (A, np.eye(2) * 1e-4, np.eye(2), np.eye(2)), ("9", "10"))
+    with pytest.raises(UnscalableError, match="use double"):
+        write_c(job, [sharp], tmp_path, number="float")
+    assert write_c(job, [sharp], tmp_path).files
+
+
 def test_numbers_that_no_float_holds_are_refused(job: Job, tmp_path: Path) -> None:
     tiny = entry(
         job, "caging 9-10", (np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), 1e-60 * np.eye(2)), ("9", "10")
