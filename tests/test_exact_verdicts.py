@@ -11,12 +11,16 @@ import pytest
 import dense_peak
 import narrow_loops
 from platform_ctrl.analysis import PlantSet, StateArrays, measure
+from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.check.coupled import coupled_check
 from platform_ctrl.cli import main
 from platform_ctrl.design.structured.descent import Search
 from platform_ctrl.design.structured.families import Named
 from platform_ctrl.design.structured.loops import ClosedLoops
 from platform_ctrl.design.tuning import tune, worst_ratio
+from platform_ctrl.linearisation import linearise
+from platform_ctrl.reading import read_job
 from platform_ctrl.requirements import SPREAD, requirement
 from test_cli import undrawn  # noqa: F401
 
@@ -156,6 +160,35 @@ def test_poles_and_noise_next_to_the_stability_boundary_keep_their_digits(kind: 
     assert requirement("damping", 1.0, over=SPREAD).check(among, K).value == pytest.approx(damping, rel=1e-7)
     rms = dense_peak.noise(loops[0], among.noise)
     assert requirement("torque noise", 1.0).check(among, K).value == pytest.approx(rms.max(), rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["sensitivity peak", "complementary peak", "torque limit"])
+def test_the_coupled_check_sees_what_a_grid_misses(kind: str, plants: PlantSet, tmp_path: Path) -> None:
+    """Margins of channels alone and of both at once: by brute force over frequency, and over the scaling d."""
+    (tmp_path / "job.toml").write_text(f"{JOB}\n[coupled]\ndisk_margin = 0.1\n", encoding="utf-8")
+    job = read_job(tmp_path / "job.toml")
+    K = narrow_loops.controller(np.array(FOUND[kind][1]))
+    found = coupled_check(job, linearise(job.platform), [state_space(K, ("alpha9", "beta10"), ("Q9", "Q10"))])
+    loop = dense_peak.closed(plants, 0, K)
+    w = dense_peak.around_poles(loop.A, PERIOD)
+
+    def half(f: np.ndarray) -> np.ndarray:
+        return dense_peak.response(loop, "u", "d", f) + 0.5 * np.eye(2)
+
+    alone = [1.0 / dense_peak.highest(lambda f, i=i: np.abs(half(f)[:, i, i]), w, (0.0, np.inf)) for i in range(2)]
+    np.testing.assert_allclose(found.coupled, alone, rtol=1e-7)
+    d = np.exp(np.linspace(-6.0, 6.0, 601))
+    scale = np.stack([np.stack([np.ones_like(d), d], -1), np.stack([1.0 / d, np.ones_like(d)], -1)], -2)
+
+    def mu(f: np.ndarray) -> np.ndarray:
+        return np.array([dense_peak.size(one * scale).min() for one in half(f)])
+
+    sizes = dense_peak.size(half(w))
+    near = w[sizes > 0.5 * sizes.max()]
+    both = 1.0 / dense_peak.highest(mu, near, (0.0, np.inf))
+    (margin,) = [one for one in found.results if one.name == "simultaneous disk margin"]
+    assert margin.method == "bound"
+    assert both * (1.0 - 5e-4) <= margin.value <= both * (1.0 + 1e-4)
 
 
 @pytest.mark.slow
