@@ -120,6 +120,8 @@ class Torquer:
         Time constant of the first-order lag from command to torque, s.
     rate_limit
         Largest rate at which the torque follows its command, N m/s, or None.
+    added
+        Whether the device itself does not have it: whatever is proved with it is not proved of the device.
 
     References
     ----------
@@ -132,6 +134,7 @@ class Torquer:
     limit: float | None = None
     lag: float = 0.0
     rate_limit: float | None = None
+    added: bool = False
 
     @property
     def signal(self) -> str:
@@ -153,6 +156,8 @@ class PickOff:
         White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
     quantisation
         Step of the reading, rad; 0 for none.
+    added
+        Whether the device itself does not have it.
 
     References
     ----------
@@ -164,6 +169,7 @@ class PickOff:
     noise_rms: float = 0.0
     noise_bandwidth_hz: float = 1000.0
     quantisation: float = 0.0
+    added: bool = False
 
     def sampled_noise(self, period: float) -> float:
         """Return the rms of one sample behind a filter at the Nyquist frequency.
@@ -277,6 +283,12 @@ class Platform:
     erections: tuple[Erection, ...] = ()
     specific_force: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
     source: str = ""
+
+    @property
+    def added(self) -> tuple[Torquer | PickOff, ...]:
+        """Torquers and pick-offs that the device itself does not have."""
+        parts: tuple[Torquer | PickOff, ...] = (*self.torquers, *self.pickoffs)
+        return tuple(part for part in parts if part.added)
 
     @property
     def gimbal_names(self) -> tuple[str, ...]:

@@ -65,7 +65,26 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
 
 
 def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals."""
+    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals.
+
+    Parameters
+    ----------
+    models
+        From `linearise`, for example at several platform rates.
+
+    Returns
+    -------
+    tuple of tuples
+        Names of the gimbals of each group.
+
+    Notes
+    -----
+    The arguments are not judged.
+
+    References
+    ----------
+    As `subsystems`.
+    """
     coupled = np.any([_coupled(model) for model in models], axis=0)
     return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
 

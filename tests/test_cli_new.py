@@ -8,14 +8,17 @@ import os
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import platform_ctrl as pc
 from platform_ctrl import check, design
 from platform_ctrl.cli import main
 from platform_ctrl.cli.staged import together
+from platform_ctrl.cli.starting_loops import RISE, _turn
 from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.reading import shipped_models
+from platform_ctrl.report.record import job_data, toml
 from refused_command import refused
 
 
@@ -92,6 +95,74 @@ def test_what_a_caging_loop_needs_is_added_and_told(there: Path, capsys: pytest.
     text = (there / "ecp_plant.toml").read_text(encoding="utf-8")
     assert text.startswith("# ECP")  # the plant's own comments
     assert "not part of the plant" in text
+
+
+def test_what_was_added_stands_in_every_verdict_and_report(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "start", "--like", "ecp_750", "-q"]) == 0
+    assert [part.name for part in pc.read_job(there / "start.toml").platform.added] == ["QA", "QB"]
+    words = "all 8 requirements met, with torquers on A and B added that the device does not have"
+    for command in (["design", "start.toml"], ["check", "start.toml", "--controllers", "out/result.json"]):
+        assert main([*command, "-q"]) == 0
+        assert f"PASSED: {words}; tightest: " in " ".join(capsys.readouterr().out.split())
+        page = (there / "out" / "report.html").read_text(encoding="utf-8")
+        assert f"A{words[1:]}<" in page
+        assert json.loads((there / "out" / "result.json").read_text(encoding="utf-8"))["added"] == ["QA", "QB"]
+    # The job in the report is read back as it was.
+    listed = toml(job_data(pc.read_job(there / "start.toml")))
+    assert listed.count("added = true") == 2
+    assert "added = false" not in listed
+
+
+TWO_AXES = """
+schema = 1
+name = "two axes"
+source = "assumed"
+[root]
+name = "base"
+inertia = [1, 1, 1]
+[[gimbal]]
+name = "yaw"
+parent = "base"
+axis = [0, 0, 1]
+inertia = [0.05, 0.06, 0.07]
+[[gimbal]]
+name = "pitch"
+parent = "yaw"
+axis = [0, 1, 0]
+inertia = [0.02, 0.03, 0.04]
+"""
+
+
+def test_without_rotors_the_platform_turns_about_an_axis_that_loads_the_gimbals(there: Path) -> None:
+    """Axis 1 is across both gimbals: a turn about it asks no torque of them."""
+    (there / "two.toml").write_text(TWO_AXES, encoding="utf-8")
+    assert main(["new", "start", "--like", "two.toml", "-q"]) == 0
+    job = pc.read_job(there / "start.toml")
+    [turn] = job.manoeuvres
+    model = pc.linearise(job.platform)
+    load = np.abs(model.M_Omega).sum(axis=0)
+    assert load[0] == 0.0
+    assert turn.axis == 1 + load.argmax() == 3
+    at, peak = np.zeros(2), np.zeros(3)
+    peak[turn.axis - 1] = 0.5 * np.pi * turn.rate / turn.rise
+    assert np.abs(pc.inverse_dynamics(job.platform, at, np.zeros(5), [*peak, 0, 0])[3:]).max() > 0.0
+    text = (there / "start.toml").read_text(encoding="utf-8")
+    assert "any will do" not in text
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_the_turn_of_a_start_asks_a_torque_of_the_gimbals(name: str) -> None:
+    platform = pc.read_platform(name)
+    axis, rate = _turn(pc.linearise(platform), {})
+    velocity = np.zeros(3 + len(platform.gimbals))
+    velocity[axis - 1] = rate
+    rising = velocity * 0.5 * np.pi / RISE
+    torques = [
+        pc.inverse_dynamics(platform, np.zeros(len(platform.gimbals)), *motion)[3:]
+        for motion in ((velocity, 0.0 * velocity), (0.0 * velocity, rising))
+    ]
+    still = pc.inverse_dynamics(platform, np.zeros(len(platform.gimbals)), 0.0 * velocity, 0.0 * velocity)[3:]
+    assert max(np.abs(one - still).max() for one in torques) > 0.0
 
 
 def test_a_plant_file_of_ones_own_gets_a_job(there: Path) -> None:

@@ -55,6 +55,7 @@ def result_record(result: JobResult) -> Record:
     record = {
         "schema": SCHEMA,
         "platform": job.platform.name,
+        "added": [part.name for part in job.platform.added],
         "job": job.name,
         "passed": result.passed,
         "seed": job.seed,

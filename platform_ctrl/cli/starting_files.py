@@ -120,17 +120,19 @@ def _with_instruments(text: str, plant: dict[str, Any]) -> tuple[str, tuple[str,
         for gimbal in plant["gimbal"]:
             if gimbal["name"] not in there:
                 added.append(f"a {word} on {gimbal['name']}")
-                more.append(f"[[{kind}]]\ngimbal = {_text(gimbal['name'])}\n")
+                more.append(f"[[{kind}]]\ngimbal = {_text(gimbal['name'])}\nadded = true\n")
     if not added:
         return text, ()
     reason = (
         "# Added by `platform-ctrl new`, not part of the plant that this file was taken from: a caging loop needs a\n"
-        "# torquer and a pick-off on each of its gimbals.\n"
+        "# torquer and a pick-off on each of its gimbals. `added` makes every verdict and report say so.\n"
     )
     return f"{text.rstrip()}\n\n{reason}" + "\n".join(more), tuple(added)
 
 
 def _job_like(start: Start, names: list[str], plant: dict[str, Any], **words: str) -> str:
+    from platform_ctrl.cli.starting_loops import RISE
+
     fast = f"{start.fastest_hz:.3g} Hz"
     spinning = [rotor for rotor in plant.get("rotor", []) if rotor.get("spin") or rotor.get("angular_momentum")]
     varied = [(r["name"], "spin" if "spin" in r else "angular_momentum") for r in spinning]
@@ -155,7 +157,8 @@ def _job_like(start: Start, names: list[str], plant: dict[str, Any], **words: st
         rate_reason=f"the fastest mode of the plant has {fast}" if start.fastest_hz > 0.0 else "assumed",
         delay=f"{1.0 / start.rate_hz:g}",
         axis=str(start.axis),
-        axis_reason="where a turn asks the most torque of the gimbals" if spinning else "no rotor spins: any will do",
+        axis_reason="where a turn asks the most torque of the gimbals",
+        rise=f"{RISE:g}",
         loops=loops,
         rotors=[_text(f"rotor.{rotor}.{key}") for rotor, key in varied],
     )

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from platform_ctrl.job import Job, LoopSpec
     from platform_ctrl.linearisation import LinearModel
 
+# How long the turn's rate rises, s.
+RISE = 0.2
 # Samples in a period of the fastest mode, and the slowest rate that is proposed, Hz.
 _SAMPLES, _SLOWEST = 12.0, 1000.0
 # Fastest turn that is proposed, rad/s; share of the torque limits that it may take; rms of noise in the same share.
@@ -118,8 +120,11 @@ def starting_loops(plant: dict[str, Any]) -> Start:
 
 
 def _turn(model: LinearModel, limits: dict[str, float]) -> tuple[int, float]:
-    """Return the axis about which a rate asks the most torque, and a rate for which the torquers have enough."""
-    torques = np.abs(model.G_Omega)
+    """Return the axis about which a turn asks the most torque, and a rate for which the torquers have enough.
+
+    The torques for each rad/s: of the rotors at the rate itself, of the inertias while it rises along half a cosine.
+    """
+    torques = np.abs(model.G_Omega) + 0.5 * math.pi / RISE * np.abs(model.M_Omega)
     axis = int(torques.sum(axis=0).argmax())
     rates = [
         _TURN_SHARE * limits[name] / torque

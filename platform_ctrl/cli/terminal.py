@@ -146,6 +146,7 @@ def screen() -> Console:
 
 def show_result(result: JobResult) -> None:
     """Print all requirements, as the report's table or as lines where it would not fit, and the verdict."""
+    from platform_ctrl.report.quantities import added_words
     from platform_ctrl.report.tables import terminal_table
 
     console = screen()
@@ -155,7 +156,7 @@ def show_result(result: JobResult) -> None:
         console.print(result.job.name, style="bold", markup=False)
         _show_lines(console, result.requirements)
         _show_lines(console, [goal for outcome in result.loops for goal in outcome.closed.goals])
-    _show_verdict(console, result.requirements)
+    _show_verdict(console, result.requirements, added_words(result.job.platform))
 
 
 def show_run(run: Run, figures: dict[str, tuple[float, str]]) -> None:
@@ -206,9 +207,10 @@ def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
         console.print(Text.assemble(mark, f" {_subject(one)}: {one.name} {found} ({one.sense} {limit})"))
 
 
-def _show_verdict(console: Console, results: Sequence[CheckResult]) -> None:
+def _show_verdict(console: Console, results: Sequence[CheckResult], added: str) -> None:
     missed = sum(not one.passed for one in results)
     words = f"{missed} of {len(results)} requirements not met" if missed else f"all {len(results)} requirements met"
+    words += added
     # How slow the slowest pole is, if it decays at all, is no measure of how tight a design is; nor is a proof.
     telling = [one for one in results if not (one.passed and one.name.startswith(("slowest decay", "claims proved")))]
     if telling:

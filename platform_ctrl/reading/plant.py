@@ -69,6 +69,7 @@ class TorquerTable(Table):
     limit: fields.Positive | None = None
     lag: fields.NotNegative = 0.0
     rate_limit: fields.Positive | None = None
+    added: fields.Truth = False
 
 
 class PickOffTable(Table):
@@ -78,6 +79,7 @@ class PickOffTable(Table):
     noise_rms: fields.NotNegative = 0.0
     noise_bandwidth_hz: fields.Positive = 1000.0
     quantisation: fields.NotNegative = 0.0
+    added: fields.Truth = False
 
 
 class RateSensorTable(Table):
@@ -238,6 +240,7 @@ def _platform(file: PlantFile) -> Platform:
                 noise_rms=table.noise_rms,
                 noise_bandwidth_hz=table.noise_bandwidth_hz,
                 quantisation=table.quantisation,
+                added=table.added,
             )
             for table in file.pickoff
         ),
@@ -297,4 +300,5 @@ def _torquer(table: TorquerTable) -> Torquer:
         limit=table.limit,
         lag=table.lag,
         rate_limit=table.rate_limit,
+        added=table.added,
     )

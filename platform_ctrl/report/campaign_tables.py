@@ -16,7 +16,7 @@ from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import DIVERGED, FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.campaign.worst import RunFigure
 from platform_ctrl.frozen import value
-from platform_ctrl.report.quantities import DASH, MINUS, count, plain, quantity, times
+from platform_ctrl.report.quantities import DASH, MINUS, added_words, count, plain, quantity, times
 from platform_ctrl.rounding import Rounding, rounded
 from platform_ctrl.variation import Vary
 
@@ -124,16 +124,15 @@ def _percent(probability: float, rounding: Rounding) -> str:
 
 def verdict(summary: Summary) -> str:
     """Return the verdict in a few words."""
-    found = summary.statistics
-    flown = found.violation
-    if not flown.runs:
-        return "no run was flown"
+    flown = summary.statistics.violation
     if flown.events:
         verb = "violates" if flown.events == 1 else "violate"
-        return f"{flown.events:,} of {count_words(flown.runs)} {verb} a requirement"
-    if flown.runs == 1:
-        return "the run violates no requirement"
-    return f"none of {count_words(flown.runs)} violates a requirement"
+        words = f"{flown.events:,} of {count_words(flown.runs)} {verb} a requirement"
+    elif flown.runs > 1:
+        words = f"none of {count_words(flown.runs)} violates a requirement"
+    else:
+        words = "the run violates no requirement" if flown.runs else "no run was flown"
+    return f"{words}{added_words(summary.plan.job.platform)}"
 
 
 def verdict_lines(summary: Summary) -> list[str]:

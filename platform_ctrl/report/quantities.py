@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 from platform_ctrl.rounding import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
-    from platform_ctrl.requirements import CheckResult
-
-if TYPE_CHECKING:
     from platform_ctrl.description import Platform, RateSensor, Torquer
+    from platform_ctrl.requirements import CheckResult
 
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -189,6 +187,18 @@ def count(number: int, noun: str, plural: str = "") -> str:
 def listed(words: list[str] | tuple[str, ...]) -> str:
     """Return ``a``, ``a and b``, ``a, b and c``."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def added_words(platform: Platform) -> str:
+    """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
+    from platform_ctrl.description import PickOff, Torquer
+
+    named = []
+    for word, kind in (("torquer", Torquer), ("pick-off", PickOff)):
+        bodies = [part.gimbal or platform.root_name for part in platform.added if isinstance(part, kind)]
+        if bodies:
+            named.append(f"{f'a {word}' if len(bodies) == 1 else f'{word}s'} on {listed(bodies)}")
+    return f", with {listed(named)} added that the device does not have" if named else ""
 
 
 _RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")

@@ -157,9 +157,9 @@ def plant_data(platform: Platform) -> dict[str, Any]:
             }
             for r in platform.rotors
         ],
-        "torquer": [_fields(t) for t in platform.torquers],
+        "torquer": [_instrument(t) for t in platform.torquers],
         # The names of what sensors measure follow from the angles and axes.
-        "pickoff": [_fields(s, "name") for s in platform.pickoffs],
+        "pickoff": [_instrument(s, "name") for s in platform.pickoffs],
         "rate_sensor": [_fields(s, "name") for s in platform.rate_sensors],
         "spring": [_fields(one) for one in platform.springs],
         "friction": [
@@ -175,6 +175,10 @@ def plant_data(platform: Platform) -> dict[str, Any]:
 def _speed_loop(rotor: Rotor) -> dict[str, Any]:
     own = {"speed_gain": rotor.speed_gain, "speed_integral": rotor.speed_integral, "torque_limit": rotor.torque_limit}
     return _given(own)
+
+
+def _instrument(part: Torquer | PickOff, *apart: str) -> dict[str, Any]:
+    return _fields(part, *apart, *([] if part.added else ["added"]))
 
 
 def _fields(part: Part, *apart: str) -> dict[str, Any]:

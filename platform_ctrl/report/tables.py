@@ -17,6 +17,7 @@ from platform_ctrl.report.quantities import (
     MET,
     MINUS,
     NOT_MET,
+    added_words,
     compared,
     count,
     percent,
@@ -115,9 +116,11 @@ def verdict(result: JobResult) -> str:
     """Return the verdict in a few words."""
     asked = len(result.requirements)
     missed = sum(not one.passed for one in result.requirements)
-    if not missed:
-        return f"all {count(asked, 'requirement')} met" if asked != 1 else "the one requirement is met"
-    return f"{missed} of {count(asked, 'requirement')} not met"
+    if missed:
+        words = f"{missed} of {count(asked, 'requirement')} not met"
+    else:
+        words = f"all {count(asked, 'requirement')} met" if asked != 1 else "the one requirement is met"
+    return f"{words}{added_words(result.job.platform)}"
 
 
 def terminal_table(result: JobResult) -> Table:
