@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import control
 import numpy as np
+from engine_linear import LARGE, modal, turned
 from side_by_side import Comparison, DisagreementError, Section, close
 
 from platform_ctrl import analysis
@@ -23,16 +25,32 @@ def stable_loop(states: int, channels: int, seed: int) -> control.StateSpace:
     return control.ss(A + B @ C, B, C, 0)
 
 
+def closed_loop(states: int, dt: float) -> control.StateSpace:
+    """Return a random stable system with three inputs and outputs."""
+    loop = stable_loop(states, 3, 3)
+    closed = control.ss(loop.A - loop.B @ loop.C, loop.B, loop.C, 0)
+    return analysis.sampled(closed, dt) if dt else closed
+
+
 def hinf_norms() -> Iterator[Comparison]:
-    """Yield norms of well-scaled systems, and one that AB13DD takes for unstable."""
-    for states in (8, 16, 32):
-        loop = stable_loop(states, 3, 3)
-        closed = control.ss(loop.A - loop.B @ loop.C, loop.B, loop.C, 0)
+    """Yield norms of well-scaled systems, of structures, and of one that AB13DD takes for unstable."""
+    systems = {
+        f"{states} states, 3 x 3{', sampled' if dt else ''}": partial(closed_loop, states, dt)
+        for states in (6, 8, 16, 30)
+        for dt in (0.0, 0.05)
+    }
+    systems["300 states, 2 x 2, modes"] = partial(modal, 300, 2, 2, (-0.3, 2.0), 2e-3)
+    systems["300 states, 2 x 2, modes, mixed"] = lambda: turned(modal(300, 2, 2, (-0.3, 2.0), 2e-3))
+    systems |= {name: made for name, made in LARGE.items() if 40 < int(name.split()[0]) <= 400}
+    for name, made in systems.items():
+        one = made()
         yield Comparison(
-            name=f"hinf_norm, {states} states, 3 x 3",
-            ours=_norm(closed),
-            theirs={"control.linfnorm": _linfnorm(closed)},
-            check=close(1e-8),
+            name=f"hinf_norm, {name}",
+            ours=_norm(one),
+            theirs={"control.linfnorm": _linfnorm(one)},
+            target=1.0 if one.nstates < 100 else 1.0 / 1.5,
+            clock="cpu",
+            check=_near,
         )
     zeta = 1e-8
     A = np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * zeta, 0.0], [0.0, 0.0, -1e9]])
@@ -66,6 +84,11 @@ def disk_margins() -> Iterator[Comparison]:
             theirs={"slycot.ab13md": _ab13md(M)},
             check=close(1e-3),
         )
+
+
+def _near(ours: Any, theirs: Mapping[str, Any]) -> str:
+    """Say by how much a norm differs; `tests/test_analysis_hinf_norm.py` proves whose is right where they do."""
+    return ", ".join(f"{abs(one / ours - 1.0):.0e}" for one in theirs.values())
 
 
 def _found_infinite(ours: Any, theirs: Mapping[str, Any]) -> str:

@@ -13,8 +13,9 @@ from scipy.linalg import block_diag
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.axis import pencil_crossings
+from platform_ctrl.analysis.axis import FrequencyAxis, pencil_crossings
 from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.phase_bound import AxisPhase, middles
 from platform_ctrl.certificates import norm_certificate
 from platform_ctrl.frozen import FloatArray
 
@@ -260,3 +261,71 @@ def test_the_pencil_finds_the_frequencies_where_the_gain_is_the_level(dt: float)
     fine = np.concatenate([np.linspace(a, b, 12)[1:-1] for a, b in pairwise(edges)])
     above = np.linalg.norm(analysis.frequency_response_arrays(*arrays, fine), 2, axis=(-2, -1)) > level
     assert all(len(set(part)) == 1 for part in above.reshape(-1, 10).tolist())
+
+
+# The bound of the gain between two frequencies, which takes the place of a Hamiltonian's eigenvalues.
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.05])
+@pytest.mark.parametrize("seed", range(12))
+def test_no_gain_is_steeper_than_a_cosine_along_the_phase_of_its_poles(seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    system = sampled_modes(seed, -3.0) if dt else modal(seed, 4, (-1, 2), (-3, 0), rotation=0.3, direct=seed % 3)
+    arrays = StateArrays(system.A, system.B, system.C, system.D, float(system.dt))
+    s, _ = boundary_poles(system.A, arrays.dt)
+    phase = AxisPhase(s, arrays.dt)
+    edge = math.pi / arrays.dt if dt else math.inf
+    norm, frequency = analysis.hinf_norm(system)
+    # Any level that the gain does not exceed: the inequality holds for it too.
+    level = norm * (1.0 + rng.choice([1e-9, 0.1]))
+    near = np.abs(s.imag)[:, None] + np.abs(s.real)[:, None] * rng.normal(size=40)
+    w = np.unique(np.clip(np.abs(np.append(near, 10.0 ** rng.uniform(-3.0, 3.0, 300))), 0.0, edge))
+    gain = np.linalg.norm(analysis.frequency_response_arrays(*arrays, w), 2, axis=(-2, -1))
+    alpha, phi = 2.0 * np.arccos(np.minimum(gain / level, 1.0)), phase.at(w)
+    assert np.all(np.abs(np.diff(alpha)) <= np.diff(phi) * (1.0 + 1e-6) + 1e-7)
+    # A level that is exceeded is doubted where the largest gain is.
+    low = rng.uniform(0.3, 1.0) * norm
+    few = np.unique(np.concatenate([[0.0, edge], rng.choice(w, 5)]))
+    known = FrequencyAxis(arrays).gains(few)
+    k = int(np.searchsorted(few, frequency, side="right")) - 1
+    assert known.max() >= low or min(k, len(few) - 2) in phase.doubtful(few, known, low)
+
+
+def test_one_lag_is_as_steep_as_a_gain_can_be() -> None:
+    w = np.array([0.0, 0.3, 1.0, 4.0, math.inf])
+    phase = AxisPhase(np.array([-2.0 + 0j]), 0.0)
+    gain = 1.0 / np.hypot(1.0, w / 2.0)
+    np.testing.assert_allclose(2.0 * np.arccos(gain), phase.at(w), atol=1e-7)
+    np.testing.assert_allclose(phase.at(np.array([math.inf])), math.pi)
+    np.testing.assert_array_equal(middles(w[:-1], w[1:], math.inf), [0.075, 0.65, 2.5, 16.0])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_many_lightly_damped_states_have_the_norm_of_the_sum_of_their_modes(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    own, zeta = np.sort(10.0 ** rng.uniform(0.0, 2.0, 100)), 10.0 ** rng.uniform(-4.0, -2.0, 100)
+    b, c = rng.normal(size=(100, 2)), rng.normal(size=(2, 100))
+    A = block_diag(*([[0.0, w], [-w, -2.0 * z * w]] for w, z in zip(own, zeta, strict=True)))
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0]
+    system = control.ss(Q @ A @ Q.T, Q @ np.kron(b, [[0.0], [1.0]]), np.kron(c, [1.0, 0.0]) @ Q.T, 0)
+    monkeypatch.setattr("platform_ctrl.analysis.axis.hamiltonian_crossings", None)
+    norm, frequency = analysis.hinf_norm(system)
+
+    def gain(w: FloatArray) -> FloatArray:
+        entries = own / (own**2 - w[:, None] ** 2 + 2j * zeta * own * w[:, None])
+        return np.linalg.norm(np.einsum("ik,nk,kj->nij", c, entries, b), 2, axis=(-2, -1))
+
+    near = (own[:, None] * (1.0 + zeta[:, None] * np.linspace(-2.0, 2.0, 201))).ravel()
+    assert gain(near).max() <= norm * (1.0 + 1e-8)
+    assert gain(np.array([frequency]))[0] == pytest.approx(norm, rel=1e-8)
+
+
+def test_a_gain_that_is_the_same_everywhere_is_found_by_eigenvalues() -> None:
+    # Nowhere is it below the level: nothing but eigenvalues tells that it is not above.
+    product = control.ss([], [], [], [[2.0]])
+    for w, zeta in ((1.0, 0.1), (30.0, 0.5), (31.0, 0.02)):
+        A = [[0.0, w], [-w, -2.0 * zeta * w]]
+        product = product * control.ss(A, [[0.0], [1.0]], [[0.0, -4.0 * zeta * w]], 1.0)
+    assert analysis.hinf_norm(product)[0] == pytest.approx(2.0, abs=1e-11)

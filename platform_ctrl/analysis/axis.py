@@ -42,24 +42,28 @@ class FrequencyAxis:
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system) if A.size and B.size and C.size else None
 
-    def response(self, frequency: FloatArray) -> ComplexArray:
+    def response(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
 
-        Real at both ends of the axis: exp(j w dt) at the Nyquist frequency is -1, whatever the rounding of w dt.
+        `tolerated` is as of `frequency_response_arrays`. Real at both ends of the axis: exp(j w dt) at the Nyquist
+        frequency is -1, whatever the rounding of w dt.
         """
         infinite = np.isinf(frequency)
         some = bool(np.any(infinite))
         finite = np.where(infinite, 0.0, frequency) if some else frequency
-        out = frequency_response_arrays(*self.system, finite) if self._along is None else self._along.at(finite)
+        if self._along is None:
+            out = frequency_response_arrays(*self.system, finite)
+        else:
+            out = self._along.at(finite, tolerated)
         out = np.ascontiguousarray(out)
         if some:
             out[infinite] = self.system.D
         out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
         return out
 
-    def gains(self, frequency: FloatArray) -> FloatArray:
+    def gains(self, frequency: FloatArray, tolerated: float | None = None) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-        return largest_gains(self.response(frequency))
+        return largest_gains(self.response(frequency, tolerated))
 
     def largest(self, frequency: FloatArray) -> tuple[float, float]:
         """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""

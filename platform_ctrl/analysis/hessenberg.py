@@ -26,8 +26,8 @@ CHUNK = 16 * LANES
 STEPS = 4
 # Share of a solution that its correction may have: where it has more, the digits of A decide, and no refinement helps.
 CONTRACTING = 0.1
-# What may still be missing of an entry; the entry, or this times the largest one at that point.
-ENOUGH, FLOOR = 1e-11, 1e-3
+# Share of what is tolerated that may still be missing; the entry, or this times the largest one at that point.
+ENOUGH, FLOOR = 0.04, 1e-3
 # Share of the first correction that rounding of its residual can be.
 ROUNDED = 2.0**-18
 
@@ -65,8 +65,8 @@ class HessenbergRefinement:
         self._bits = (52 - math.ceil(math.log2(n))) // 2
         self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
 
-    def at(self, z: ComplexArray, beyond: ComplexArray) -> tuple[ComplexArray, NDArray[np.int64]]:
-        """Return the response at z (N,), (m, p, N), and at which points that is not accurate.
+    def at(self, z: ComplexArray, beyond: ComplexArray, tolerated: float) -> tuple[ComplexArray, NDArray[np.int64]]:
+        """Return the response at z (N,), (m, p, N), and at which points more is wrong than is `tolerated`.
 
         `beyond` is what z has beyond its doubles. Inf at a pole z = 0. Not accurate is an entry that is next to nothing
         beside the solution it comes from. What the digits of A leave open is not told.
@@ -76,10 +76,12 @@ class HessenbergRefinement:
         for first in range(0, N, CHUNK):
             part = slice(first, min(first + CHUNK, N))
             with np.errstate(all="ignore"):  # at a pole
-                found[:, :, part], short[part] = self._refined(z[part], beyond[part])
+                found[:, :, part], short[part] = self._refined(z[part], beyond[part], tolerated)
         return found, np.flatnonzero(short)
 
-    def _refined(self, z: ComplexArray, beyond: ComplexArray) -> tuple[ComplexArray, NDArray[np.bool_]]:
+    def _refined(
+        self, z: ComplexArray, beyond: ComplexArray, tolerated: float
+    ) -> tuple[ComplexArray, NDArray[np.bool_]]:
         (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
         N = -(-count // LANES) * LANES
         points = np.empty((4, N))
@@ -110,7 +112,7 @@ class HessenbergRefinement:
             if step == 0:
                 rounded = ROUNDED * missing
             size = np.abs(entries)
-            size = ENOUGH * np.maximum(size, FLOOR * size.max(axis=(0, 1))) / self._weights[:, None, None]
+            size = ENOUGH * tolerated * np.maximum(size, FLOOR * size.max(axis=(0, 1))) / self._weights[:, None, None]
             going &= (share < CONTRACTING).all(axis=0)
             short[going] = (rounded > 10.0 * size).any(axis=(0, 1))[going]
             # The next correction is smaller than this one as this one is than x.

@@ -1,8 +1,10 @@
 """Norms of systems: H-infinity with its frequency, H2, and the rms that sampled white noise causes.
 
-The H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan
+Between the frequencies at which the gain has been looked at, `phase_bound` says where it may be the largest; more of
+them are taken until it is nowhere higher than the best. Where that takes too many (gains that hardly depend on
+frequency), the H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan
 (ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a level.
-Here they only propose frequencies; what decides is the response evaluated there. So a widely spread
+These only propose frequencies; what decides is the response evaluated there. So a widely spread
 system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
 """
 
@@ -17,15 +19,18 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
 from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.phase_bound import AxisPhase, middles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
-from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays
 from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
 # Where a climb looks around the best frequency, in widths.
 FAN = np.linspace(-1.0, 1.0, 15)
+# Frequencies at which the gain may be looked at before eigenvalues of a Hamiltonian matrix take less.
+MOST, MOST_PER_POLE = 500, 40
 
 
 def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
@@ -66,16 +71,7 @@ def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float,
     >>> round(norm, 4), round(frequency, 4)
     (5.0252, 0.9899)
     """
-    arrays = linear_arrays(system, "hinf_norm")
-    s, on_boundary = boundary_poles(scaled(*arrays[:3])[0], arrays.dt)
-    unstable = (s.real > 0.0) & ~on_boundary
-    if not allow_unstable and np.any(unstable):
-        worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
-        raise ArgumentError(
-            f"hinf_norm: the system is unstable (pole at s = {worst:.6g}), expected a stable one; "
-            "allow_unstable=True gives the L-infinity norm"
-        )
-    return hinf_norm_arrays(*arrays)
+    return _norm(linear_arrays(system, "hinf_norm"), 1e-9, allow_unstable)
 
 
 def hinf_norm_arrays(
@@ -110,15 +106,27 @@ def hinf_norm_arrays(
     tolerance = positive("hinf_norm_arrays: tolerance", tolerance)
     if not (A.ndim == B.ndim == C.ndim == D.ndim == 2):
         raise ArgumentError("hinf_norm_arrays: A, B, C, D must be matrices of one system, got a stack of several")
-    if B.shape[-1] == 0 or C.shape[-2] == 0:
+    return _norm(StateArrays(A, B, C, D, dt), tolerance, True)
+
+
+def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
+    A, B, C, D, dt = system
+    axis = FrequencyAxis(system)
+    s, on_boundary = boundary_poles(axis.system.A, dt) if len(A) else (np.zeros(0, complex), np.zeros(0, np.bool_))
+    unstable = (s.real > 0.0) & ~on_boundary
+    if not allow_unstable and np.any(unstable):
+        worst = s[np.argmax(np.where(unstable, s.real, -math.inf))]
+        raise ArgumentError(
+            f"hinf_norm: the system is unstable (pole at s = {worst:.6g}), expected a stable one; "
+            "allow_unstable=True gives the L-infinity norm"
+        )
+    if B.shape[1] == 0 or len(C) == 0:
         return 0.0, 0.0
-    if A.shape[-1] == 0:
+    if len(A) == 0:
         return float(np.linalg.norm(D, 2)), 0.0
-    A, B, C = scaled(A, B, C)
-    s, on_boundary = boundary_poles(A, dt)
     if np.any(on_boundary):
         return math.inf, float(np.abs(s[on_boundary].imag).min())
-    return peak_gain(FrequencyAxis(StateArrays(A, B, C, D, dt)), s, tolerance)
+    return peak_gain(axis, s, tolerance)
 
 
 def peak_gain(
@@ -137,16 +145,45 @@ def peak_gain(
     known
         A gain near the largest, and its frequency, where these have been looked for; default next to the poles.
     """
-    if known is None:
-        ends = np.array([0.0] if math.isinf(axis.edge) else [0.0, axis.edge])
-        known = axis.largest(np.concatenate([ends, resonances(s)]))
-    best, frequency = known
-    direct = float(np.linalg.norm(axis.system.D, 2))
-    if axis.system.dt == 0.0 and direct > best:
-        best, frequency = direct, math.inf
-    if best == 0.0:
+    phase, large = AxisPhase(s, axis.system.dt), len(s) >= LARGE
+    w = np.concatenate([[0.0, axis.edge], resonances(s, few=large), [] if known is None else [known[1]]])
+    w = np.unique(w[w <= axis.edge])
+    best, frequency, sizes = 0.0, 0.0, _looked(axis, w, 0.0)
+    if not np.any(sizes):
         # Nothing comes through at any of the frequencies that its poles single out.
-        return 0.0, 0.0
+        return best, frequency
+    while True:
+        k = int(np.argmax(sizes))
+        if sizes[k] > best * (1.0 + 0.1 * tolerance):
+            best, frequency = _climbed(axis, s, float(sizes[k]), float(w[k]), 0.01 * tolerance)
+            new = np.append(phase.around(frequency, tolerance), frequency)
+        else:
+            doubtful = phase.doubtful(w, sizes, best * (1.0 + tolerance))
+            if not doubtful.size:
+                return best, frequency
+            new = np.setdiff1d(middles(w[doubtful], w[doubtful + 1], axis.edge), w)
+            if not new.size or len(w) > MOST + MOST_PER_POLE * len(s) or math.isinf(best):
+                return _by_crossings(axis, s, tolerance, best, frequency)
+        new = np.setdiff1d(new[(new >= 0.0) & (new <= axis.edge)], w)
+        at = np.searchsorted(w, new)
+        w, sizes = np.insert(w, at, new), np.insert(sizes, at, _looked(axis, new, best))
+
+
+def _looked(axis: FrequencyAxis, w: FloatArray, best: float) -> FloatArray:
+    """Return gains (N,), of many states with few digits where they are below the best one."""
+    if len(axis.system.A) < LARGE or not w.size:
+        return axis.gains(w)
+    sizes = axis.gains(w, ON_A_GRID)
+    high = sizes >= 0.999 * max(best, float(sizes.max()))
+    if np.any(high):
+        sizes[high] = axis.gains(w[high])
+    return sizes
+
+
+def _by_crossings(
+    axis: FrequencyAxis, s: ComplexArray, tolerance: float, best: float, frequency: float
+) -> tuple[float, float]:
+    """Return the largest gain and its frequency by the eigenvalues of Hamiltonian matrices."""
     for _ in range(60):
         # Up the hill first: the Hamiltonian then mostly has only to show that there is no higher one.
         best, frequency = _climbed(axis, s, best, frequency, 0.01 * tolerance)
@@ -157,10 +194,15 @@ def peak_gain(
     return best, frequency
 
 
-def resonances(s: ComplexArray) -> FloatArray:
-    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|."""
-    s = s[np.isfinite(s)]
+def resonances(s: ComplexArray, few: bool = False) -> FloatArray:
+    """Return frequencies, rad/s, at which poles s can make peaks: |Im s| and about |Re s| around it, and |s|.
+
+    Few of them, of those in the upper half-plane, will do where what lies between is looked at too.
+    """
+    s = s[np.isfinite(s) & (s.imag >= 0.0)]
     centre, width = np.abs(s.imag), np.abs(s.real)
+    if few:
+        return np.unique(np.abs(np.concatenate([centre - width, centre, centre + width])))
     spread = centre[:, None] + width[:, None] * np.array([-2.0, -1.0, -0.3, 0.0, 0.3, 1.0, 2.0])
     out = np.concatenate([np.abs(spread).ravel(), np.abs(s), 1.7 * np.abs(s), np.abs(s) / 1.7])
     return np.unique(out)

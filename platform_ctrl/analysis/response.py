@@ -301,9 +301,9 @@ class AxisResponse:
             A, lacks = _less_one(A)
         self._resolvent = Resolvent(*scaled(A, B, C), D, lacks, tolerated)
 
-    def at(self, frequency: FloatArray) -> ComplexArray:
-        """Return the response at `frequency` (N,), rad/s, complex (N, p, m)."""
-        return self._resolvent.at(*_on_axis(frequency, self._dt)).transpose(2, 0, 1)
+    def at(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, complex (N, p, m); `tolerated` may be another this time."""
+        return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated).transpose(2, 0, 1)
 
 
 class Resolvent:
@@ -361,8 +361,17 @@ class Resolvent:
 
         return Refinement(self._A, self._B, self._C, self._D, self._lacks, self._band)
 
-    def at(self, z: ComplexArray, lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None) -> ComplexArray:
-        """Return the response at z (N,), (p, m, N); `lacks` says on demand what z has beyond its doubles."""
+    def at(
+        self,
+        z: ComplexArray,
+        lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
+        tolerated: float | None = None,
+    ) -> ComplexArray:
+        """Return the response at z (N,), (p, m, N).
+
+        `lacks` says on demand what z has beyond its doubles, and `tolerated` may be another this time.
+        """
+        tolerated = self._tolerated if tolerated is None else tolerated
         (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
         n = len(self._A)
         H = np.empty((m, p, len(z)) if self._turned else (p, m, len(z)), dtype=np.complex128)
@@ -372,18 +381,18 @@ class Resolvent:
         else:
             from platform_ctrl.analysis.resolvent import respond
 
-            poor = respond(self._chains, self._D, z, H, self._turned, self._tolerated)
+            poor = respond(self._chains, self._D, z, H, self._turned, tolerated)
         if poor.size:
             z_lacks = np.zeros(len(poor), dtype=np.complex128) if lacks is None else lacks(poor)
-            found = self._refined(z[poor], z_lacks)
+            found = self._refined(z[poor], z_lacks, tolerated)
             H[..., poor] = found if self._turned else found.swapaxes(0, 1)
         return H
 
-    def _refined(self, z: ComplexArray, lacks: ComplexArray) -> ComplexArray:
+    def _refined(self, z: ComplexArray, lacks: ComplexArray, tolerated: float) -> ComplexArray:
         n, m = self._B.shape
         if n < LARGE or self._band.work(m) < 64 * n * m:
             return self._refinement.at(z, lacks)
-        found, short = self._hessenberg.at(z, lacks)
+        found, short = self._hessenberg.at(z, lacks, tolerated)
         if short.size:
             found[:, :, short] = self._refinement.at(z[short], lacks[short])
         return found
