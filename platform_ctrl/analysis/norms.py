@@ -2,9 +2,9 @@
 
 Between the frequencies at which the gain has been looked at, `phase_bound` says where it may be the largest; more of
 them are taken until it is nowhere higher than the best. Where that takes too many (gains that hardly depend on
-frequency), the H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and Balakrishnan
-(ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a level.
-These only propose frequencies; what decides is the response evaluated there. So a widely spread
+frequency), the H-infinity norm follows Bruinsma and Steinbuch (Systems & Control Letters 14, 1990) and Boyd and
+Balakrishnan (ibid. 15, 1990): the eigenvalues of a Hamiltonian matrix show where the largest singular value crosses a
+level. These only propose frequencies; what decides is the response evaluated there. So a widely spread
 system, whose Hamiltonian eigenvalues are inexact, cannot make the result wrong by a wrong test of "on the axis".
 """
 

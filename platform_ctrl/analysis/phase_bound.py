@@ -6,7 +6,7 @@ is as steep as a cosine at most: where it is the share cos^2(alpha/2) of its lar
 (inequality of Bernstein and Szegö for rational functions: P. Borwein, T. Erdélyi, Polynomials and Polynomial
 Inequalities, 1995, sec. 7.1). So where the largest gain lies between two frequencies, the gains there are not far below
 it, in phase. If a level is exceeded, then between the two where the largest gain lies this holds for the level all
-the more: where it holds nowhere, nothing exceeds the level. No eigenvalues of a Hamiltonian matrix are needed to see that.
+the more: where it holds nowhere, nothing exceeds the level. That takes no eigenvalues of a Hamiltonian matrix.
 """
 
 from __future__ import annotations
