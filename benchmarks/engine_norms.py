@@ -34,7 +34,7 @@ def closed_loop(states: int, dt: float) -> control.StateSpace:
 
 def hinf_norms() -> Iterator[Comparison]:
     """Yield norms of well-scaled systems, of structures, and of one that AB13DD takes for unstable."""
-    systems = {
+    systems: dict[str, Callable[[], control.StateSpace]] = {
         f"{states} states, 3 x 3{', sampled' if dt else ''}": partial(closed_loop, states, dt)
         for states in (6, 8, 16, 30)
         for dt in (0.0, 0.05)
