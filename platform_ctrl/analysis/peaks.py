@@ -48,7 +48,7 @@ def peak(system: StateArrays, band: Band = WHOLE) -> tuple[float, float]:
 
 
 def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHOLE) -> bool:
-    """Return whether the largest singular value is above `level` anywhere in `band`.
+    """Return whether the largest singular value is above `level` anywhere in `band`, or may be.
 
     Parameters
     ----------
@@ -62,8 +62,12 @@ def exceeds(system: StateArrays, level: float, s: ComplexArray, band: Band = WHO
         From and to, rad/s.
     """
     axis = FrequencyAxis(system)
+    crossings = level_frequencies(axis, level)
+    if not crossings.size and level > 0.0 and axis.system.A.size:
+        # The Hamiltonian leaves floating point: nothing is shown.
+        return True
     # The poles' own frequencies too: next to a narrow peak a crossing is as inexact as the pole.
-    own = np.concatenate([np.abs(s.imag[np.isfinite(s)]), level_frequencies(axis, level)])
+    own = np.concatenate([np.abs(s.imag[np.isfinite(s)]), crossings])
     return _largest(axis, own, band)[0] > level
 
 
