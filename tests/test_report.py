@@ -881,6 +881,9 @@ def test_modes_of_a_plant_without_rotors_are_those_of_a_pendulum_and_of_a_rigid_
     [swing] = modes.modes(hanging, ("pitch",))
     assert (swing.kind, swing.poles, swing.growth) == ("pendulum", 2, 0.0)
     assert swing.frequency == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
+    # On a platform that turns, its rate alone holds yaw: no pendulum.
+    turning = pc.linearise(standing.platform, Omega=(0.1, 0.1, 0.1))
+    assert [mode.kind for mode in modes.modes(turning, ("yaw", "pitch"))] == ["divergence", "oscillation"]
     [fall] = modes.modes(standing, ("pitch",))
     assert (fall.kind, fall.poles, fall.frequency) == ("divergence", 2, 0.0)
     assert fall.growth == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))

@@ -28,6 +28,7 @@ from platform_ctrl.report.style import (
     panels,
     standalone,
 )
+from platform_ctrl.rounding import at_least
 
 # Half width of the close view about −1, and of the wide one.
 _CLOSE, _WIDE = 1.8, 6.0
@@ -67,7 +68,9 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
         )
     names = ["ω > 0: turning from α to β", "ω < 0: from β to α", "−1"]
     if 0.0 < curve.disk_margin < 2.0:
-        names.append(f"disk margin {curve.disk_margin:.2f}; L touches it at {_signed(curve.margin_frequency * HZ)} Hz")
+        names.append(
+            f"disk margin {at_least(curve.disk_margin, 2)}; L touches it at {_signed(curve.margin_frequency * HZ)} Hz"
+        )
     figure, [[wide, close]] = panels(1, 2, 4.9, legend=legend_rows(names))
     handles: list[Any] = []
     for axes, centre, half in ((wide, 0.0, _WIDE), (close, -1.0, _CLOSE)):

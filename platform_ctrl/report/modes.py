@@ -107,13 +107,15 @@ def poles_and_kinds(model: LinearModel, gimbals: tuple[str, ...]) -> tuple[Compl
         return np.asarray(np.sqrt(np.abs(np.einsum("ik,ik->k", torques.conj(), np.linalg.solve(M, torques)))))
 
     inertia, rotors = size(s**2 * (M @ x)), size(s * (spinning @ x))
-    restraint, weight = size(s * (damping @ x) + stiffness @ x), size(unbalance @ x)
+    restraint = size(s * (damping @ x) + stiffness @ x)
+    # Along the mode itself: what the other elements hold of a torque across it does not count.
+    weight, whole = (np.real(np.einsum("ik,ij,jk->k", x.conj(), part, x)) for part in (-unbalance, stiffness))
     kinds: list[Kind] = []
     for k, pole in enumerate(s):
         if rotors[k] > min(inertia[k], restraint[k]):
             kinds.append("nutation" if restraint[k] <= inertia[k] else "precession")
         elif abs(pole.imag) > _EQUAL * abs(pole):
-            kinds.append("pendulum" if weight[k] > 0.5 * restraint[k] else "oscillation")
+            kinds.append("pendulum" if weight[k] > 0.5 * abs(whole[k]) else "oscillation")
         else:
             kinds.append("divergence" if pole.real > 0.0 else "decay")
     return s, kinds

@@ -91,7 +91,7 @@ def _against_bounds(design: LoopDesign) -> list[str]:
             f"{plain(least, rounding='down')}, which no controller of any order undercuts."
         )
     elif np.isfinite(told):
-        out.append(f"Its simplicity costs at most {_percent(told)} against the best controller of any order.")
+        out.append(f"Its simplicity costs at most {_percent(told, 'up')} against the best controller of any order.")
     return out
 
 

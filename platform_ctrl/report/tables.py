@@ -9,6 +9,7 @@ import numpy as np
 
 from platform_ctrl.check.proofs import PROVED
 from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.description import PickOff, Torquer
 from platform_ctrl.frozen import value
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.quantities import (
@@ -185,11 +186,15 @@ def gimbal_rows(result: JobResult) -> list[tuple[str, ...]]:
                 gimbal.angle,
                 f"{plain(float(result.model.M[k, k]))} kg m²",
                 stops,
-                "none" if torquer is None else f"{torquer.name}, {limit}",
-                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms",
+                "none" if torquer is None else f"{torquer.name}, {limit}{_mark(torquer)}",
+                "none" if pickoff is None else f"{plain(1e6 * pickoff.noise_rms)} µrad rms{_mark(pickoff)}",
             )
         )
     return rows
+
+
+def _mark(part: Torquer | PickOff) -> str:
+    return ", added" if part.added else ""
 
 
 def rotor_rows(result: JobResult) -> list[tuple[str, ...]]:

@@ -378,5 +378,5 @@ def _words(found: Margins | None, written: bool) -> str:
         words += [gain_words(one[0]) for one in (found.lowest_gain, found.highest_gain) if one is not None]
     if found.disk is not None and found.stable is not False:
         at = f" at {plain(found.disk.frequency * HZ, 3)} Hz" if np.isfinite(found.disk.frequency) and written else ""
-        words.append(f"disk margin {plain(found.disk.alpha, 2)}{at}" if np.isfinite(found.disk.alpha) else "")
+        words.append(f"disk margin {plain(found.disk.alpha, 2, 'down')}{at}" if np.isfinite(found.disk.alpha) else "")
     return ", ".join(word for word in words if word)

@@ -134,7 +134,7 @@ def _legend_words(one: Curve, found: Margins) -> str:
         return f"{one.label}: closed loop not stable"
     if found.disk is None or not math.isfinite(found.disk.alpha):
         return one.label
-    return f"{one.label}: disk margin {plain(found.disk.alpha, 2)} at {plain(found.disk.frequency * HZ, 3)} Hz"
+    return f"{one.label}: disk margin {plain(found.disk.alpha, 2, 'down')} at {plain(found.disk.frequency * HZ, 3)} Hz"
 
 
 def _window(panel: Axes, curves: Sequence[Curve]) -> None:

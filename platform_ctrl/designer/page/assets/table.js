@@ -30,7 +30,7 @@ const paintCell = (element, name, knob, change) => {
   const strength = 0.1 + 0.5 * Math.min(1, Math.log(size / LEAST) / Math.log(MOST / LEAST));
   element.style.background = size < LEAST ? "" : `rgba(var(--${rises ? "down" : "up"}), ${strength.toFixed(3)})`;
   const words = change === "inf" ? "the loop becomes unstable"
-    : size < LEAST ? `${name}: next to nothing` : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % of the limit`;
+    : size < LEAST ? `${name}: next to nothing` : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % in the ratio to its limit`;
   element.title = change === null || change === undefined ? "" : `${knob.label} + 5 %: ${words}`;
 };
 
