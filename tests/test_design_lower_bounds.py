@@ -15,10 +15,10 @@ from scipy.linalg import solve_continuous_are
 from platform_ctrl import design
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
-from platform_ctrl.design.partition import closed_loop, closed_loop_system, partition
+from platform_ctrl.design.partition import Partition, closed_loop, closed_loop_system, partition
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.requirements import requirement
-from test_design_hinf import random_plant
+from test_design_hinf import SHAPED, coprime_least, coprime_problem, random_plant
 
 DATA = Path(__file__).parent / "data"
 PROBLEMS = {
@@ -65,6 +65,13 @@ def test_no_published_controller_undercuts_the_bound(name):
         assert bound > 0.0
 
 
+@pytest.mark.parametrize("name", SHAPED)
+def test_gyros_in_si_units_have_the_closed_form_of_the_coprime_factor_problem(name):
+    P, ny, nu = coprime_problem(*SHAPED[name])
+    least = coprime_least(*SHAPED[name])
+    assert least * (1 - 1e-9) <= hinf_lower_bound(partition(P, ny, nu)) <= least
+
+
 def test_measured_states_without_noise_have_the_norms_of_state_feedback():
     """H2: tr(B1' X B1) of the LQ equation; the bound needs no rank of D21."""
     rng = np.random.default_rng(3)
@@ -100,6 +107,43 @@ def test_a_direct_path_that_no_controller_sees_stays():
     """At infinite frequency a proper controller leaves D11 + D12 D_K D21."""
     P = control.ss(-1.0, [[1.0, 0.0, 1.0]], [[1.0], [1.0]], [[0.3, 0.4, 0.0], [0.0, 0.0, 0.0]])
     assert hinf_lower_bound(partition(P, 1, 1)) >= 0.5 * (1 - 1e-10)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(2, 7), lost=st.sets(st.sampled_from(["D12", "D21"])))
+def test_bounds_do_not_depend_on_the_units(seed, n, lost):
+    rng = np.random.default_rng(seed)
+    P = random_plant(seed, n)
+    D = P.D.copy()
+    for name in lost:
+        D[(slice(4), slice(4, 6)) if name == "D12" else (slice(4, 6), slice(4))] = 0
+    d, rate = 10.0 ** rng.uniform(-4, 4, n), 10.0 ** rng.uniform(-3, 4)
+    u, y = (10.0 ** np.r_[np.zeros(4), rng.uniform(-5, 5, 2)] for _ in range(2))
+    for lower, unit, kept in ((hinf_lower_bound, 1.0, 1.0), (h2_lower_bound, np.sqrt(rate), 0.0)):
+        D[:4, :4] *= kept
+        here = partition(control.StateSpace(P.A, P.B, P.C, D, remove_useless_states=False), 2, 2)
+        other = (rate * P.A / d[:, None] * d, rate * P.B / d[:, None] * u, y[:, None] * P.C * d, y[:, None] * D * u)
+        there = partition(control.StateSpace(*other, remove_useless_states=False), 2, 2)
+        assert lower(there) == pytest.approx(unit * lower(here), rel=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), ports=st.tuples(*[st.integers(1, 4)] * 5), dt=st.sampled_from([0.0, 0.1]))
+def test_whatever_the_plant_the_bound_is_a_number(seed, ports, dt):
+    """Zero, rounded, huge and tiny matrices: at worst nothing is shown."""
+    rng = np.random.default_rng(seed)
+    n, nw, nz, nu, ny = ports
+
+    def matrix(rows, columns):
+        M = rng.normal(size=(rows, columns)) * 10.0 ** rng.choice([0, 0, 0, -8, 8, -100, 100])
+        return [0.0 * M, np.round(M), M][rng.integers(3)]
+
+    plant = Partition(
+        A=matrix(n, n), B1=matrix(n, nw), B2=matrix(n, nu), C1=matrix(nz, n), C2=matrix(ny, n),
+        D11=matrix(nz, nw), D12=matrix(nz, nu), D21=matrix(ny, nw), D22=np.zeros((ny, nu)), dt=dt,
+    )  # fmt: skip
+    for lower in (h2_lower_bound,) if dt else (hinf_lower_bound, h2_lower_bound):
+        assert 0.0 <= lower(plant) < np.inf
 
 
 @settings(max_examples=40, deadline=None)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 
 # Share of the bound that is given away for rounding of its evaluation.
-ROUNDING = 1e-11
+ROUNDING = 5e-11
 # Singular values below this share of the largest are zero, when the subspace is found; and its least angle.
 RANK, ANGLE = 1e-13, 1e-8
 # Couplings below this share of the plant do not reach a state.
@@ -89,13 +89,7 @@ def hinf_lower_bound(plant: Partition, near: float = math.nan, scaled: ScaledPla
 
     A. A. Stoorvogel, The H-infinity Control Problem: a State Space Approach, 1992.
     """
-    scaled = autoscaled_with_gain(plant) if scaled is None else scaled
-    try:
-        sides = _both_sides(_exact(scaled, plant))
-        level = 0.0 if sides is None else _least_level(sides, near / scaled.gain)
-    except (np.linalg.LinAlgError, ValueError):
-        return 0.0
-    return _shown(scaled.gain * level)
+    return _evaluated(lambda: _hinf(plant, near, scaled or autoscaled_with_gain(plant)))
 
 
 def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
@@ -116,30 +110,43 @@ def h2_lower_bound(plant: Partition, direct: bool = True) -> float:
     ----------
     A. A. Stoorvogel, A. Saberi, B. M. Chen, Int. J. Robust and Nonlinear Control 3, 1993.
     """
-    try:
-        plant = _with_white_noise(plant if direct else _delayed(plant)) if plant.dt else plant
-        scaled = autoscaled_with_gain(plant)
-        p = _exact(scaled, plant)
-        gain = -scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T
-        if np.linalg.norm(p.D11 + p.D12 @ gain @ p.D21) > DIRECT * np.linalg.norm(p.D11):
-            return 0.0  # There is no finite norm.
-        p = Partition(
-            A=p.A + p.B2 @ gain @ p.C2, B1=p.B1 + p.B2 @ gain @ p.D21, B2=p.B2, C1=p.C1 + p.D12 @ gain @ p.C2, C2=p.C2,
-            D11=np.zeros_like(p.D11), D12=p.D12, D21=p.D21, D22=p.D22,
-        )  # fmt: skip
-        sides = _both_sides(p)
-        controls, measurements = (None, None) if sides is None else (_cost(sides[0]), _cost(sides[1]))
-    except (ArgumentError, np.linalg.LinAlgError, ValueError):
-        return 0.0
+    return _evaluated(lambda: _h2(_with_white_noise(plant if direct else _delayed(plant)) if plant.dt else plant))
+
+
+def _evaluated(bound: Callable[[], float]) -> float:
+    """The bound less what rounding may have added; 0 where it cannot be evaluated."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            found = (1.0 - ROUNDING) * bound()
+        except (ArgumentError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return 0.0
+    return found if math.isfinite(found) else 0.0
+
+
+def _hinf(plant: Partition, near: float, scaled: ScaledPlant) -> float:
+    sides = _both_sides(_exact(scaled, plant))
+    return 0.0 if sides is None else _least_level(sides, near / scaled.gain) * scaled.gain
+
+
+def _h2(plant: Partition) -> float:
+    """The bound of a continuous plant."""
+    scaled = autoscaled_with_gain(plant)
+    p = _exact(scaled, plant)
+    gain = -scaled.plant.D12.T @ p.D11 @ scaled.plant.D21.T
+    if np.linalg.norm(p.D11 + p.D12 @ gain @ p.D21) > DIRECT * np.linalg.norm(p.D11):
+        return 0.0  # There is no finite norm.
+    p = Partition(
+        A=p.A + p.B2 @ gain @ p.C2, B1=p.B1 + p.B2 @ gain @ p.D21, B2=p.B2, C1=p.C1 + p.D12 @ gain @ p.C2, C2=p.C2,
+        D11=np.zeros_like(p.D11), D12=p.D12, D21=p.D21, D22=p.D22,
+    )  # fmt: skip
+    sides = _both_sides(p)
+    controls, measurements = (None, None) if sides is None else (_cost(sides[0]), _cost(sides[1]))
     if controls is None or measurements is None:
         return 0.0
     (V, seen), W = controls, measurements[0]
     square = np.linalg.norm(p.B1.T @ V) ** 2 + np.linalg.norm((p.C1 - seen @ V.T) @ W) ** 2
-    return _shown(scaled.gain * math.sqrt(float(square) * scaled.rate))
-
-
-def _shown(bound: float) -> float:
-    return (1.0 - ROUNDING) * bound if math.isfinite(bound) else 0.0
+    return scaled.gain * math.sqrt(float(square) * scaled.rate)
 
 
 def _with_white_noise(plant: Partition) -> Partition:
@@ -349,10 +356,10 @@ def _balanced(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: Flo
     """Solution by SciPy's balanced pencil, where X is large in some directions and small in others."""
     from scipy.linalg import solve_continuous_are
 
+    if not R.size:
+        return None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            X = np.asarray(solve_continuous_are(A, B, Q, R, s=N))
+        X = np.asarray(solve_continuous_are(A, B, Q, R, s=N))
         return X if np.all(np.isfinite(X)) else None
     except (np.linalg.LinAlgError, ValueError):
         return None
@@ -362,7 +369,7 @@ def _least_level(sides: tuple[Side, Side], near: float) -> float:
     """Largest level that is shown to be a lower bound, by search in t = gamma⁻² for the last one that is feasible."""
     bound = max(max(_gain(side.D, side.E), side.fixed) for side in sides)
     feasible, beyond = 0.0, max(bound, LEAST_LEVEL) ** -2
-    t = min((1.0 - WIDTH) * near**-2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
+    t = min((1.0 - WIDTH) * max(near, LEAST_LEVEL) ** -2, beyond) if near > 0.0 else min(1.0, 0.5 * beyond)
     for _ in range(STEPS):
         levels, frequencies = zip(*(_at(side, t) for side in sides), strict=True)
         shown = list(_of_frequencies(sides, frequencies))
