@@ -180,5 +180,43 @@ def test_a_sampled_plant_needs_no_weight_of_its_inputs() -> None:
     # One step ahead: x[k + 1] = 0 is the best that u can do.
     system = control.ss([[2.0]], [[0.5]], [[1.0]], 0, 0.1)
     np.testing.assert_allclose(lqr(system, [[3.0]], [[0.0]]).state_gain, [[4.0]], rtol=1e-14)
+    integrator = control.ss([[1.0]], [[0.5]], [[1.0]], 0, 0.1)
+    assert lqr(integrator, [[1.0]], [[0.0]]).poles == pytest.approx(0.0)
+    with pytest.raises(IllPosedError, match="do not reach the mode at z = 1"):
+        lqr(integrator, [[0.0]], [[0.0]])
     with pytest.raises(IllPosedError, match=r"Q2 is 0 for u\[0\].*the best input has impulses otherwise"):
         lqr(control.ss(2.0, 0.5, 1.0, 0.0), [[3.0]], [[0.0]])
+
+
+def test_weights_of_more_inputs_than_states_need_not_be_as_large_as_what_they_bring_about() -> None:
+    # R + B'XB has rank one but for R, fifteen decades below: positive definite all the same.
+    system = control.ss([[1.5]], [[1e4, 2e4, -1e4]], [[1.0]], 0, 1.0)
+    found = lqr(system, [[1e4]], 1e-4 * np.eye(3))
+    gain = 1.5 * np.array([1e4, 2e4, -1e4]) / 6e8
+    np.testing.assert_allclose(found.state_gain[:, 0], gain, rtol=1e-9)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_no_semidefinite_weight_of_any_size_is_refused(discrete: bool) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        n, m = int(rng.integers(1, 6)), int(rng.integers(1, 4))
+        A = rng.normal(size=(n, n)) * (1.0 if discrete else 10.0 ** rng.uniform(-3, 3))
+        B = rng.normal(size=(n, m)) * 10.0 ** rng.uniform(-4, 4)
+        C = rng.normal(size=(int(rng.integers(0, n + 1)), n)) * 10.0 ** rng.uniform(-8, 4)
+        example = Example("", A, B, C.T @ C, np.eye(m), np.zeros((n, m)), None, discrete)
+        found = lqr(plant(example), example.Q, example.R)
+        assert (np.abs(found.poles).max() < 1.0) if discrete else (found.poles.real.max() < 0.0)
+        assert np.linalg.eigvalsh(found.X)[0] >= -1e-12 * np.abs(found.X).max()
+
+
+def test_what_a_schur_form_cannot_part_is_found_in_many_digits() -> None:
+    # Twelve decades between the poles: SciPy's loop is unstable with either balancing.
+    A = np.diag([1e-4, 1e8, -1.0]) + np.array([[0.0, 1.0, 2.0], [0.5, 0.0, 1.0], [1.0, -1.0, 0.0]])
+    B, Q = np.array([[1e-3], [1e6], [1.0]]), np.diag([1e-12, 0.0, 1e-12])
+    found = lqr(control.ss(A, B, np.eye(3), 0), Q, [[1.0]])
+    example = Example("", A, B, Q, np.eye(1), np.zeros((3, 1)), None, False)
+    stable = eigenvalues(example)
+    stable = stable[stable.real < 0]
+    for pole in found.poles:
+        assert np.abs(stable - pole).min() < 1e-6 * abs(pole)

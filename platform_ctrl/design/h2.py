@@ -157,7 +157,7 @@ def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, di
     of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
     found = []
     for name, equation in (("X", of_X), ("Y", of_Y)):
-        solution = riccati_solution(*equation, discrete=False)
+        solution = _solution(equation, discrete=False)
         if solution is None:
             require_no_zero_on_axis(scaled, P, WHERE)
             raise UnscalableError(f"{WHERE}: the equation of {name} {NO_SOLUTION}", P)
@@ -176,6 +176,16 @@ def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, di
         for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
     }
     return made, least, residual
+
+
+def _solution(
+    equation: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], discrete: bool
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, gain and weight; None where there is no solution or none is found: what stands in the way is named."""
+    try:
+        return riccati_solution(*equation, discrete=discrete)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _sampled(
@@ -210,7 +220,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, di
     """
     of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
     of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
-    for_X, for_Y = (riccati_solution(*equation, discrete=True) for equation in (of_X, of_Y))
+    for_X, for_Y = (_solution(equation, discrete=True) for equation in (of_X, of_Y))
     if for_X is None or for_Y is None:
         return None
     (X, F, W), (Y, Lt, S) = for_X, for_Y

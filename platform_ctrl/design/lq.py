@@ -198,7 +198,7 @@ def lqr(
         cost of a sampled plant has no least value, Q2 + B'XB not being positive definite.
     NotStabilisableError
         No input moves a mode that is not stable.
-    NotCertifiedError
+    UnscalableError, NotCertifiedError
         The Riccati equation was not solved, or the loop is not stable.
 
     References
@@ -251,7 +251,7 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
 
     Raises
     ------
-    ArgumentError, IllPosedError, NotStabilisableError, NotCertifiedError
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
         As `lqr`, for noise and measurements in place of weights and inputs; and where [R1, R12; R12', R2] is not
         positive semidefinite, or R2 not positive definite.
 
@@ -301,7 +301,7 @@ def lqg(
 
     Raises
     ------
-    ArgumentError, IllPosedError, NotStabilisableError, NotCertifiedError
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
         As `lqr` and `lqe`; IllPosedError also where [Q1, Q12; Q12', Q2] is not positive semidefinite or Q2 not positive
         definite, since the cost is a norm squared; NotCertifiedError also where the closed loop does not have the cost
         that was promised.

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, state_scaling
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.arguments import real_array
-from platform_ctrl.design.riccati import relative_residual, riccati_solution
-from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError
+from platform_ctrl.design.riccati import relative_error, relative_residual, riccati_solution
+from platform_ctrl.errors import ArgumentError, IllPosedError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 # Largest relative residual of a Riccati equation (scaled).
 RESIDUAL = 1e-6
+# Or largest error of its solution, in units of its own, where no solution in doubles has a residual as small: with
+# control so cheap that poles lie more than ten decades apart.
+ERROR = 1e-5
 # A noise intensity may be negative by this share of its largest eigenvalue: rounding.
 SEMIDEFINITE = 1e-10
 # A weight of the inputs whose least eigenvalue, of a unit diagonal, is below this is singular: rounding.
@@ -132,51 +135,97 @@ def solved(
     IllPosedError
         There is no stabilising solution, for example because the weights do not see a mode on the stability boundary,
         which the message then names; or the cost has no least value.
+    UnscalableError
+        None was found in floating point.
     NotCertifiedError
         The loop is not stable, or the equation is not solved.
     """
+    tried = list(_solutions(A, B, weights, dt))
+    found = next((one for one in tried if one.X is not None and one.accurate), None)
+    if found is None:
+        _refuse(tried, dt, where, system)
+    assert found is not None
+    assert found.X is not None
+    poles = np.asarray(np.linalg.eigvals(A + B @ found.F), dtype=np.complex128)
+    if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0:
+        raise NotCertifiedError(
+            f"{where}: the loop is not stable in floating point; expected a stable loop; try weights with less spread",
+            system,
+        )
+    size = np.sqrt(np.abs(np.diag(found.W)))
+    size[size == 0.0] = 1.0
+    if dt and np.linalg.eigvalsh(found.W / size / size[:, None])[0] <= -SEMIDEFINITE:
+        raise IllPosedError(
+            f"{where}: the weight of the inputs and of what they bring about, R + B'XB, is not positive definite: the "
+            "cost has no least value; expected larger weights of the inputs",
+            system,
+        )
+    return found.X, found.F, poles, found.residual
+
+
+class _Solution(NamedTuple):
+    """What one choice of units has led to: X is None where there is no solution, or none was found."""
+
+    equation: tuple[FloatArray, ...]
+    rate: float
+    exists: bool
+    X: FloatArray | None = None
+    F: FloatArray = np.zeros((0, 0))
+    W: FloatArray = np.zeros((0, 0))
+    residual: float = np.inf
+    accurate: bool = False
+
+
+def _solutions(A: FloatArray, B: FloatArray, weights: Weights, dt: float) -> Iterator[_Solution]:
+    """Solve the equation in one choice of units after the other, up to the first that will do."""
     Q, R, N = weights
     # Powers of two are exact to undo: what is solved is the equation as given.
     unit = _power_of_two(1.0 / np.sqrt(np.where(np.diag(R) > 0.0, np.diag(R), 1.0)))
-    root_of_Q = square_root(Q).T
-    # What balances A alone comes second: it suits a loop that is hardly faster than the plant.
-    found = None
-    for s, root in _all_units(A, B * unit, root_of_Q):
+    for s, root in _all_units(A, B * unit, square_root(Q).T):
         As, Bs = A * s / s[:, None], B * unit / s[:, None]
         Qs, Rs, Ns = Q * s * s[:, None], R * unit * unit[:, None], N * unit * s[:, None]
         # The unit of time in which A and B are at most near one.
         size = float(np.linalg.norm(As, 2) + np.linalg.norm(Bs) * root)
         rate = 1.0 if dt or not size else float(_power_of_two(size))
         equation = (As / rate, Bs * (root / rate), Qs / root**2, Rs, Ns / root)
-        found = riccati_solution(*equation, discrete=dt > 0)
-        if found is not None:
-            residual = relative_residual(*equation, found[0], discrete=dt > 0)
-            if residual <= RESIDUAL:
-                break
-    if found is None:
-        _name_blind_mode(equation, rate, dt, where, system)
-        raise IllPosedError(
-            f"{where}: the Riccati equation has no stabilising solution: its {'symplectic' if dt else 'Hamiltonian'} "
-            f"pencil has eigenvalues on the {'unit circle' if dt else 'imaginary axis'}, or too near to it for "
-            "floating point; expected weights (or intensities) that are positive definite, or less negative",
-            system,
-        )
-    X, F, W = found
-    if dt and np.linalg.eigvalsh(W)[0] <= 0.0:
-        raise IllPosedError(
-            f"{where}: the weight of the inputs and of what they bring about, R + B'XB, is not positive definite: the "
-            "cost has no least value; expected larger weights of the inputs",
-            system,
-        )
-    F = F * (unit[:, None] * root) / s
-    poles = np.asarray(np.linalg.eigvals(A + B @ F), dtype=np.complex128)
-    if not spectral_abscissa(continuous_poles(poles, dt)) < 0.0 or not residual <= RESIDUAL:
+        try:
+            found = riccati_solution(*equation, discrete=dt > 0)
+        except np.linalg.LinAlgError:
+            yield _Solution(equation, rate, exists=True)
+            continue
+        if found is None:
+            yield _Solution(equation, rate, exists=False)
+            continue
+        X, F, W = found
+        residual = relative_residual(*equation, X, discrete=dt > 0)
+        accurate = residual <= RESIDUAL or relative_error(*equation, X, discrete=dt > 0) <= ERROR
+        X, F = X * (root**2 / rate) / s / s[:, None], F * (unit[:, None] * root) / s
+        yield _Solution(equation, rate, True, X, F, W, residual, accurate)
+        if accurate:
+            return
+
+
+def _refuse(tried: list[_Solution], dt: float, where: str, system: StateSpace) -> None:
+    """Raise what says why there is no solution."""
+    if inaccurate := [one.residual for one in tried if one.X is not None]:
         raise NotCertifiedError(
-            f"{where}: the loop is not stable, or its Riccati equation holds to {residual:.2g} alone; expected a "
-            f"stable loop and {RESIDUAL:g}; try weights with less spread",
+            f"{where}: the Riccati equation holds to {min(inaccurate):.2g} alone; expected {RESIDUAL:g}; try weights "
+            "with less spread",
             system,
         )
-    return X * (root**2 / rate) / s / s[:, None], F, poles, residual
+    _name_blind_mode(tried[0].equation, tried[0].rate, dt, where, system)
+    if any(one.exists for one in tried):
+        raise UnscalableError(
+            f"{where}: no stabilising solution of the Riccati equation was found in floating point; expected weights "
+            "and modes with less spread; try other units, or larger weights on the slow states",
+            system,
+        )
+    raise IllPosedError(
+        f"{where}: the Riccati equation has no stabilising solution: its {'symplectic' if dt else 'Hamiltonian'} "
+        f"pencil has eigenvalues on the {'unit circle' if dt else 'imaginary axis'}, or too near to it for floating "
+        "point; expected weights (or intensities) that are positive definite, or less negative",
+        system,
+    )
 
 
 def _power_of_two(number: ArrayLike) -> FloatArray:
@@ -215,11 +264,13 @@ def _units_of_plant(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatA
 def _name_blind_mode(equation: tuple[FloatArray, ...], rate: float, dt: float, where: str, system: StateSpace) -> None:
     """Raise an IllPosedError where the weights do not see a mode on the stability boundary."""
     A, B, Q, R, N = equation
-    closed = A - B @ np.linalg.solve(R, N.T)
-    seen = Q - N @ np.linalg.solve(R, N.T)
+    across = np.linalg.lstsq(R, N.T)[0]
+    closed, seen = A - B @ across, Q - N @ across
+    size = 1.0 if dt else float(np.linalg.norm(closed, 2)) or 1.0
+    weight = seen / (float(np.linalg.norm(seen, 2)) or 1.0)
     for pole in np.linalg.eigvals(closed):
-        distance = abs(abs(pole) - 1.0) if dt else abs(pole.real)
-        shifted = np.vstack([closed - pole * np.eye(len(A)), seen])
+        distance = abs(abs(pole) - 1.0) if dt else abs(pole.real) / size
+        shifted = np.vstack([(closed - pole * np.eye(len(A))) / size, weight])
         if distance < 1e-9 and np.linalg.svd(shifted, compute_uv=False)[-1] < 1e-9:
             at = f"z = {pole:.6g}" if dt else f"{pole * rate:.4g} rad/s"
             raise IllPosedError(

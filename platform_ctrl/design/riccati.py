@@ -33,6 +33,8 @@ NEWTON_STEPS, NEWTON_PROGRESS = 30, 0.7
 NO_STEP = 1e-18
 # Smallest entry on the diagonal of X that units of the states bring to one, relative to the largest.
 SMALLEST_COST = 1e-24
+# Residual over the largest term from which on a residual has to fall, and steps at most until it is as small.
+DISTANT, DISTANT_STEPS = 1e-2, 100
 # Bits of a residual, and states up to which it is worked out in them.
 BITS, PRECISE_STATES = 128, 128
 # Decay of a pole in times of its rounding, or over the norm of the loop's matrix (of sampled loops over 1), with which
@@ -52,6 +54,10 @@ class Equation(NamedTuple):
     R: FloatArray
     N: FloatArray
     discrete: bool
+
+
+# F, W, the residual, and the size of its largest term.
+Judged = tuple[FloatArray, FloatArray, FloatArray, float]
 
 
 class Subspace(NamedTuple):
@@ -116,13 +122,25 @@ def riccati_solution(
 
     Of discrete equations, A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0 with W = R + B'XB and F = −W⁻¹(B'XA + N'): the
     same for the sum, where W is positive definite. R may be singular, W must not be.
+
+    Raises
+    ------
+    LinAlgError
+        None was found, although nothing shows that there is none.
     """
     equation = Equation(A, B, Q, R, N, discrete)
     for start in _starts(equation):
         found = _refined(equation, start)
         if found is not None:
             return found if _off_boundary(equation, *found) else None
-    return None
+    if len(A) <= EIGENVALUE_STATES:
+        eigenvalues, X = _in_many_digits(equation)
+        if _on_boundary(eigenvalues):
+            return None
+        found = None if X is None else _refined(equation, X)
+        if found is not None:
+            return found
+    raise np.linalg.LinAlgError("no stabilising solution of the Riccati equation was found")
 
 
 def _starts(equation: Equation) -> Iterator[FloatArray]:
@@ -143,7 +161,7 @@ def _starts(equation: Equation) -> Iterator[FloatArray]:
             warnings.simplefilter("ignore")
             try:
                 X = np.asarray(solve(A, B, Q, R, s=N, balanced=balanced), dtype=np.float64)
-            except (np.linalg.LinAlgError, ValueError):
+            except (np.linalg.LinAlgError, ValueError, ArithmeticError):
                 continue
         if np.all(np.isfinite(X)):
             yield 0.5 * (X + X.T)
@@ -154,28 +172,52 @@ def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray,
     found = _judged(equation, X)
     if found is None:
         return None
-    F, W, residual, _ = found
-    # Units of the states in which the diagonal of X is near one: there the loop is nearly dissipative, and small
-    # entries count as much as large ones. States that hardly cost anything suit the given units better.
-    costs = np.abs(np.diag(X))
-    costs = np.maximum(costs, SMALLEST_COST * (float(costs.max(initial=0.0)) or 1.0))
-    unit = np.exp2(-np.round(0.5 * np.log2(costs)))
-    left = _size(residual, unit)
+    X, found = _near(equation, X, found)
+    unit = _cost_units(X)
+    left = _size(found[2], unit)
     for _ in range(NEWTON_STEPS):
-        closed = equation.A + equation.B @ F
+        closed = equation.A + equation.B @ found[0]
+        # States that hardly cost anything suit the given units better.
         for s in (unit, np.ones(len(X))):
-            step = _step(closed, residual, s, equation.discrete)
+            step = _step(closed, found[2], s, equation.discrete)
             if step is None or np.all(np.abs(step * unit * unit[:, None]) <= NO_STEP):
                 continue
             better = _judged(equation, X + step)
             if better is not None and _size(better[2], unit) < NEWTON_PROGRESS * left:
-                X = X + step
-                F, W, residual, _ = better
-                left = _size(residual, unit)
+                X, found = X + step, better
+                left = _size(found[2], unit)
                 break
         else:
             break
-    return X, F, W
+    return X, found[0], found[1]
+
+
+def _near(equation: Equation, X: FloatArray, found: Judged) -> tuple[FloatArray, Judged]:
+    """Return a solution from which Newton's method converges at once.
+
+    From any stable loop it converges in the end, at first by a factor of four a step, but the first residual may be
+    larger than that of the start.
+    """
+    first = X, found
+    for _ in range(DISTANT_STEPS):
+        if float(np.linalg.norm(found[2])) <= DISTANT * found[3]:
+            return X, found
+        step = _step(equation.A + equation.B @ found[0], found[2], _cost_units(X), equation.discrete)
+        better = None if step is None else _judged(equation, X + step)
+        if step is None or better is None:
+            return first
+        X, found = X + step, better
+    return first
+
+
+def _cost_units(X: FloatArray) -> FloatArray:
+    """Return units of the states in which the diagonal of X is near one.
+
+    There the loop is nearly dissipative, and small entries count as much as large ones.
+    """
+    costs = np.abs(np.diag(X))
+    costs = np.maximum(costs, SMALLEST_COST * (float(costs.max(initial=0.0)) or 1.0))
+    return np.asarray(np.exp2(-np.round(0.5 * np.log2(costs))))
 
 
 def _step(closed: FloatArray, residual: FloatArray, unit: FloatArray, discrete: bool) -> FloatArray | None:
@@ -198,10 +240,10 @@ def _size(residual: FloatArray, unit: FloatArray) -> float:
     return float(np.linalg.norm(residual)) * float(np.linalg.norm(residual * unit * unit[:, None]))
 
 
-def _judged(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float] | None:
+def _judged(equation: Equation, X: FloatArray) -> Judged | None:
     """Return F and W of X, the residual and the size of its largest term; None where the loop of F is not stable."""
     try:
-        found = _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
+        found = _evaluated(equation, X)
     except (np.linalg.LinAlgError, ZeroDivisionError):
         return None
     F, _, residual, _ = found
@@ -212,7 +254,11 @@ def _judged(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, 
     return found if inside else None
 
 
-def _in_doubles(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+def _evaluated(equation: Equation, X: FloatArray) -> Judged:
+    return _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
+
+
+def _in_doubles(equation: Equation, X: FloatArray) -> Judged:
     A, B, Q, R, N, discrete = equation
     terms = [A.T @ X @ A, -X, Q] if discrete else [A.T @ X, X @ A, Q]
     cross, W = (A.T @ X @ B + N, R + B.T @ X @ B) if discrete else (X @ B + N, R)
@@ -222,7 +268,7 @@ def _in_doubles(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArr
     return F, W, 0.5 * (residual + residual.T), max(float(np.linalg.norm(term)) for term in terms)
 
 
-def _in_digits(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+def _in_digits(equation: Equation, X: FloatArray) -> Judged:
     """As `_in_doubles`, rounded to doubles at the end alone."""
     import flint
 
@@ -254,10 +300,12 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
     poles, left, right = eig(closed, left=True, right=True)
     decay = 1.0 - np.abs(poles) if equation.discrete else -poles.real
     eps, n = float(np.finfo(np.float64).eps), len(closed)
-    _, _, residual, size = _in_doubles(equation, X)
+    _, _, residual, size = _evaluated(equation, X)
     with np.errstate(all="ignore"):
         left = left / np.abs(np.einsum("ij,ij->j", left.conj(), right))
-        input_gain = np.einsum("ij,jk,ki->i", left.conj().T, equation.B @ np.linalg.solve(W, equation.B.T), left).real
+        input_gain = np.einsum(
+            "ij,jk,ki->i", left.conj().T, equation.B @ np.linalg.lstsq(W, equation.B.T)[0], left
+        ).real
         rounding = eps * np.linalg.norm(closed) * np.linalg.norm(left, axis=0)
         error = float(np.linalg.norm(residual)) + math.sqrt(n) * eps * size
         apart = (decay > SURE * rounding) & (decay * decay > SURE * np.abs(input_gain) * error)
@@ -266,14 +314,25 @@ def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArra
     if np.all(apart | (decay > DEEP * scale)):
         return True
     if n <= EIGENVALUE_STATES:
-        return not _on_boundary(equation)
+        return not _on_boundary(_in_many_digits(equation)[0])
     return bool(np.all(decay > FAR * scale))
 
 
-def _on_boundary(equation: Equation) -> bool:
-    """Return whether the Hamiltonian (symplectic) pencil has an eigenvalue on the stability boundary."""
+def _on_boundary(eigenvalues: ComplexArray) -> bool:
+    """Return whether one of the eigenvalues found in many digits lies on the imaginary axis."""
+    size = np.abs(eigenvalues)
+    near = np.abs(eigenvalues.real) <= NO_DECAY * size
+    return bool(np.any(near | (size <= NO_SIZE * size.max(initial=0.0))))
+
+
+def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
+    """Return the eigenvalues of the Hamiltonian (symplectic) pencil, in the half plane; and X if n of them are stable.
+
+    Where the pencil has lost its meaning, the eigenvalue 0 alone.
+    """
     import flint
 
+    n = len(equation.A)
     with flint.ctx.workprec(EIGENVALUE_BITS):
         A, B, Q, R, N = (balls(item) for item in equation[:5])
         try:
@@ -283,13 +342,20 @@ def _on_boundary(equation: Equation) -> bool:
                 into, across = R.solve(B.transpose()), R.solve(N.transpose())
                 left = A - B * across
                 H = blocks([[left, -1 * (B * into)], [N * across - Q, -1 * left.transpose()]])
-            values = flint.acb_mat(H.mid()).eig(algorithm="approx")
+            values, vectors = flint.acb_mat(H.mid()).eig(right=True, algorithm="approx")
+            eigenvalues = np.array([complex(float(one.real), float(one.imag)) for one in values])
+            stable = [k for k, one in enumerate(eigenvalues) if one.real < 0.0]
+            if len(stable) != n:
+                return eigenvalues, None
+            top, bottom = (
+                flint.acb_mat([[vectors[i, k] for i in range(first, first + n)] for k in stable]) for first in (0, n)
+            )
+            X = top.solve(bottom, algorithm="approx")
         except ZeroDivisionError:
-            # R is singular; or the pencil at z = −1: an eigenvalue on the unit circle.
-            return True
-        found = np.array([complex(float(one.real), float(one.imag)) for one in values])
-    size = np.abs(found)
-    return bool(np.any((np.abs(found.real) <= NO_DECAY * size) | (size <= NO_SIZE * size.max(initial=0.0))))
+            # R is singular; or the pencil at z = −1, an eigenvalue on the unit circle; or there is no X.
+            return np.zeros(1, dtype=np.complex128), None
+        found = np.array([float(x.real) for x in X.entries()]).reshape(n, n)
+    return eigenvalues, 0.5 * (found + found.T) if np.all(np.isfinite(found)) else None
 
 
 def _in_half_plane(A: Balls, B: Balls, Q: Balls, R: Balls, N: Balls) -> Balls:
@@ -314,5 +380,23 @@ def relative_residual(
 ) -> float:
     """Return the residual of the equation at X relative to the largest of its terms."""
     equation = Equation(A, B, Q, R, N, discrete)
-    _, _, residual, size = (_in_digits if len(X) <= PRECISE_STATES else _in_doubles)(equation, X)
+    _, _, residual, size = _evaluated(equation, X)
     return float(np.linalg.norm(residual)) / size if size else 0.0
+
+
+def relative_error(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
+) -> float:
+    """Return the step that Newton's method would still take from X, in units in which the diagonal of X is near one.
+
+    It is how far X is from the solution. The residual may be large beside it: with cheap control, what rounding an
+    entry of X leaves of terms that cancel.
+    """
+    equation = Equation(A, B, Q, R, N, discrete)
+    found = _judged(equation, X)
+    if found is None:
+        return math.inf
+    unit, closed = _cost_units(X), A + B @ found[0]
+    steps = [_step(closed, found[2], s, discrete) for s in (unit, np.ones(len(X)))]
+    sizes = [float(np.abs(step * unit * unit[:, None]).max()) for step in steps if step is not None]
+    return min(sizes, default=math.inf)
