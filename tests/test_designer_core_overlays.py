@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from platform_ctrl.designer.page.telling import bar_told
 from platform_ctrl.designer.pictures import Overlay, Picture
 from platform_ctrl.designer.values import Settings
 from platform_ctrl.designer.workbench import Workbench
@@ -120,3 +121,15 @@ def test_what_is_no_design_of_the_servo_is_refused(bench: Workbench, settings: S
     shown = bench.picture(broken)
     assert not shown.bode.overlays
     assert "filter_hz" in shown.notes[-1]
+
+
+def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_and_says_so(picture: Picture) -> None:
+    assert picture.stable
+    S = 1.0 / (1.0 + picture.bode.response)
+    assert picture.margins.disk == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=5e-3)
+    bar = bar_told(picture)
+    tips = {one["label"]: one["tip"] for one in bar["figures"]}
+    assert "at the torquer that is shown" in tips["Disk margin"]
+    assert "the platform's axes" in tips["Bandwidth"]
+    # All of the verdict's words have room beside the numbers.
+    assert len(bar["words"]) < 36

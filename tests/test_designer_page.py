@@ -281,6 +281,12 @@ def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page
     assert "Held back" not in (page.locator("#line").text_content() or "")
 
 
+def test_what_is_left_of_a_limit_is_said_as_more_where_it_has_no_room(page: Page) -> None:
+    # 0.05 1/s are asked of the slowest decay, and some hundred times as much is there.
+    row = page.locator("#requirements tbody tr", has_text="slowest decay").first
+    assert "> +999 %" in (row.text_content() or "")
+
+
 def test_keys_of_curves_that_have_no_room_are_counted_and_every_axis_has_numbers(page: Page) -> None:
     cut = """() => [...document.querySelectorAll("#plots .panel")].flatMap((panel) => {
       const every = (root) => [...root.querySelectorAll("*")].flatMap((one) => [

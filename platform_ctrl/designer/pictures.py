@@ -238,7 +238,8 @@ class Margins:
     Attributes
     ----------
     disk
-        Disk margin of the plant shown, all channels at once, dimensionless; 0 where it is unstable.
+        Disk margin of the plant shown, dimensionless; 0 where it is unstable. Of a caging loop all channels at once, of
+        the stabilised platform at the torquer that is shown broken.
     worst_disk, worst_plant
         The least of the set, and the label of the plant that has it; of the plant shown without a band.
     gain_up, gain_down
@@ -250,9 +251,11 @@ class Margins:
     crossover
         Highest frequency at which the shown channel's gain passes 1, rad/s; None without one.
     bandwidth
-        Of the plant shown, all channels, rad/s: the largest singular value of S reaches 1/sqrt(2).
+        Of the plant shown, rad/s: the largest singular value of S reaches 1/sqrt(2). Of a caging loop all channels, of
+        the stabilised platform those of the platform's axes.
     damping
-        Smallest damping ratio of its closed-loop poles above a tenth of nutation.
+        Smallest damping ratio of its closed-loop poles above a tenth of the nutation frequency, or of the crossover of
+        the stabilised platform.
 
     References
     ----------

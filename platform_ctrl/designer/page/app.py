@@ -19,7 +19,7 @@ PANELS = (
     ("nichols", "Nichols plot"),
     ("locus", "Root locus"),
     ("step", "Step response"),
-    ("Omega", "Response to Omega"),
+    ("Omega", "Response to a disturbance"),
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from platform_ctrl.designer.pictures import Influence, Margins, Picture
-from platform_ctrl.designer.values import Knob, Offer, Settings
+from platform_ctrl.designer.values import Knob, Mode, Offer, Settings
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 from platform_ctrl.requirements import CheckResult
 
@@ -157,7 +157,7 @@ def bar_told(picture: Picture) -> dict[str, Any]:
         "verdict": verdict,
         "words": words,
         "more": more,
-        "figures": _figures(picture.margins, picture.stable),
+        "figures": _figures(picture.margins, picture.stable, picture.settings.mode),
         "elapsed": f"{1e3 * picture.elapsed:.0f} ms",
     }
 
@@ -235,20 +235,29 @@ def _verdict(picture: Picture) -> tuple[str, str, str]:
         return "good", "Stable", "nothing is asked of this loop"
     least = min(picture.requirements, key=lambda one: one.margin)
     # What lies between the frequencies of a grid is no verdict.
-    here = " at the frequencies looked at" if any(one.method == "sampled" for one in picture.requirements) else ""
+    sampled = any(one.method == "sampled" for one in picture.requirements)
+    met = "met on a frequency grid" if sampled else "met" if count == 1 else "requirements met"
     left = f"least left: {least.name}, {100 * least.margin:.1f} %"
-    return "good", f"Met{here}" if count == 1 else f"All {count} requirements met{here}", left
+    return "good", met.capitalize() if count == 1 else f"All {count} {met}", left
 
 
-def _figures(margins: Margins, stable: bool) -> list[dict[str, Any]]:
+# What the numbers are of, caged and stabilised: channels, angles, and what poles have to be faster than to count.
+_OF = {
+    "caged": ("all channels of the loop at once", "all angles of the loop", "nutation frequency"),
+    "stabilised": ("broken at the torquer that is shown, all others closed", "the platform's axes", "crossover"),
+}
+
+
+def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]:
     def figure(label: str, value: float | str | None, unit: str, tip: str, bad: bool = False) -> dict[str, Any]:
         shown = value if isinstance(value, str) else plain_number(value)
         return {"label": label, "value": shown, "unit": unit, "tip": tip, "bad": bad}
 
     none = math.nan
     crossover = none if margins.crossover is None else HZ * margins.crossover
+    channels, axes, above = _OF[mode]
     return [
-        figure("Disk margin", margins.disk, "", "Of the plant shown, all channels at once", not stable),
+        figure("Disk margin", margins.disk, "", f"Of the plant shown, {channels}", not stable),
         figure(
             "Worst of the set",
             margins.worst_disk,
@@ -260,8 +269,14 @@ def _figures(margins: Margins, stable: bool) -> list[dict[str, Any]]:
         figure("Phase margin", margins.phase if stable else none, "°", "What the shown channel may lose"),
         figure("Delay margin", 1e3 * margins.delay if stable else none, "ms", "How much later the torque may come"),
         figure("Crossover", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1"),
-        figure("Bandwidth", HZ * margins.bandwidth if stable else none, "Hz", "S reaches 1/√2, all channels"),
-        figure("Damping", margins.damping, "", "Least of the closed-loop poles", margins.damping <= 0.0),
+        figure("Bandwidth", HZ * margins.bandwidth if stable else none, "Hz", f"S of {axes} reaches 1/√2"),
+        figure(
+            "Damping",
+            margins.damping,
+            "",
+            f"Least of the closed-loop poles beyond a tenth of the {above}",
+            margins.damping <= 0.0,
+        ),
     ]
 
 

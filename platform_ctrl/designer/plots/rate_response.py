@@ -1,4 +1,4 @@
-"""From the platform's rate to the angles: over time for a manoeuvre, or over frequency."""
+"""From the platform's rate, or a torque on it, to the angles: over time for a manoeuvre, or over frequency."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST = 1e-5
 
 
 class RatePanel:
-    """Response to Omega, over time or over frequency.
+    """Response to Omega, or of the free platform to a torque on it, over time or over frequency.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class RatePanel:
     """
 
     def __init__(self, theme: Theme, sources: Sources, frequency: View) -> None:
-        self.panel = Panel("Omega", "Response to Ω", theme)
+        self.panel = Panel("Omega", "Disturbance", theme)
         self._sources, self._theme, self._frequency = sources, theme, frequency
         self.over_time = TimePanel(self.panel, "Omega_time", sources, theme)
         self._gain = View(1e-3, 1.0, _decades, logarithmic=True)
