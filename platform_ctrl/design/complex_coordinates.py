@@ -13,6 +13,7 @@ divided by the same, both inertias are √(J1 J2) and G stays.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.sampled import sampled, with_lag
 from platform_ctrl.arguments import positive
+from platform_ctrl.description import OMEGA_NAMES
+from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, expect_model
@@ -53,6 +56,11 @@ class ComplexSystem:
         Real signals are those of the complex coordinates times these factors.
     inertia, momentum
         J, kg m², and L, N m s, of a plant P = 1/(J s² − i L s) behind its lags; 0 of a controller.
+    states
+        Names of the real system's states; none of a controller.
+    rate_input : (2n, 3)
+        Input of the platform's rate, rad/s, to the states of `real_arrays`; sampled: held, not delayed. Empty of a
+        controller.
 
     References
     ----------
@@ -71,6 +79,8 @@ class ComplexSystem:
     output_scale: FloatArray
     inertia: float = 0.0
     momentum: float = 0.0
+    states: tuple[str, ...] = ()
+    rate_input: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def real_arrays(self) -> StateArrays:
         """Return real and imaginary parts as a real system of twice the size, nothing rounded; without dead time.
@@ -88,7 +98,7 @@ class ComplexSystem:
         Returns
         -------
         control.StateSpace
-            With the names of `inputs` and `outputs`.
+            With the names of `inputs` and `outputs`, of a plant also of the states.
 
         Raises
         ------
@@ -100,7 +110,7 @@ class ComplexSystem:
         A, B, C, D, _ = self.real_arrays()
         B, D = B / self.input_scale, D / self.input_scale
         arrays = StateArrays(A, B, self.output_scale[:, None] * C, self.output_scale[:, None] * D, self.dt)
-        return state_space(arrays, self.inputs, self.outputs)
+        return state_space(arrays, self.inputs, self.outputs, self.states or None)
 
 
 def complex_plant(
@@ -155,21 +165,25 @@ def complex_plant(
     order = [list(whole.state_labels).index(prefix + angle) for prefix in ("", "p_") for angle in angles]
     A, B, C = (np.asarray(item, dtype=np.float64) for item in (system.A, system.B, system.C))
     A, B, C = A[np.ix_(order, order)], B[order], C[:, order]
+    rate = np.asarray(whole[angles, list(OMEGA_NAMES)].B, dtype=np.float64)[order]
     scale = np.ones(2)
     if balance:
         mobility = np.diag(A[:2, 2:])
         scale = (mobility / mobility[::-1]) ** 0.25
         states = np.concatenate([scale, 1.0 / scale])
         A, B, C = A / states[:, None] * states, B / states[:, None] / scale, C / scale[:, None] * states
+        rate = rate / states[:, None]
     states_named = [*angles, *(f"p_{name}" for name in angles)]
     plain = state_space(StateArrays(A, B, C, np.zeros((2, 2)), 0.0), torques, angles, states_named)
     lags = np.array([t.lag for t in torquers])
     if period is None:
         arrays = StateArrays(*with_lag(A, B, C, np.zeros((2, 2)), lags), dt=0.0)
         labels = states_named + [f"lag_{name}" for name, lag in zip(torques, lags, strict=True) if lag > 0.0]
+        rate = np.vstack([rate, np.zeros((len(labels) - len(rate), 3))])
     else:
         discrete = sampled(plain, positive("complex_plant: period", period), delay, lags)
         arrays, labels, delay = state_arrays(discrete, "complex_plant"), list(discrete.state_labels), 0.0
+        rate = held_rate(A, rate, arrays.dt, len(labels))
     parts = zip("ABCD", arrays[:4], (labels, labels, angles, angles), (labels, torques, labels, torques), strict=True)
     A_z, B_z, C_z, D_z = (_complex(name, item, down, across) for name, item, down, across in parts)
     return ComplexSystem(
@@ -185,6 +199,8 @@ def complex_plant(
         output_scale=scale,
         inertia=2.0 / float(A[0, 2] + A[1, 3]),
         momentum=float(A[3, 2] - A[2, 3]) / float(A[0, 2] + A[1, 3]),
+        states=tuple(labels),
+        rate_input=rate,
     )
 
 

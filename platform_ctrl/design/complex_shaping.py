@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.arguments import positive
 from platform_ctrl.certificates import Certificate, stability_certificate
+from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.design.blocks import series
 from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_response, transfer
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
@@ -92,7 +93,7 @@ class ComplexLoop:
     plant, controller
         In complex coordinates.
     real_controller
-        u = K y of the two gimbals, in SI units.
+        u = K y (positive feedback) of the two gimbals, in SI units.
     nyquist
         Its loop transfer, with margins.
 
@@ -105,6 +106,23 @@ class ComplexLoop:
     controller: ComplexSystem
     real_controller: control.StateSpace
     nyquist: TwoSidedNyquist
+
+    @property
+    def real_plant(self) -> control.StateSpace:
+        """The plant in SI units, from torques and Omega1 to Omega3 to angles.
+
+        ``control.interconnect([loop.real_plant, loop.real_controller], inputs=["Omega1", "Omega2", "Omega3"],
+        outputs=...)`` closes the loop by the signals' names.
+
+        Raises
+        ------
+        ArgumentError
+            A continuous plant with a dead time.
+        """
+        acting = self.plant.real_system()
+        A, B, C, D, dt = state_arrays(acting, "real_plant")
+        arrays = StateArrays(A, np.hstack([B, self.plant.rate_input]), C, np.hstack([D, np.zeros((2, 3))]), dt)
+        return state_space(arrays, [*acting.input_labels, *OMEGA_NAMES], acting.output_labels, acting.state_labels)
 
     @property
     def certificate(self) -> Certificate:
