@@ -93,7 +93,9 @@ def acts(bench: Workbench, settings: Settings) -> None:
 
 def dragged(bench: Workbench, settings: Settings, pole: complex, free: bool) -> tuple[list[float], int]:
     """Return the processor times of the steps of a drag of a pole, each with its picture, and how many were held."""
-    times, held, first = [], [], pole
+    times: list[float] = []
+    held: list[tuple[str, ...]] = []
+    first = pole
     for k in range(1, 1 + DRAG):
         target = first * (1.0 + 0.01 * k)
         begun = time.process_time()
