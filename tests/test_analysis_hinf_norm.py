@@ -15,7 +15,7 @@ from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.axis import FrequencyAxis, pencil_crossings
 from platform_ctrl.analysis.boundary import boundary_poles
-from platform_ctrl.analysis.phase_bound import AxisPhase, middles
+from platform_ctrl.analysis.phase_bound import all_pass, doubtful, middles, phases
 from platform_ctrl.certificates import norm_certificate
 from platform_ctrl.frozen import FloatArray
 
@@ -273,7 +273,7 @@ def test_no_gain_is_steeper_than_a_cosine_along_the_phase_of_its_poles(seed: int
     system = sampled_modes(seed, -3.0) if dt else modal(seed, 4, (-1, 2), (-3, 0), rotation=0.3, direct=seed % 3)
     arrays = StateArrays(system.A, system.B, system.C, system.D, float(system.dt))
     s, _ = boundary_poles(system.A, arrays.dt)
-    phase = AxisPhase(s, arrays.dt)
+    phase = all_pass(s, arrays.dt)
     edge = math.pi / arrays.dt if dt else math.inf
     norm, frequency = analysis.hinf_norm(system)
     # Any level that the gain does not exceed: the inequality holds for it too.
@@ -281,23 +281,23 @@ def test_no_gain_is_steeper_than_a_cosine_along_the_phase_of_its_poles(seed: int
     near = np.abs(s.imag)[:, None] + np.abs(s.real)[:, None] * rng.normal(size=40)
     w = np.unique(np.clip(np.abs(np.append(near, 10.0 ** rng.uniform(-3.0, 3.0, 300))), 0.0, edge))
     gain = np.linalg.norm(analysis.frequency_response_arrays(*arrays, w), 2, axis=(-2, -1))
-    alpha, phi = 2.0 * np.arccos(np.minimum(gain / level, 1.0)), phase.at(w)
+    alpha, phi = 2.0 * np.arccos(np.minimum(gain / level, 1.0)), phases(w, *phase)
     assert np.all(np.abs(np.diff(alpha)) <= np.diff(phi) * (1.0 + 1e-6) + 1e-7)
     # A level that is exceeded is doubted where the largest gain is.
     low = rng.uniform(0.3, 1.0) * norm
     few = np.unique(np.concatenate([[0.0, edge], rng.choice(w, 5)]))
     known = FrequencyAxis(arrays).gains(few)
     k = int(np.searchsorted(few, frequency, side="right")) - 1
-    assert known.max() >= low or min(k, len(few) - 2) in phase.doubtful(few, known, low)
+    assert known.max() >= low or min(k, len(few) - 2) in doubtful(few, known, low, phases(few, *phase))
 
 
 def test_one_lag_is_as_steep_as_a_gain_can_be() -> None:
     w = np.array([0.0, 0.3, 1.0, 4.0, math.inf])
-    phase = AxisPhase(np.array([-2.0 + 0j]), 0.0)
+    phase = all_pass(np.array([-2.0 + 0j]), 0.0)
     gain = 1.0 / np.hypot(1.0, w / 2.0)
-    np.testing.assert_allclose(2.0 * np.arccos(gain), phase.at(w), atol=1e-7)
-    np.testing.assert_allclose(phase.at(np.array([math.inf])), math.pi)
-    np.testing.assert_array_equal(middles(w[:-1], w[1:], math.inf), [0.075, 0.65, 2.5, 16.0])
+    np.testing.assert_allclose(2.0 * np.arccos(gain), phases(w, *phase), atol=1e-7)
+    np.testing.assert_allclose(phases(np.array([math.inf]), *phase), math.pi)
+    np.testing.assert_array_equal(middles(w, np.arange(4), math.inf), [0.075, 0.65, 2.5, 16.0])
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -7,14 +7,21 @@ out once: norms and margins ask many times.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
+from platform_ctrl.analysis.response import LARGE, AxisResponse, frequency_response_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+
+if TYPE_CHECKING:
+    from platform_ctrl.analysis.phase_bound import Small
+
+# Inputs or outputs up to which singular values are compiled ones.
+PORTS = 8
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -40,7 +47,7 @@ class FrequencyAxis:
         self.edge = math.inf if dt == 0.0 else math.pi / dt
         self.system = StateArrays(*scaled(A, B, C), D, dt)
         self._w_plane: Matrices | None = None
-        self._along = AxisResponse(self.system) if A.size and B.size and C.size else None
+        self._along = AxisResponse(self.system, balanced=True) if A.size and B.size and C.size else None
 
     def response(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
@@ -60,6 +67,12 @@ class FrequencyAxis:
             out[infinite] = self.system.D
         out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
         return out
+
+    def small(self) -> Small | None:
+        """Return the system as the compiled search takes it; None if it has too many states or ports, or none."""
+        if self._along is None or len(self.system.A) >= LARGE or min(self.system.D.shape) > PORTS:
+            return None
+        return self._along.small(self.edge)
 
     def gains(self, frequency: FloatArray, tolerated: float | None = None) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
@@ -103,7 +116,7 @@ class FrequencyAxis:
 def largest_gains(H: ComplexArray) -> FloatArray:
     """Return the largest singular value of each of the matrices (N, p, m); inf where one is not finite."""
     out = np.full(len(H), np.inf)
-    if min(H.shape[1:]) <= 8:
+    if min(H.shape[1:]) <= PORTS:
         from platform_ctrl.analysis.gain_kernel import largest_singular_values
 
         largest_singular_values(np.ascontiguousarray(H), out)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.frozen import FloatArray
 
 EPSILON = 2.0**-52
@@ -27,10 +27,10 @@ BITS = 192
 
 def boundary_poles(A: FloatArray, dt: float) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """Return the continuous(-equivalent) poles of one balanced system, and which of them lie on the boundary, (n,)."""
-    poles = pole_arrays(A)
+    poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     distance = 1.0 - np.abs(poles) if dt else -poles.real
     if not np.any(np.abs(distance) <= DOUBTFUL * EPSILON * np.linalg.norm(A)):
-        return continuous_poles(poles, dt), np.zeros(len(poles), dtype=np.bool_)
+        return continuous_poles(poles, dt) if dt else poles, np.zeros(len(poles), dtype=np.bool_)
     return _precise_poles(A, dt)
 
 

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
 from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
-from platform_ctrl.analysis.phase_bound import AxisPhase, middles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays
@@ -29,8 +28,6 @@ from platform_ctrl.frozen import FloatArray
 
 # Where a climb looks around the best frequency, in widths.
 FAN = np.linspace(-1.0, 1.0, 15)
-# Frequencies at which the gain may be looked at before eigenvalues of a Hamiltonian matrix take less.
-MOST, MOST_PER_POLE = 500, 40
 
 
 def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
@@ -145,8 +142,16 @@ def peak_gain(
     known
         A gain near the largest, and its frequency, where these have been looked for; default next to the poles.
     """
-    phase, large = AxisPhase(s, axis.system.dt), len(s) >= LARGE
-    w = np.concatenate([[0.0, axis.edge], resonances(s, few=large), [] if known is None else [known[1]]])
+    # Compiled, or taken from numba's cache, with the first call.
+    from platform_ctrl.analysis import phase_bound
+
+    phase = phase_bound.all_pass(s, axis.system.dt)
+    small = axis.small()
+    if small is not None:
+        found, best, frequency = phase_bound.peak(small, s[np.isfinite(s)], phase.centre, phase.width, tolerance)
+        if found:
+            return best, frequency
+    w = np.concatenate([[0.0, axis.edge], resonances(s, few=len(s) >= LARGE), [] if known is None else [known[1]]])
     w = np.unique(w[w <= axis.edge])
     best, frequency, sizes = 0.0, 0.0, _looked(axis, w, 0.0)
     if not np.any(sizes):
@@ -156,15 +161,17 @@ def peak_gain(
         k = int(np.argmax(sizes))
         if sizes[k] > best * (1.0 + 0.1 * tolerance):
             best, frequency = _climbed(axis, s, float(sizes[k]), float(w[k]), 0.01 * tolerance)
-            new = np.append(phase.around(frequency, tolerance), frequency)
+            new = np.append(phase_bound.around(frequency, *phase, tolerance), frequency)
         else:
-            doubtful = phase.doubtful(w, sizes, best * (1.0 + tolerance))
-            if not doubtful.size:
+            phi = phase_bound.phases(w, *phase)
+            chosen = phase_bound.doubtful(w, sizes, best * (1.0 + tolerance), phi)
+            if not chosen.size:
                 return best, frequency
-            new = np.setdiff1d(middles(w[doubtful], w[doubtful + 1], axis.edge), w)
-            if not new.size or len(w) > MOST + MOST_PER_POLE * len(s) or math.isinf(best):
+            new = np.setdiff1d(phase_bound.middles(w, chosen, axis.edge), w)
+            most = phase_bound.MOST + phase_bound.MOST_PER_POLE * len(s)
+            if not new.size or len(w) > most or math.isinf(best):
                 return _by_crossings(axis, s, tolerance, best, frequency)
-        new = np.setdiff1d(new[(new >= 0.0) & (new <= axis.edge)], w)
+        new = np.setdiff1d(new[new <= axis.edge], w)
         at = np.searchsorted(w, new)
         w, sizes = np.insert(w, at, new), np.insert(sizes, at, _looked(axis, new, best))
 

@@ -64,12 +64,17 @@ def respond(
     (p, m), N = D.shape, len(z)
     size = math.isqrt(len(chains.rows) // (m + 1))
     down, across = (1, p) if turned else (m, 1)
-    poor, work = np.empty(N, dtype=np.int64), memory(4 * (size + m * p + 1) + 2 * (m + 1))
-    return poor[: _quick(z, *chains[:3], D, H.reshape(p * m, N), size, down, across, tolerated, poor, work)]
+    poor, work = np.empty(N, dtype=np.int64), workspace(size, m, p)
+    return poor[: quick(z, *chains[:3], D, H.reshape(p * m, N), size, down, across, tolerated, 0.0, poor, work)]
+
+
+def workspace(size: int, inputs: int, outputs: int) -> FloatArray:
+    """Return the memory that `quick` works in."""
+    return memory(4 * (size + inputs * outputs + 1) + 2 * (inputs + 1))
 
 
 @compiled
-def _quick(
+def quick(
     z: ComplexArray,
     rows: FloatArray,
     lasts: NDArray[np.int64],
@@ -80,10 +85,14 @@ def _quick(
     down: int,
     across: int,
     tolerated: float,
+    least: float,
     poor: NDArray[np.int64],
     work: FloatArray,
 ) -> int:
-    """Write the entry of output i and input j into row i down + j across of H; return how many points are `poor`."""
+    """Write the entry of output i and input j into row i down + j across of H; return how many points are `poor`.
+
+    An entry below `least` need be no more accurate than that one.
+    """
     (p, m), N, found = D.shape, H.shape[1], 0
     # In `work`: a solution, the entries, points, sizes of the solutions.
     entries = 4 * size
@@ -108,7 +117,7 @@ def _quick(
                     _put_entry(work, entry + 2, 4 * p + 2, re_2, im_2, D[i, j])
         for half in range(2):
             entry, first = entries + 2 * half, start + half * LANES
-            store(work, 0, None, _missed(at + 2 * half, norms, D, tolerated, work, entry, sizes + half))
+            store(work, 0, None, _missed(at + 2 * half, norms, D, tolerated, least, work, entry, sizes + half))
             count = min(LANES, N - first)
             for t in range(count):
                 if load(work, 0, t) > 0.0:
@@ -262,11 +271,11 @@ def _size(numbers: FloatArray, slot: int) -> Number:
 
 @inlined
 def _missed(
-    at: int, norms: FloatArray, D: FloatArray, tolerated: float, work: FloatArray, first: int, sizes: int
+    at: int, norms: FloatArray, D: FloatArray, tolerated: float, least: float, work: FloatArray, first: int, sizes: int
 ) -> Number:
     """Return 1 for points with an entry that may be wrong by more than is tolerated, else 0."""
     p, m = D.shape
-    largest = 0.0 * load(work, at, None)
+    largest = zero = 0.0 * load(work, at, None)
     for entry in range(first, first + 4 * m * p, 4):
         largest = greater(largest, _size(work, entry))
     unit = ROUNDING * (norms[p] + _size(work, at)) * load(work, sizes + 2 * m, None)
@@ -275,7 +284,7 @@ def _missed(
     for j in range(m):
         wrong = unit * load(work, sizes + 2 * j, None)
         for i in range(p):
-            found = greater(_size(work, entry), FLOOR * largest)
+            found = greater(greater(_size(work, entry), FLOOR * largest), zero + least)
             fine = fine & (wrong * norms[i] + ROUNDING * abs(D[i, j]) <= tolerated * found)
             entry += 4
     return choose(fine, 0.0, 1.0)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from platform_ctrl.analysis.chains import Chains
     from platform_ctrl.analysis.hessenberg import HessenbergRefinement
+    from platform_ctrl.analysis.phase_bound import Small
     from platform_ctrl.analysis.refinement import Band, Refinement
 
 
@@ -288,22 +289,30 @@ class AxisResponse:
         With states, inputs and outputs.
     tolerated
         As of `frequency_response_arrays`.
+    balanced
+        Whether the states are balanced.
 
     References
     ----------
     As `frequency_response`.
     """
 
-    def __init__(self, system: StateArrays, tolerated: float = _TOLERATED) -> None:
+    def __init__(self, system: StateArrays, tolerated: float = _TOLERATED, balanced: bool = False) -> None:
         A, B, C, D, self._dt = system
         lacks = None
         if self._dt > 0.0:
             A, lacks = _less_one(A)
-        self._resolvent = Resolvent(*scaled(A, B, C), D, lacks, tolerated)
+        if not balanced:
+            A, B, C = scaled(A, B, C)
+        self._resolvent = Resolvent(A, B, C, D, lacks, tolerated)
 
     def at(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, complex (N, p, m); `tolerated` may be another this time."""
         return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated).transpose(2, 0, 1)
+
+    def small(self, edge: float) -> Small:
+        """Return the system as the compiled search of its largest gain takes it."""
+        return self._resolvent.small(self._dt, edge)
 
 
 class Resolvent:
@@ -396,6 +405,16 @@ class Resolvent:
         if short.size:
             found[:, :, short] = self._refinement.at(z[short], lacks[short])
         return found
+
+    def small(self, dt: float, edge: float) -> Small:
+        """Return the system, or the transposed one, as the compiled search of the largest gain takes it."""
+        from platform_ctrl.analysis.phase_bound import Small
+        from platform_ctrl.analysis.resolvent import workspace
+
+        (p, m), n = self._D.shape, len(self._A)
+        size = p + 1 + n
+        work = workspace(size, m, p)
+        return Small(*self._chains[:3], self._D, work, size, dt, edge, self._tolerated)
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""
