@@ -481,3 +481,37 @@ def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
         now = float(slow.picture(settings).bode.crossovers[-1])
         bode = slow.picture(slow.pulled_crossover(settings, share * now, free=True)).bode
         assert bode.frequency[0] < bode.crossovers[-1] < now
+
+
+def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:
+    gimbals = [
+        {"name": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.06, 0.07]},
+        {"name": "pitch", "parent": "yaw", "axis": [0, 1, 0], "inertia": [0.02, 0.03, 0.04]},
+    ]
+    job = read_job(
+        {
+            "schema": 1,
+            "name": "two axes",
+            "plant": {
+                "schema": 1,
+                "name": "two axes",
+                "root": {"name": "base", "inertia": [1, 1, 1]},
+                "gimbal": gimbals,
+                "torquer": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
+                "pickoff": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
+            },
+            "operation": {"Omega": [0, 0, 0]},
+            "sampling": {"rate_hz": 1000, "delay": 0.001},
+            "loop": [
+                {
+                    "name": one["name"],
+                    "kind": "caging",
+                    "gimbals": [one["name"]],
+                    "use": "classical",
+                    "design": [{"name": "classical", "method": "classical"}],
+                }
+                for one in gimbals
+            ],
+        }
+    )
+    assert [QuickPlants(job, (name,)).loading_axis(1) for name in ("yaw", "pitch")] == [3, 2]

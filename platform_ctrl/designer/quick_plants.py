@@ -99,8 +99,12 @@ class QuickPlants:
         return self._spun.get(self._key(spins), lambda: linearise(with_spins(self.job.platform, spins)))
 
     def loading_axis(self, axis: int) -> int:
-        """Return the axis about which a platform rate loads these gimbals: `axis` where it does, else that of most."""
+        """Return the axis about which a turn loads these gimbals: `axis` where it does, else that of most.
+
+        By its rate, or, where no rotor feels that, by the change of its rate.
+        """
         load = np.linalg.norm(self.model.G_Omega[self.rows], axis=0)
+        load = load if load.any() else np.linalg.norm(self.model.M_Omega[self.rows], axis=0)
         return axis if load[axis - 1] > _LOAD * load.max() or not load.any() else 1 + int(np.argmax(load))
 
     def linear(self, spins: Mapping[str, float], Omega: FloatArray) -> LinearPlants:
