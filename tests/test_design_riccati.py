@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov, solve_discrete_are
 
 from platform_ctrl.design.lq import lqr
-from platform_ctrl.errors import IllPosedError
+from platform_ctrl.errors import IllPosedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray
 from riccati_examples import Example, carex, darex
 
@@ -220,3 +220,17 @@ def test_what_a_schur_form_cannot_part_is_found_in_many_digits() -> None:
     stable = stable[stable.real < 0]
     for pole in found.poles:
         assert np.abs(stable - pole).min() < 1e-6 * abs(pole)
+
+
+@pytest.mark.parametrize("small", [1e-6, 1e-11])
+def test_a_plant_is_stabilisable_however_small_the_entry_by_which_it_is(small: float) -> None:
+    # The mode that grows is reached by way of the other one: the same plant in other units.
+    A, B, Q = np.array([[1.0, small], [0.0, -2.0]]), np.array([[0.0], [1.0]]), np.diag([1.0 / small**2, 1.0])
+    one = lqr(control.ss([[1.0, 1.0], [0.0, -2.0]], B, np.eye(2), 0), np.eye(2), [[1.0]])
+    found = lqr(control.ss(A, B, np.eye(2), 0), Q, [[1.0]])
+    np.testing.assert_allclose(found.state_gain, one.state_gain / [small, 1.0], rtol=1e-12)
+    # As rounding, in states that mix both, it is nothing: what the input does not reach, it does not stabilise.
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(2, 2)))[0]
+    lost = control.ss(turn @ np.diag([1.0, -2.0]) @ turn.T, turn @ [[0.0], [1.0]], np.eye(2), 0)
+    with pytest.raises(NotStabilisableError, match="no control u moves the mode at 1"):
+        lqr(lost, np.eye(2), [[1.0]])

@@ -10,6 +10,9 @@ Solved in scaled units; each result is judged by the residual of its Riccati equ
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,9 +24,10 @@ from platform_ctrl.certificates import Certificate, stability_certificate, stati
 from platform_ctrl.design.lower_bounds import h2_lower_bound
 from platform_ctrl.design.partition import Partition, Realisation, partition, whole, with_direct_path
 from platform_ctrl.design.quadratic_cost import Weights, judged_weights, solved, square_root
+from platform_ctrl.design.riccati import well_conditioned
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
-from platform_ctrl.errors import ArgumentError, NotCertifiedError
+from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
@@ -372,19 +376,39 @@ def _feedback(
     system: StateSpace, arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
 ) -> StateFeedback:
     A, B, weights, p = _with_integrals(arrays, weights, integral, where)
-    _require(A, B, np.eye(len(A)), arrays.dt, where, system)
-    X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
+    with _named_modes(A, B, np.eye(len(A)), arrays.dt, where, system) as require:
+        X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
+        if not well_conditioned(A + B @ F, X, arrays.dt > 0):
+            require()
     return StateFeedback(system=system, state_gain=-F, X=X, poles=poles, integrals=p, residual=residual)
 
 
 def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
-    _require(arrays.A, np.eye(len(arrays.A)), arrays.C, arrays.dt, where, system)
-    Y, Lt, poles, residual = solved(arrays.A.T, arrays.C.T, noise, arrays.dt, where, system)
+    A, _, C, _, dt = arrays
+    with _named_modes(A, np.eye(len(A)), C, dt, where, system) as require:
+        Y, Lt, poles, residual = solved(A.T, C.T, noise, dt, where, system)
+        if not well_conditioned(A.T + C.T @ Lt, Y, dt > 0):
+            require()
     present = np.zeros((len(Y), 0))
     if arrays.dt:
         S = noise.second + arrays.C @ Y @ arrays.C.T
         present = np.asarray(np.linalg.solve(S, arrays.C @ Y).T)
     return Estimator(system=system, observer_gain=-Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
+
+
+@contextmanager
+def _named_modes(
+    A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace
+) -> Iterator[Callable[[], None]]:
+    """Give what raises a NotStabilisableError that names the mode out of reach; it comes before any other error."""
+    require = partial(_require, A, B, C, dt, where, system)
+    try:
+        yield require
+    except NotStabilisableError:
+        raise
+    except DesignError:
+        require()
+        raise
 
 
 def _require(A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace) -> None:

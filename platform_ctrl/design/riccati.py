@@ -325,6 +325,22 @@ def _on_boundary(eigenvalues: ComplexArray) -> bool:
     return bool(np.any(near | (size <= NO_SIZE * size.max(initial=0.0))))
 
 
+def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
+    """Return whether the poles of the loop are stable by much more than rounding, in the units of the costs X.
+
+    A loop that is so proves that its plant is stabilisable, however small the entries by which it is.
+    """
+    from scipy.linalg import eig
+
+    unit = _cost_units(X)
+    scaled = closed * unit / unit[:, None]
+    poles, left, right = eig(scaled, left=True, right=True)
+    decay = 1.0 - np.abs(poles) if discrete else -poles.real
+    with np.errstate(all="ignore"):
+        condition = 1.0 / np.abs(np.einsum("ij,ij->j", left.conj(), right))
+        return bool(np.all(decay > SURE * np.finfo(np.float64).eps * np.linalg.norm(scaled) * condition))
+
+
 def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
     """Return the eigenvalues of the Hamiltonian (symplectic) pencil, in the half plane; and X if n of them are stable.
 
