@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import control
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -81,6 +82,24 @@ def test_measured_states_without_noise_have_the_norms_of_state_feedback():
     P = control.ss(A, np.hstack([B1, B2]), np.vstack([C1, np.eye(4)]), D)
     X = solve_continuous_are(A, B2, C1.T @ C1, np.eye(1), s=C1.T @ D12)
     assert h2_lower_bound(partition(P, 4, 1)) == pytest.approx(np.sqrt(np.trace(B1.T @ X @ B1)), rel=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(powers=st.lists(st.floats(-5, 5), min_size=4, max_size=4), a=st.floats(-3, 3))
+def test_a_single_state_has_the_h2_norm_of_its_two_quadratic_equations_however_cheap_the_control(powers, a):
+    """z = [c x; r u], y = x + n v: norm² = w² X + r² F² Y, in fifty digits."""
+    w, c, r, n = (mpmath.mpf(10.0**power) for power in powers)
+    with mpmath.workdps(50):
+        pole = mpmath.mpf(a)
+        X = r**2 * (pole + mpmath.sqrt(pole**2 + c**2 / r**2))
+        Y = n**2 * (pole + mpmath.sqrt(pole**2 + w**2 / n**2))
+        least = mpmath.sqrt(w**2 * X + (X / r) ** 2 * Y)
+    P = control.StateSpace(
+        a, [[float(w), 0, 1]], [[float(c)], [0], [1]], [[0, 0, 0], [0, 0, float(r)], [0, float(n), 0]]
+    )  # fmt: skip
+    bound = h2_lower_bound(partition(P, 1, 1))
+    assert bound <= float(least)
+    assert bound == 0.0 or bound >= float(least) * (1 - 1e-9)
 
 
 def test_a_zero_in_the_right_half_plane_bounds_the_weighted_sensitivity():
