@@ -40,6 +40,22 @@ class InfeasibleError(DesignError):
     """No controller of the asked kind meets what is asked."""
 
 
+class NotFoundError(DesignError):
+    """A search from many starts found no controller that does what is asked, which does not show that there is none.
+
+    Attributes
+    ----------
+    problem
+        What was being solved.
+    nearest
+        The controller that came nearest, u = K y; None where there is none.
+    """
+
+    def __init__(self, message: str, problem: object = None, nearest: object = None) -> None:
+        super().__init__(message, problem)
+        self.nearest = nearest
+
+
 class IllPosedError(DesignError):
     """An assumption of the method does not hold for this problem; the message names it and the signal."""
 

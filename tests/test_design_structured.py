@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from platform_ctrl.design.structured.objective import WorstNorm
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.power import WorstPower
 from platform_ctrl.design.structured.structures import Units
-from platform_ctrl.errors import ArgumentError, InfeasibleError, NotStabilisableError, TimeLimitWarning
+from platform_ctrl.errors import ArgumentError, NotFoundError, NotStabilisableError, TimeLimitWarning
 from platform_ctrl.requirements import requirement
 
 PROBLEMS = json.loads((Path(__file__).parent / "data" / "compleib.json").read_text())["problems"]
@@ -259,19 +260,19 @@ def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pyt
     one = design.structured(P, nmeas, ncon, structure=design.Static(), starts=4, processes=1)
     assert np.array_equal(both.controller.D, one.controller.D)
     assert [s.value for s in both.searches] == [s.value for s in one.searches]
-    assert len(lines) == 4
+    assert sum("start" in line for line in lines) >= 4
 
 
 def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     P, nmeas, ncon = problem("AC17")
-    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60, "processes": 1}
+    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300, "processes": 1}
     found = design.structured(P, nmeas, ncon, **asked)
     hours = itertools.count(0.0, 3600.0)
     monkeypatch.setattr(time, "monotonic", lambda: next(hours))
     slow = design.structured(P, nmeas, ncon, **asked)
     assert np.array_equal(slow.controller.D, found.controller.D)
     assert [s.evaluations for s in slow.searches] == [s.evaluations for s in found.searches]
-    assert max(s.evaluations for s in slow.searches) <= 60 // 3
+    assert sum(s.evaluations for s in slow.searches) <= 300
     assert not slow.cut
     # A limit of time is another matter: it is said that the result depends on it.
     with pytest.warns(TimeLimitWarning, match="depends on the load"):
@@ -288,7 +289,7 @@ def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> 
         raise Ended
 
     P, nmeas, ncon = problem("AC17")
-    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 60}
+    asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
     alone = design.structured(P, nmeas, ncon, processes=1, **asked)
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
     monkeypatch.setattr(side_by_side, "SideProcess", dies)
@@ -336,14 +337,18 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
         design.structured(lost, 1, 1, structure=design.Static())
     # A plant that gains on the angles alone cannot stabilise: the sum of its roots is fixed at zero.
     double = control.ss([[0, 1], [0, 0]], [[0, 0], [1, 1]], [[1, 0], [1, 0]], np.zeros((2, 2)))
-    with pytest.raises(InfeasibleError, match=r"none of 3 starts led to a stabilising Static controller") as caught:
+    with pytest.raises(
+        NotFoundError, match=r"none found: no Static controller with a stable loop .* in 3 starts"
+    ) as caught:
         design.structured(double, 1, 1, structure=design.Static(), starts=3, processes=1)
     assert caught.value.problem is not None
     asked = [requirement("H-infinity norm", 1e-6)]
     soft = [requirement("H-infinity norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=2)
-    with pytest.raises(InfeasibleError, match="meets every hard requirement"):
-        design.structured(P, 2, 2, structure=structure, requirements=asked + soft, starts=2, processes=1)
+    with pytest.raises(NotFoundError, match="meets every hard requirement"):
+        design.structured(
+            P, 2, 2, structure=structure, requirements=asked + soft, starts=2, evaluations=3000, processes=1
+        )
     for wrong, said in (
         ({"structure": "PID"}, "expected a structure such as"),
         ({"structure": design.Static(), "starts": 0}, "expected a whole number"),
@@ -367,5 +372,77 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
 def test_the_partition_of_a_gyro_is_stabilised_by_two_states_but_not_by_gains() -> None:
     # Gains on the angles leave the sum of the roots where it is: at zero.
     assert np.trace(partition(gyro(), 2, 2).A) == 0.0
-    with pytest.raises(InfeasibleError, match="pole at"):
+    with pytest.raises(NotFoundError, match="pole at"):
         design.structured(gyro(), 2, 2, structure=design.Static(), starts=3, processes=1)
+
+
+def two_masses(k: float) -> control.StateSpace:
+    """Two unit masses and a spring (Wie and Bernstein 1992): force on the first, position of the second measured."""
+    A = [[0, 0, 1, 0], [0, 0, 0, 1], [-k, k, 0, 0], [k, -k, 0, 0]]
+    B = [[0, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 0]]
+    C = [[0, 1, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
+    return control.ss(A, B, C, [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+
+
+def poles_of_two_masses(k: float, K: control.StateSpace) -> np.ndarray[Any, Any]:
+    """Return the roots of s² (s² + 2 k) d(s) − k n(s), u = n/d y."""
+    K = control.ss(K)
+    d = np.poly(K.A)
+    n = np.poly(K.A + K.B @ K.C) - d  # det(sI − A − B C) = d − C adj B: minus the numerator
+    n = -n + K.D[0, 0] * d
+    return np.asarray(np.roots(np.polysub(np.polymul([1, 0, 2 * k, 0, 0], d), k * n)))
+
+
+STIFFNESS = (0.5, 0.75, 1.0, 1.5, 2.0)
+
+
+def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_of_order_four() -> None:
+    plants = [two_masses(k) for k in STIFFNESS]
+    asked = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]
+    structure = design.StateSpaceOrder(states=4, strictly_proper=True)
+    found = design.structured(
+        plants, 1, 1, structure=structure, requirements=asked, starts=2, evaluations=3000, processes=1
+    )
+    assert found.passed
+    assert not np.any(found.controller.D)
+    for k in STIFFNESS:
+        assert poles_of_two_masses(k, found.controller).real.max() <= -0.25 + 1e-6
+
+
+def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from platform_ctrl.design.structured import orders
+
+    monkeypatch.setattr(orders, "_STARTS", 3)
+    plants = [two_masses(k) for k in STIFFNESS]
+    asked = [requirement("stability", 0.3), requirement("H-infinity norm", 1.0, hard=False)]
+    structure = design.StateSpaceOrder(states=2)
+    with pytest.raises(NotFoundError, match=r"none found: .* decay of 0\.3 1/s .* does not show that") as caught:
+        design.structured(plants, 1, 1, structure=structure, requirements=asked, starts=2, evaluations=500, processes=1)
+    K = caught.value.nearest
+    worst = max(float(poles_of_two_masses(k, K).real.max()) for k in STIFFNESS)
+    # The loop is stable, and is not called anything else.
+    assert -0.3 < worst < -0.1
+    said = re.search(r"pole at (\S+) rad/s", str(caught.value))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(worst, rel=1e-3)
+
+
+def test_a_lower_order_is_a_start_of_the_next() -> None:
+    from platform_ctrl.design.structured.orders import low_passed, with_state
+
+    rng = np.random.default_rng(3)
+    n, ny, nu = 2, 2, 3
+    M = rng.standard_normal((n + nu, n + ny))
+
+    def response(M: np.ndarray[Any, Any], n: int, s: complex) -> np.ndarray[Any, Any]:
+        A, B, C, D = M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:]
+        return np.asarray(C @ np.linalg.solve(s * np.eye(n) - A, B) + D)
+
+    for s in (0.3j, 2.0j):
+        plain = response(M, n, s)
+        np.testing.assert_allclose(response(with_state(M, n, 4.0, np.ones(ny)), n + 1, s), plain, rtol=1e-12)
+        behind = response(low_passed(M, n, 7.0, nu), n + nu, s)
+        np.testing.assert_allclose(behind, 7.0 / (s + 7.0) * plain, rtol=1e-12)
+    assert not np.any(low_passed(M, n, 7.0, nu)[n + nu :, n + nu :])

@@ -80,3 +80,48 @@ class Chart:
         d = np.einsum("a,kb->kab", left[-1], Vh).reshape(len(S), n)
         apart = S - S[-1] > 1e-3 * S[-1]
         return -second_order(c.astype(complex), d.astype(complex), S, float(S[-1]), apart)
+
+
+def _mean(sizes: FloatArray) -> float:
+    return float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
+
+
+class Entries:
+    """M by its entries, row by row, in one unit for the gains of all signals: `order` states first, then signals.
+
+    Units of every signal, as a chart has them, would set the descent on ways that end at kinks.
+    """
+
+    def __init__(self, units: tuple[FloatArray, FloatArray], order: int) -> None:
+        size = []
+        for unit in units:
+            norms = np.maximum(np.linalg.norm(unit, axis=0), 1e-300)
+            size.append(np.concatenate([norms[:order], np.full(len(unit) - order, _mean(norms[order:]))]))
+        self.size = np.outer(size[0], size[1])
+        self.shape = self.size.shape
+        self._slope = np.zeros((*self.shape, self.size.size))
+        self._slope.reshape(self.size.size, -1)[...] = np.diag(self.size.ravel())
+
+    def coordinates(self, M: FloatArray) -> FloatArray:
+        """Return x, (rows * columns,)."""
+        return np.asarray(M / self.size).ravel()
+
+    def matrix(self, x: FloatArray) -> FloatArray:
+        """Return M."""
+        return np.asarray(x.reshape(self.shape) * self.size)
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Return dM/dx."""
+        return self._slope
+
+    def bend(self, x: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return the Hessian of sum(weight * M): none."""
+        return np.zeros((x.size, x.size))
+
+    def limits(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return no limits."""
+        return np.zeros(0), np.zeros((0, x.size))
+
+    def limit_bend(self, x: FloatArray) -> FloatArray:
+        """Return the curvature of no limit."""
+        return np.zeros((x.size, x.size))

@@ -19,6 +19,7 @@ import numpy as np
 
 from platform_ctrl.design.structured.curvature import damped_update
 from platform_ctrl.design.structured.quadratic import least_maximum
+from platform_ctrl.design.structured.quasi_newton import Stopped, descended
 from platform_ctrl.frozen import FloatArray, value
 
 # x -> values (k,) and gradients (k, n) of the pieces near the maximum; [inf] where there is none.
@@ -28,8 +29,6 @@ Sharpened = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 # x, weights (k,) of the pieces at x -> Hessian (n, n) of the weighted sum.
 Curvature = Callable[[FloatArray, FloatArray], FloatArray]
 
-# Lewis and Overton's line search: sufficient decrease and weak Wolfe curvature.
-_DECREASE, _SLOPE = 1e-4, 0.5
 # Most rounds in which coinciding pieces are sharpened for a step.
 _SHARPER = 8
 
@@ -73,10 +72,6 @@ class Minimum:
         return self.stability < 0.0
 
 
-class _Stopped(Exception):
-    """The evaluations are used up, or the deadline is over."""
-
-
 class _Search:
     """One run: the functions, the bounds, what was spent and the best point seen."""
 
@@ -109,7 +104,7 @@ class _Search:
     def ask(self, function: Pieces, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         self.late = self.late or time.monotonic() > self.deadline
         if self.late or self.spent >= self.left:
-            raise _Stopped
+            raise Stopped
         self.spent += 1
         return function(x)
 
@@ -222,7 +217,7 @@ def minimise(
             if hard is None or np.max(hard(x)[0]) <= 1.0:
                 x = best = _descended(search, _priced(search), x, target, descent, search.note)
             x = best = _polished(search, x, tolerance, radius)
-    except _Stopped as ended:
+    except Stopped as ended:
         finished = False
         best = ended.args[0] if ended.args else best
     return _judged(search, best, finished)
@@ -279,85 +274,17 @@ def _descended(
     iterations: int,
     note: Callable[[float], None] | None,
 ) -> FloatArray:
-    """BFGS with a weak Wolfe line search on the largest piece, outside the bounds with a slope back into them."""
-    low, high = search.lower, search.upper
-    slope = 0.0
+    """BFGS on the largest piece."""
 
-    def largest(y: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        inside = np.clip(y, low, high)
-        values, gradients = search.ask(function, inside)
+    def largest(y: FloatArray, _: float) -> tuple[float, FloatArray]:
+        values, gradients = search.ask(function, y)
         i = int(np.argmax(values))
-        level, gradient = float(values[i]), gradients[i]
-        out = y - inside
-        if np.any(out):
-            gradient = np.where(out == 0.0, gradient, 0.0) + slope * np.sign(out)
-            level += slope * float(np.sum(np.abs(out)))
-        return level, gradient, inside
+        return float(values[i]), gradients[i]
 
-    n = len(x)
-    level, gradient, inside = largest(x)
-    if level <= target or not np.isfinite(level):
-        return inside
-    slope = 1.0 + 2.0 * float(np.linalg.norm(gradient))
-    best, lowest = inside, level
-    inverse = np.eye(n)
-    first = True
-    recent: list[float] = [level]
-    try:
-        for _ in range(iterations):
-            size = float(np.linalg.norm(gradient))
-            if size <= 1e-12 * max(1.0, abs(level)):
-                break
-            direction = -inverse @ gradient
-            along = float(gradient @ direction)
-            if not along < 0.0:
-                inverse, direction, along = np.eye(n), -gradient, -size * size
-                first = True
-            if first:
-                direction = direction * (0.3 / max(size, 0.3))
-                along = float(gradient @ direction)
-            near, far, t = 0.0, np.inf, 1.0
-            for _ in range(40):
-                y = x + t * direction
-                new_level, new_gradient, inside = largest(y)
-                if not new_level < level + _DECREASE * t * along:
-                    far = t
-                elif float(new_gradient @ direction) < _SLOPE * along:
-                    near = t
-                    if new_level < lowest:
-                        best, lowest = inside, new_level
-                else:
-                    break
-                if new_level <= target:
-                    return inside
-                t = 0.5 * (near + far) if np.isfinite(far) else 2.0 * near
-            else:
-                break
-            s, change = y - x, new_gradient - gradient
-            sy = float(s @ change)
-            if sy > 1e-14 * float(np.linalg.norm(s) * np.linalg.norm(change)):
-                if first:
-                    inverse = np.eye(n) * (sy / float(change @ change))
-                hy = inverse @ change
-                inverse = (
-                    inverse
-                    + (1.0 + float(change @ hy) / sy) / sy * np.outer(s, s)
-                    - (np.outer(hy, s) + np.outer(s, hy)) / sy
-                )
-                first = False
-            x, level, gradient = y, new_level, new_gradient
-            if level < lowest:
-                best, lowest = inside, level
-            if note is not None:
-                note(level)
-            if level <= target:
-                break
-            recent.append(level)
-            if len(recent) > 25 and recent[-25] - level < 1e-5 * abs(level):
-                break
-    except _Stopped:
-        raise _Stopped(best) from None
-    return best
+    found = descended(largest, x, search.lower, search.upper, target=target, iterations=iterations, note=note)
+    if not found.finished:
+        raise Stopped(found.x)
+    return found.x
 
 
 def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -> FloatArray:
@@ -475,8 +402,8 @@ def _polished(search: _Search, x: FloatArray, tolerance: float, radius: float) -
                 near = new_values > merit - 0.5 * predicted
                 shift = np.maximum(seen - float(np.max(values)), 0.0)
                 cuts.append(((seen - shift)[near], new_gradients[near]))
-    except _Stopped:
-        raise _Stopped(x) from None
+    except Stopped:
+        raise Stopped(x) from None
     return x
 
 

@@ -107,6 +107,7 @@ class ClosedLoop:
         self.B2, self.C2 = plant.B2 @ self.E, self.F @ plant.C2
         self.D12, self.D21, self.D22 = plant.D12 @ self.E, self.F @ plant.D21, plant.D22 @ self.E
         self._poles: ComplexArray | None = None
+        self._balanced: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     @property
     def poles(self) -> ComplexArray:
@@ -148,11 +149,75 @@ class ClosedLoop:
         T = self.C @ np.linalg.solve(shifted, np.broadcast_to(self.B, (len(frequency), *self.B.shape))) + self.D
         return np.asarray(np.linalg.svd(T, compute_uv=False)[:, 0])
 
+    def top(self, memory: FloatArray, enough: float) -> tuple[float, float]:
+        """Return the norm and its frequency, inf for the direct term (Bruinsma and Steinbuch 1990).
+
+        Parameters
+        ----------
+        memory
+            Frequencies to begin with.
+        enough
+            Above it any value that the loop has somewhere serves.
+        """
+        direct = float(np.linalg.norm(self.D, 2)) if np.any(self.D) else 0.0
+        best, frequency = direct, np.inf
+        poles = self.poles
+        resonant = poles[np.argsort(-np.abs(poles.imag) / (np.abs(poles.real) * np.abs(poles) + 1e-300))[:2]]
+        look = np.concatenate([[0.0], memory, np.abs(resonant), np.abs(resonant.imag)])
+        for _ in range(30):
+            gains = self.gains(look)
+            i = int(np.argmax(gains))
+            if gains[i] <= best * (1.0 + 1e-9):
+                break
+            best, frequency = float(gains[i]), float(look[i])
+            if best > enough:
+                break
+            crossed = self._crossed(best * (1.0 + 1e-9), direct)
+            if crossed.size == 0:
+                break
+            look = np.concatenate([0.5 * (crossed[1:] + crossed[:-1]), [0.5 * crossed[0]]])
+        return best, frequency
+
+    def slope(self, frequency: float) -> FloatArray:
+        """Return the gradient of the largest singular value at one frequency with respect to M."""
+        T, L, R, _ = self.responses(frequency)
+        U, _, Vh = np.linalg.svd(T, full_matrices=False)
+        return np.real(np.outer(L.T @ U[:, 0].conj(), R @ Vh[0].conj()))
+
     def crossings(self, level: float) -> FloatArray:
         """Return sorted frequencies that contain those where a singular value equals `level`."""
-        from platform_ctrl.analysis.norms import level_crossings
+        from platform_ctrl.analysis.arrays import scaled
+        from platform_ctrl.analysis.axis import hamiltonian_crossings
 
-        return level_crossings(self.A, self.B, self.C, self.D, level)
+        if not level > 0.0:
+            return np.zeros(0)
+        if self._balanced is None:
+            self._balanced = scaled(self.A, self.B, self.C)
+        (A, B, C), root = self._balanced, np.sqrt(level)
+        return hamiltonian_crossings(A, B / root, C / root, self.D / level)
+
+    def _crossed(self, level: float, direct: float) -> FloatArray:
+        """Return the sorted frequencies of Hamiltonian eigenvalues on the axis, to rounding."""
+        n = len(self.A)
+        H = np.empty((2 * n, 2 * n))
+        F: FloatArray = self.A
+        driven: FloatArray = self.B / level
+        seen: FloatArray = self.C / level
+        if np.any(self.D):
+            if not level > direct * (1.0 + 1e-6):
+                return self.crossings(level)
+            R = np.eye(self.D.shape[1]) - self.D.T @ self.D / level**2
+            gain = np.asarray(np.linalg.solve(R, np.hstack([self.B.T, self.D.T @ self.C / level])), dtype=np.float64)
+            driven, seen = np.asarray(gain[:, :n].T / level), gain[:, n:]
+            F = np.asarray(self.A + self.B @ seen / level, dtype=np.float64)
+            H[n:, :n] = -(self.C.T @ self.C + self.C.T @ self.D @ seen / level) / level
+        else:
+            H[n:, :n] = -self.C.T @ seen
+        H[:n, :n], H[:n, n:], H[n:, n:] = F, driven @ self.B.T, -F.T
+        if not np.all(np.isfinite(H)):
+            return np.zeros(0)
+        at = np.linalg.eigvals(H)
+        return np.unique(np.abs(at.imag[np.abs(at.real) <= 1e-6 * np.abs(at)]))
 
     def peak_frequencies(self, window: float, memory: FloatArray) -> tuple[FloatArray, float]:
         """Return the frequencies of the local maxima above (1 − window) of the highest, and the highest.

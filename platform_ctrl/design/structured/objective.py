@@ -16,6 +16,8 @@ from platform_ctrl.frozen import FloatArray
 _APPROACH = 0.95
 # Most frequencies that are watched though no peak is there, and how near to another one is the same.
 _WATCHED, _NEAR = 12, 0.02
+# Frequencies of earlier tops that the norm of a new point is looked for from.
+_TOPS = 5
 
 
 class Parametrisation(Protocol):
@@ -71,6 +73,8 @@ class WorstNorm:
     ) -> None:
         self.plants, self.controller, self.window, self.margin = tuple(plants), controller, window, margin
         self._memory = [np.zeros(0) for _ in self.plants]
+        # Where the tops of the last points were.
+        self._tops = [np.zeros(0) for _ in self.plants]
         # Frequencies at which peaks have come up out of the deep.
         self._watched: list[tuple[int, float]] = []
         # The last few points: a search comes back to where a trial was refused.
@@ -94,6 +98,46 @@ class WorstNorm:
         point = _Point(x.copy(), loops)
         self._points = [point, *self._points[:3]]
         return point
+
+    def abscissa(self, x: FloatArray) -> float:
+        """Return the largest real part of the loops' poles, rad/s."""
+        loops = self.loops(x)
+        try:
+            return np.inf if loops is None else max(loop.abscissa() for loop in loops)
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    def stable(self, x: FloatArray) -> bool:
+        """Return whether all poles keep the margin."""
+        return bool(np.max(self.stability(x)[0]) < 0.0)
+
+    def top(self, x: FloatArray, enough: float) -> tuple[float, FloatArray]:
+        """Return the largest norm and its gradient; inf where a loop is not stable by the margin.
+
+        Above `enough` any value that a loop has somewhere serves, without gradient.
+        """
+        refused = np.inf, np.zeros(len(x))
+        loops = self.loops(x)
+        if loops is None:
+            return refused
+        best, frequency, worst = -np.inf, 0.0, 0
+        try:
+            for loop in loops:
+                margin = max(self.margin, 1e-13 * float(np.abs(loop.poles).max(initial=0.0)))
+                if not loop.abscissa() < -margin:
+                    return refused
+            for k, loop in enumerate(loops):
+                level, w = loop.top(self._tops[k], enough)
+                if level > best:
+                    best, frequency, worst = level, w, k
+                if best > enough:
+                    return best, np.zeros(len(x))
+                if np.isfinite(w) and not np.any(np.abs(self._tops[k] - w) <= _NEAR * w):
+                    self._tops[k] = np.concatenate([[w], self._tops[k][: _TOPS - 1]])
+            slope = loops[worst].slope(frequency)
+        except np.linalg.LinAlgError:
+            return refused
+        return best, np.einsum("ij,ijx->x", slope, self.controller.jacobian(x))
 
     def stability(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the spectral abscissas with their margin; gradients of the poles near the worst of each plant."""

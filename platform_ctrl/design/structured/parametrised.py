@@ -60,6 +60,12 @@ class Parametrised:
         free = np.where(self.positive, np.exp(np.where(self.positive, x, 0.0)), self._size * x)
         return np.asarray(self._base + self._spread @ free)
 
+    def nearest(self, M: FloatArray) -> FloatArray:
+        """Return the coordinates of M, in which the structure is affine, by least squares."""
+        zero = np.zeros(len(self.start))
+        found = np.linalg.lstsq(self.jacobian(zero).reshape(M.size, -1), (M - self.matrix(zero)).ravel(), rcond=None)[0]
+        return np.clip(found, self.lower, self.upper)
+
     def named(self, x: FloatArray) -> dict[str, float]:
         """Return all parameters by name."""
         return dict(zip(self.names, map(float, self.parameters(x)), strict=True))

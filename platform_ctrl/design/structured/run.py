@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.design.structured.chart import Chart
+from platform_ctrl.design.structured.chart import Chart, Entries
 from platform_ctrl.design.structured.minimax import Minimum, Pieces, minimise
 from platform_ctrl.design.structured.objective import Parametrisation, WorstNorm
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.power import WorstPower
+from platform_ctrl.design.structured.quasi_newton import Descent, Stopped, descended
 from platform_ctrl.design.structured.rescaled import Rescaled, step_sizes
 from platform_ctrl.frozen import FloatArray, value
 
@@ -25,6 +26,13 @@ _CHARTS, _WORTH = 6, 1e-7
 _COSINES = (1e-2, 1e-4, 1e-6)
 # The same for a pattern in coordinates scaled anew, and the first trust region there.
 _ROUNDS, _WORTHWHILE, _FIRST = 6, 2e-4, 0.1
+# What an evaluation of the polish costs, in evaluations of a descent.
+POLISH_COST = 10
+# Largest entries of M, in their units, in the first part of a descent and when it goes on: where the infimum lies at
+# infinite gain a descent without limit runs there on a way of its own, and stops at a kink.
+_GAINS = (1e2, 1e4)
+# Most iterations of a descent to stability.
+_SETTLING = 400
 # Most evaluations in one chart or scaling.
 _EVALUATIONS = 1200
 
@@ -59,6 +67,8 @@ class Problem:
         Least distance of every pole from the axis, rad/s.
     units : (left, right)
         M = left · M_scaled · right, for controllers without a pattern.
+    order
+        States of the controller, the first rows and columns of M.
     structured
         The pattern; None: every entry of M is free.
     """
@@ -68,43 +78,8 @@ class Problem:
     hard: tuple[Goal, ...]
     decay: float
     units: tuple[FloatArray, FloatArray]
+    order: int
     structured: Parametrised | None
-
-
-@value
-class Outcome:
-    """Where one search ended.
-
-    Attributes
-    ----------
-    x
-        Search coordinates, empty where there is no pattern.
-    M
-        [A_K, B_K; C_K, D_K].
-    value, hard, stability
-        As in `minimax.Minimum`.
-    evaluations, seconds, finished, late
-        What was spent, whether the search ended by itself, and whether the deadline ended it.
-    """
-
-    x: FloatArray
-    M: FloatArray
-    value: float
-    hard: float
-    stability: float
-    evaluations: int
-    seconds: float
-    finished: bool
-    late: bool
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """The smaller the better: stability first, then hard limits, then the value."""
-        if not self.stability < 0.0:
-            return 2.0, self.stability
-        if self.hard > 1.0 + _TOUCHING:
-            return 1.0, self.hard
-        return 0.0, self.value
 
 
 @value
@@ -114,7 +89,8 @@ class Limits:
     Attributes
     ----------
     evaluations
-        Most evaluations of the closed loops.
+        Most evaluations of the closed loops: one counts a norm with its slope, `POLISH_COST` all its peaks with
+        their curvature and a quadratic program.
     deadline
         Time by `time.monotonic`, s.
     """
@@ -122,52 +98,84 @@ class Limits:
     evaluations: int
     deadline: float = np.inf
 
-    def after(self, spent: int) -> Limits:
-        """Return what is left."""
-        return Limits(evaluations=min(_EVALUATIONS, self.evaluations - spent), deadline=self.deadline)
+
+@value
+class Outcome:
+    """Where a search stands.
+
+    Attributes
+    ----------
+    x
+        Search coordinates; where there is no pattern the entries of M in their units, row by row.
+    M
+        [A_K, B_K; C_K, D_K].
+    value, hard
+        As in `minimax.Minimum`.
+    stable, abscissa
+        Whether every loop is stable by the decay asked for, and the largest real part of their poles, rad/s.
+    evaluations, seconds, finished, late
+        What was spent, whether the search ended by itself, and whether the deadline ended it.
+    at_limit
+        Whether the largest gain that the search allows keeps the controller where it is.
+    inverse
+        What a descent has learnt, to go on with.
+    """
+
+    x: FloatArray
+    M: FloatArray
+    value: float
+    hard: float
+    stable: bool
+    abscissa: float
+    evaluations: int
+    seconds: float
+    finished: bool
+    late: bool
+    at_limit: bool = False
+    inverse: FloatArray | None = None
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The smaller the better: stability first, then hard limits, then the value."""
+        if not self.stable:
+            return 2.0, self.abscissa
+        if self.hard > 1.0 + _TOUCHING:
+            return 1.0, self.hard
+        return 0.0, self.value
 
 
-def searched(problem: Problem, start: FloatArray, limits: Limits) -> Outcome:
-    """Return what the search from `start` (search coordinates, or M where there is no pattern) finds."""
+def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, polish: bool = False) -> Outcome:
+    """Return what a search finds that begins at `start`, or goes on from there.
+
+    Parameters
+    ----------
+    problem
+        What is asked.
+    start
+        Search coordinates, M where there is no pattern, or what an earlier part of the search found.
+    limits
+        For this part.
+    polish
+        Whether to work with all peaks and their curvature, which is dear and ends at a minimum, or to descend.
+    """
     began = time.monotonic()
-    if problem.structured is not None:
-        return _patterned(problem, problem.structured, start, began, limits)
-    M, best, spent = start, None, 0
-    for cosine in _COSINES:
-        last = np.inf
-        for _ in range(_CHARTS):
-            chart = Chart(M, *problem.units, cosine)
-            least, moved = _minimised(problem, chart, np.zeros(M.size), None, limits.after(spent))
-            spent += least.evaluations
-            M = chart.matrix(least.x)
-            if best is None or not best[0].stable or least.value < best[0].value:
-                best = least, M
-            if not (least.finished and least.stable and moved) or not least.value < last * (1.0 - _WORTH):
-                break
-            last = least.value
-        if not (least.finished and least.stable and chart.near_limit(least.x)):
-            break
-    assert best is not None
-    return _outcome(best[1], best[0], spent, began, plain=True)
+    if isinstance(start, Outcome):
+        x, inverse, spent, seconds = start.x, start.inverse, start.evaluations, start.seconds
+    else:
+        x = start if problem.structured is not None else Entries(problem.units, problem.order).coordinates(start)
+        inverse, spent, seconds = None, 0, 0.0
+    if polish or not divides(problem):
+        found = _polished(problem, x, limits)
+        if isinstance(start, Outcome) and start.rank < found.rank:
+            found = dataclasses.replace(start, finished=found.finished, late=found.late, evaluations=found.evaluations)
+    else:
+        found = _approached(problem, x, inverse, limits)
+    return dataclasses.replace(found, evaluations=found.evaluations + spent, seconds=seconds + time.monotonic() - began)
 
 
-def _patterned(problem: Problem, whole: Parametrised, start: FloatArray, began: float, limits: Limits) -> Outcome:
-    """Return the outcome of a search among the numbers of a structure, in coordinates that are scaled anew."""
-    bounds = whole.lower, whole.upper
-    x, spent, last = start, 0, np.inf
-    # First to stability, as far as there is no slope to scale by.
-    curved = _curved(problem)
-    least = _minimised(problem, whole, x, bounds, limits.after(0), np.inf if curved else -np.inf)[0]
-    for _ in range(_ROUNDS if curved else 0):
-        level = least.value if least.hard <= 1.0 + _TOUCHING else np.inf
-        if not (least.finished and least.stable) or not (level < last * (1.0 - _WORTHWHILE) or level == np.inf):
-            break
-        spent, x, last = spent + least.evaluations, least.x, level
-        inner = Rescaled(whole, x, step_sizes(*WorstNorm(problem.soft[0].plants, whole).pieces(x)))
-        left = limits.after(spent)
-        found = _minimised(problem, inner, np.zeros(x.size), inner.within(*bounds), left, radius=_FIRST)[0]
-        least = dataclasses.replace(found, x=np.clip(inner.outer(found.x), *bounds))
-    return _outcome(whole.matrix(least.x), least, spent + least.evaluations, began)
+def divides(problem: Problem) -> bool:
+    """Whether a search is done in parts: free matrices are to make one H-infinity norm small, nothing else is asked."""
+    return _curved(problem) and not problem.hard and problem.structured is None
 
 
 def _curved(problem: Problem) -> bool:
@@ -175,17 +183,117 @@ def _curved(problem: Problem) -> bool:
     return len(problem.soft) == 1 and not problem.soft[0].h2
 
 
-def _outcome(M: FloatArray, least: Minimum, evaluations: int, began: float, plain: bool = False) -> Outcome:
+def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, limits: Limits) -> Outcome:
+    """Descend to stability and then on the norm, in the entries of M: BFGS goes through kinks there.
+
+    On a chart it would not: there a way to infinite gain is short, and it goes it before the norm is small.
+    """
+    whole = problem.structured
+    controller = Entries(problem.units, problem.order) if whole is None else whole
+    gain = max(_GAINS[inverse is not None], 2.0 * float(np.abs(x).max(initial=0.0)))
+    low = np.full(x.size, -gain) if whole is None else whole.lower
+    high = np.full(x.size, gain) if whole is None else whole.upper
+    loops = WorstNorm(problem.plants, controller, margin=problem.decay)
+    spent, late = 0, False
+
+    def ask() -> None:
+        nonlocal spent, late
+        late = late or time.monotonic() > limits.deadline
+        if late or spent >= limits.evaluations:
+            raise Stopped
+        spent += 1
+
+    def rightmost(y: FloatArray, _: float) -> tuple[float, FloatArray]:
+        ask()
+        values, gradients = loops.stability(y)
+        i = int(np.argmax(values))
+        return float(values[i]), gradients[i]
+
+    def norm(y: FloatArray, enough: float) -> tuple[float, FloatArray]:
+        ask()
+        return loops.top(y, enough)
+
+    found = Descent(x=x, level=np.inf, inverse=inverse, finished=True)
+    if not loops.stable(x):
+        found = descended(rightmost, x, low, high, target=-1e-300, iterations=_SETTLING)
+        found = dataclasses.replace(found, inverse=None)
+    stable = loops.stable(found.x)
+    if stable and found.finished:
+        found = descended(norm, found.x, low, high, inverse=found.inverse)
+    held = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))
     return Outcome(
-        x=np.zeros(0) if plain else least.x,
-        M=M,
+        x=found.x,
+        M=controller.matrix(found.x),
+        value=found.level if stable else np.inf,
+        hard=-np.inf,
+        stable=stable,
+        abscissa=loops.abscissa(found.x),
+        evaluations=spent,
+        seconds=0.0,
+        finished=found.finished and not (held and gain < _GAINS[1]),
+        late=late,
+        inverse=found.inverse,
+    )
+
+
+def _polished(problem: Problem, x: FloatArray, limits: Limits) -> Outcome:
+    """Go on with all peaks near the highest at once, each with its curvature, to a minimum."""
+    if problem.structured is not None:
+        return _patterned(problem, problem.structured, x, limits)
+    entries = Entries(problem.units, problem.order)
+    M, best, spent, at_limit = entries.matrix(x), None, 0, False
+    for cosine in _COSINES:
+        last = np.inf
+        for _ in range(_CHARTS):
+            chart = Chart(M, *problem.units, cosine)
+            least, moved = _minimised(problem, chart, np.zeros(M.size), None, limits, spent)
+            spent += least.evaluations
+            M = chart.matrix(least.x)
+            if best is None or not best[0].stable or least.value < best[0].value:
+                best = least, M
+            if not (least.finished and least.stable and moved) or not least.value < last * (1.0 - _WORTH):
+                break
+            last = least.value
+        at_limit = least.stable and chart.near_limit(least.x)
+        if not (least.finished and at_limit):
+            break
+    assert best is not None
+    return _outcome(problem, entries, entries.coordinates(best[1]), best[0], spent, at_limit)
+
+
+def _patterned(problem: Problem, whole: Parametrised, x: FloatArray, limits: Limits) -> Outcome:
+    """Return the outcome of a search among the numbers of a structure, in coordinates that are scaled anew."""
+    bounds = whole.lower, whole.upper
+    spent, last = 0, np.inf
+    # First to stability, as far as there is no slope to scale by.
+    curved = _curved(problem)
+    least = _minimised(problem, whole, x, bounds, limits, 0, np.inf if curved else -np.inf)[0]
+    for _ in range(_ROUNDS if curved else 0):
+        level = least.value if least.hard <= 1.0 + _TOUCHING else np.inf
+        if not (least.finished and least.stable) or not (level < last * (1.0 - _WORTHWHILE) or level == np.inf):
+            break
+        spent, x, last = spent + least.evaluations, least.x, level
+        inner = Rescaled(whole, x, step_sizes(*WorstNorm(problem.soft[0].plants, whole).pieces(x)))
+        found = _minimised(problem, inner, np.zeros(x.size), inner.within(*bounds), limits, spent, radius=_FIRST)[0]
+        least = dataclasses.replace(found, x=np.clip(inner.outer(found.x), *bounds))
+    return _outcome(problem, whole, least.x, least, spent + least.evaluations)
+
+
+def _outcome(
+    problem: Problem, controller: Parametrisation, x: FloatArray, least: Minimum, spent: int, at_limit: bool = False
+) -> Outcome:
+    return Outcome(
+        x=x,
+        M=controller.matrix(x),
         value=least.value,
         hard=least.hard,
-        stability=least.stability,
-        evaluations=evaluations,
-        seconds=time.monotonic() - began,
+        stable=least.stable,
+        abscissa=WorstNorm(problem.plants, controller).abscissa(x),
+        evaluations=POLISH_COST * spent,
+        seconds=0.0,
         finished=least.finished,
         late=least.late,
+        at_limit=at_limit,
     )
 
 
@@ -195,6 +303,7 @@ def _minimised(
     start: FloatArray,
     bounds: tuple[FloatArray, FloatArray] | None,
     limits: Limits,
+    spent: int,
     target: float = -np.inf,
     radius: float = 1.0,
 ) -> tuple[Minimum, bool]:
@@ -218,7 +327,7 @@ def _minimised(
         target=target,
         deadline=limits.deadline,
         descent=200 if curved is None else 0,
-        evaluations=limits.evaluations,
+        evaluations=min(_EVALUATIONS, limits.evaluations // POLISH_COST - spent),
         radius=radius,
     )
     return least, bool(np.any(least.x != start))

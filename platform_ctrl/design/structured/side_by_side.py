@@ -1,19 +1,21 @@
-"""Searches side by side: every start in one of several processes, or one after another where that is quicker."""
+"""Searches from many starts: which of them go on, and side by side in processes where one after another is slower."""
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import os
 import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from platform_ctrl.design.lmi import worker
 from platform_ctrl.design.side_process import Ended, Late, SideProcess
-from platform_ctrl.design.structured.run import Limits, Outcome, Problem, searched
+from platform_ctrl.design.structured.run import Limits, Outcome, Problem, divides, searched
 from platform_ctrl.frozen import FloatArray
 
 # Work below this is done sooner here than processes start, s.
@@ -22,49 +24,151 @@ _WORTH_PROCESSES = 4.0
 _GRACE = 5.0
 _POLL = 0.1
 
+# Shares of the evaluations for the first descent of all starts and for going on with the best; the rest is for the
+# polish of the best of them.
+_FIRST, _ON = 0.3, 0.3
+# Of how many starts one goes on after the first descent, how many at least, and how many are polished.
+_HALF, _LEAST, _POLISHED = 3, 4, 4
+# Share of the evaluations where a search is not done in parts.
+_WHOLE = 0.7
+# Values that differ by no more are one minimum, relative, before the polish and after it.
+_SAME, _AGREE = 1e-6, 1e-5
+
+# Number of the start, what was found.
 Report = Callable[[int, Outcome | None], None]
 
 
-def side_by_side(
-    problem: Problem, starts: Sequence[FloatArray], limits: Limits, processes: int | None, report: Report
+def best_found(
+    problem: Problem,
+    points: Sequence[FloatArray],
+    limits: Limits,
+    processes: int | None,
+    report: Report,
+    least: float = 0.0,
 ) -> list[Outcome | None]:
-    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn.
+    """Return what became of every start: all descend, the best of them go on, the best of these are polished.
 
-    What a search finds does not depend on how many processes there are, nor on the order in which they end.
+    What is found depends on the evaluations alone: not on how many processes there are, nor on the order in which they
+    end. None where the deadline was over before a start had its turn. `least` is a value that none can undercut.
     """
+    left = limits.evaluations
+    found: list[Outcome | None] = [None] * len(points)
+
+    def part(chosen: Sequence[int], most: int, polish: bool) -> None:
+        nonlocal left
+        own = Limits(evaluations=max(1, most // max(1, len(chosen))), deadline=limits.deadline)
+        before = {k: one.evaluations for k in chosen if (one := found[k]) is not None}
+        begun = [found[k] or points[k] for k in chosen]
+        for k, one in zip(chosen, _side_by_side(problem, begun, own, polish, processes), strict=True):
+            if one is not None:
+                found[k] = one
+                left -= one.evaluations - before.get(k, 0)
+            report(k, found[k])
+
+    plain = divides(problem)
+    part(range(len(points)), int((_FIRST if plain else _WHOLE) * left), False)
+    ranked = _ranked(found)
+    if plain and not any(_of(found, k).stable for k in ranked):
+        return found
+    if plain:
+        count = max(_LEAST, -(-len(points) // _HALF))
+        going = [k for k in ranked[:count] if not _of(found, k).finished]
+        if going:
+            part(going, int(_ON / (1.0 - _FIRST) * left), False)
+        ranked = _ranked(found)
+    chosen = _distinct(found, ranked, plain)[:_POLISHED]
+    # Charts find ways to infinite gain that a descent has left: the best start is polished from where it began, too.
+    # Whatever did better is done with the others.
+    jobs = [chosen[0], *chosen] if plain and chosen else chosen
+    level: list[tuple[float, float]] = []
+    for n, k in enumerate(jobs):
+        if plain and _settled(found, level, least):
+            break
+        known = found[k]
+        afresh = plain and known is not None and (n == 1 or (n > 1 and level[1] < level[0]))
+        if afresh:
+            found[k] = None
+        part([k], left // (len(jobs) - n), True)
+        now = found[k]
+        level.append(now.rank if now is not None else (np.inf, np.inf))
+        if afresh:
+            found[k] = _better(known, now)
+    return found
+
+
+def _settled(found: Sequence[Outcome | None], level: Sequence[tuple[float, float]], least: float) -> bool:
+    """Whether more work is idle: nothing can be less, or two of the polished starts came to the least value of all."""
+    best = min(_of(found, k).rank for k in _ranked(found))
+    if best[0] > 0.0:
+        return False
+    near = sum(one[0] == 0.0 and one[1] <= best[1] * (1.0 + _AGREE) for one in level)
+    return near > 1 or best[1] <= least * (1.0 + _AGREE)
+
+
+def _better(one: Outcome | None, other: Outcome | None) -> Outcome | None:
+    """Return the better of two searches from one start, with the evaluations of both."""
+    if one is None or other is None:
+        return one or other
+    best, spent = min(one, other, key=lambda o: o.rank), one.evaluations + other.evaluations
+    return dataclasses.replace(best, evaluations=spent, seconds=one.seconds + other.seconds)
+
+
+def _of(found: Sequence[Outcome | None], k: int) -> Outcome:
+    one = found[k]
+    assert one is not None
+    return one
+
+
+def _ranked(found: Sequence[Outcome | None]) -> list[int]:
+    return sorted((k for k, one in enumerate(found) if one is not None), key=lambda k: (*_of(found, k).rank, k))
+
+
+def _distinct(found: Sequence[Outcome | None], ranked: Sequence[int], plain: bool) -> list[int]:
+    """Return the starts worth a polish: of those that came to one value the first, and the finished ones not again."""
+    out: list[int] = []
+    for k in ranked:
+        one = _of(found, k)
+        if not plain and one.finished:
+            continue
+        near = any(
+            one.rank[0] == _of(found, j).rank[0]
+            and abs(one.rank[1] - _of(found, j).rank[1]) <= _SAME * abs(one.rank[1])
+            for j in out
+        )
+        if not near:
+            out.append(k)
+    return out
+
+
+def _side_by_side(
+    problem: Problem, starts: Sequence[FloatArray | Outcome], limits: Limits, polish: bool, processes: int | None
+) -> list[Outcome | None]:
+    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn."""
     count = min(processes or os.cpu_count() or 1, len(starts))
     out: list[Outcome | None] = [None] * len(starts)
     began = time.monotonic()
     k = 0
     while k < len(starts) and time.monotonic() < limits.deadline:
-        out[k] = searched(problem, starts[k], limits)
-        report(k, out[k])
+        out[k] = searched(problem, starts[k], limits, polish)
         k += 1
         spent = time.monotonic() - began
         if count > 1 and spent / k * (len(starts) - k) > _WORTH_PROCESSES:
             break
     if k < len(starts):
-        _in_processes(problem, starts, out, k, limits, count, report)
+        questions = [{"problem": problem, "start": start, "limits": limits, "polish": polish} for start in starts[k:]]
+        out[k:] = _in_processes(questions, limits.deadline, count)
     # A process may die, as when memory is short; its start is searched from here then.
-    for k in range(len(starts)):
-        if out[k] is None and time.monotonic() < limits.deadline:
-            out[k] = searched(problem, starts[k], limits)
-            report(k, out[k])
+    for k, one in enumerate(out):
+        if one is None and time.monotonic() < limits.deadline:
+            out[k] = searched(problem, starts[k], limits, polish)
     return out
 
 
-def _in_processes(
-    problem: Problem,
-    starts: Sequence[FloatArray],
-    out: list[Outcome | None],
-    first: int,
-    limits: Limits,
-    count: int,
-    report: Report,
-) -> None:
-    """Fill `out` from `first` on."""
+def _in_processes(questions: Sequence[dict[str, Any]], deadline: float, count: int) -> list[Outcome | None]:
+    """Return the answers; None to what was not answered."""
+    out: list[Outcome | None] = [None] * len(questions)
     waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for k in range(first, len(starts)):
+    for k in range(len(questions)):
         waiting.put(k)
     done: queue.SimpleQueue[tuple[int, Outcome] | None] = queue.SimpleQueue()
     running: list[SideProcess] = []
@@ -73,7 +177,7 @@ def _in_processes(
     def work() -> None:
         side: SideProcess | None = None
         try:
-            while not stopped.is_set() and time.monotonic() < limits.deadline:
+            while not stopped.is_set() and time.monotonic() < deadline:
                 try:
                     k = waiting.get_nowait()
                 except queue.Empty:
@@ -82,8 +186,7 @@ def _in_processes(
                     if side is None:
                         side = SideProcess(inspect.getsource(worker), f"{searched.__module__}:answered")
                         running.append(side)
-                    question = {"problem": problem, "start": np.asarray(starts[k]), "limits": limits}
-                    answer = side.ask(question, limits.deadline - time.monotonic() + _GRACE)
+                    answer = side.ask(questions[k], deadline - time.monotonic() + _GRACE)
                     if "outcome" in answer:
                         done.put((k, answer["outcome"]))
                 except (Ended, Late, OSError):
@@ -104,9 +207,9 @@ def _in_processes(
                 left -= 1
             else:
                 out[found[0]] = found[1]
-                report(*found)
     finally:
         # An interrupt passes through here too.
         stopped.set()
         for side in running:
             side.end()
+    return out

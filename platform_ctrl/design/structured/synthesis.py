@@ -18,14 +18,15 @@ from platform_ctrl.design.partition import Partition, Realisation, closed_loop, 
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.structured.bound import Bound, full_order
 from platform_ctrl.design.structured.norm import augmented
+from platform_ctrl.design.structured.orders import Orders
 from platform_ctrl.design.structured.parametrised import Parametrised
 from platform_ctrl.design.structured.result import SearchRecord, StructuredDesign
 from platform_ctrl.design.structured.run import Goal, Limits, Outcome, Problem
-from platform_ctrl.design.structured.side_by_side import side_by_side
+from platform_ctrl.design.structured.side_by_side import best_found
 from platform_ctrl.design.structured.starts import Fit, around, fits, scattered, truncated
-from platform_ctrl.design.structured.structures import Structure, Units
+from platform_ctrl.design.structured.structures import StateSpaceOrder, Structure, Units
 from platform_ctrl.design.synthesis import require_time_limit
-from platform_ctrl.errors import ArgumentError, InfeasibleError, NotCertifiedError, TimeLimitError, TimeLimitWarning
+from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotFoundError, TimeLimitError, TimeLimitWarning
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import LoopRequirement
 
@@ -38,6 +39,8 @@ _FOR_BOUNDS = 0.25
 _RESERVE = 1e-3
 # Bounds whose controllers starts are fitted to.
 _FITTED = 2
+# Largest order whose companion forms are tried where no start stabilises: entries are named by single digits.
+_MOST_STATES = 9
 # What the recomputed norm may exceed that of the search by, relative.
 _AGREEMENT = 1e-3
 
@@ -61,7 +64,7 @@ def structured(
     requirements: Sequence[LoopRequirement] = (),
     starts: int = 16,
     seed: int = 0,
-    evaluations: int = 16000,
+    evaluations: int = 40000,
     time_limit: float | None = None,
     processes: int | None = None,
     progress: Callable[[str], None] | None = None,
@@ -111,8 +114,9 @@ def structured(
         The plants, numbers or requirements do not make sense together.
     NotStabilisableError
         No controller of any kind stabilises one of the plants; the message names the mode.
-    InfeasibleError
-        No start led to a controller of this structure that stabilises every plant and meets every hard requirement.
+    NotFoundError
+        No start led to a controller of this structure that stabilises every plant and meets every hard requirement,
+        which does not show that there is none; the nearest is attached.
     TimeLimitError
         `time_limit` was over before any did.
     NotCertifiedError
@@ -170,6 +174,7 @@ def structured(
         hard=goals(task.hard),
         decay=task.decay,
         units=(left, right),
+        order=order,
         structured=whole,
     )
     bounds = [full_order(goal.plants[k], goal.h2, _FOR_BOUNDS * seconds / len(flat) / len(task.soft))
@@ -179,18 +184,24 @@ def structured(
     def report(k: int, outcome: Outcome | None) -> None:
         if outcome is None:
             say(f"structured: start {k + 1} of {len(points)}: lost")
-        elif not outcome.stability < 0.0:
+        elif not outcome.stable:
             say(f"structured: start {k + 1} of {len(points)}: not stable")
         else:
             say(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
 
-    limits = Limits(evaluations=max(1, evaluations // len(points)), deadline=began + seconds)
-    found = side_by_side(problem, points, limits, processes, report)
+    least = max((one.gamma for one in bounds if np.isfinite(one.gamma)), default=0.0)
+    limits = Limits(evaluations=evaluations, deadline=began + seconds)
+    found = best_found(problem, points, limits, processes, report, least)
+    tried = 0
+    if isinstance(structure, StateSpaceOrder) and not any(one is not None and one.stable for one in found):
+        further, tried = _of_orders(structure, task, units, whole, seed)
+        found += best_found(problem, further, limits, processes, report, least)
     ended = [one for one in found if one is not None]
+    spent = tried + sum(one.evaluations for one in ended)
     cut = len(ended) < len(points) or any(one.late for one in ended) or any(one.cut for one in bounds)
     best = min(ended, key=lambda one: one.rank, default=None)
     if best is None or best.rank[0] > 0.0:
-        raise _failure(best, ended, cut, structure, given, seconds)
+        raise _none_found(best, len(ended), spent, cut, structure, parts, given, requirements)
     made = _judged(given, parts, structure, requirements, best, ended, cut, whole, order, bounds)
     if cut:
         warnings.warn(
@@ -312,33 +323,73 @@ def _points(
     return [*points, *(own + x for x in scale)][:starts]
 
 
-def _failure(
+def _of_orders(
+    structure: StateSpaceOrder, task: _Task, units: Units, whole: Parametrised | None, seed: int
+) -> tuple[list[FloatArray], int]:
+    """Return a start with enough decay, or the nearest, from companion forms and lower orders; evaluations spent."""
+    if any(structure.given) or not 1 <= structure.states <= _MOST_STATES:
+        return [], 0
+    known = Orders(task.plants, task.decay, units, np.random.default_rng(seed))
+    best = known.best(structure.states, structure.strictly_proper)
+    return [best.M if whole is None else whole.nearest(best.M)], best.evaluations
+
+
+def _none_found(
     best: Outcome | None,
-    ended: Sequence[Outcome],
+    starts: int,
+    spent: int,
     cut: bool,
     structure: Structure,
+    parts: tuple[Partition, ...],
     given: tuple[StateSpace, ...],
-    time_limit: float,
+    requirements: Sequence[LoopRequirement],
 ) -> Exception:
+    """Return what to raise where no start led to what is asked; the numbers are those of the plants as given."""
     kind = type(structure).__name__
+    tried = f"{starts} starts and {spent} evaluations"
     if best is None or (cut and best.rank[0] > 1.0):
         return TimeLimitError(
-            f"structured: no stabilising {kind} controller in {time_limit:g} s; give a larger time_limit, or starting "
-            "values (start=...) that stabilise",
+            f"structured: no stabilising {kind} controller within time_limit, after {tried}; give a larger one, or "
+            "starting values (start=...) that stabilise",
             given,
         )
+    K = _controller(best.M, given[0], parts[0])
+    further = "a local search does not show that there is none: give more starts or evaluations"
     if best.rank[0] > 1.0:
-        return InfeasibleError(
-            f"structured: none of {len(ended)} starts led to a stabilising {kind} controller, the nearest leaves a "
-            f"pole at {best.stability:+.4g} rad/s; give more starts, starting values (start=...), or a richer "
-            "structure",
+        worst, at = max((_abscissa(part, K), k) for k, part in enumerate(parts, 1))
+        decay = max((r.limit for r in requirements if r.kind == "stability"), default=0.0)
+        asked = f"a decay of {decay:g} 1/s with every plant" if decay else "a stable loop with every plant"
+        return NotFoundError(
+            f"structured: none found: no {kind} controller with {asked} in {tried}; the nearest has the rightmost pole "
+            f"at {worst:+.4g} rad/s, with plant {at}; {further}, starting values (start=...), or a richer structure",
             given,
+            K,
         )
-    return InfeasibleError(
-        f"structured: no {kind} controller was found that meets every hard requirement, the nearest has the largest "
-        f"ratio {best.hard:.4g}; expected at most 1; relax a limit, make it soft, or give a richer structure",
+    return NotFoundError(
+        f"structured: none found: no {kind} controller that meets every hard requirement in {tried}; the nearest has "
+        f"the largest ratio {best.hard:.4g}, expected at most 1; {further}, or relax a limit or make it soft",
         given,
+        K,
     )
+
+
+def _controller(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
+    """Return M = [A_K, B_K; C_K, D_K], in the w-plane where the plant is sampled, as a controller of the plant."""
+    import control
+
+    order = len(M) - part.B2.shape[1]
+    K = Realisation(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
+    K = out_of_w_plane(K, part.dt)
+    y, u = P.output_labels[-K.B.shape[1] :], P.input_labels[-K.C.shape[0] :]
+    return control.StateSpace(K.A, K.B, K.C, K.D, part.dt, inputs=y, outputs=u, remove_useless_states=False)
+
+
+def _abscissa(part: Partition, K: StateSpace) -> float:
+    """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
+    from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+
+    loop = closed_loop(part, Realisation(A=K.A, B=K.B, C=K.C, D=K.D))
+    return float(spectral_abscissa(continuous_poles(pole_arrays(loop.A), part.dt)))
 
 
 def _judged(
@@ -360,11 +411,9 @@ def _judged(
     from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 
     M, period = best.M, parts[0].dt
-    K = Realisation(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
-    K = out_of_w_plane(K, period)
+    controller = _controller(M, given[0], parts[0])
+    K = Realisation(A=controller.A, B=controller.B, C=controller.C, D=controller.D)
     nmeas, ncon = K.B.shape[1], K.C.shape[0]
-    y, u = given[0].output_labels[-nmeas:], given[0].input_labels[-ncon:]
-    controller = control.StateSpace(K.A, K.B, K.C, K.D, period, inputs=y, outputs=u, remove_useless_states=False)
     loops, gammas, poles, outcomes = [], [], [], []
     for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):
         loop = closed_loop(part, K)
