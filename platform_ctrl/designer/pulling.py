@@ -36,9 +36,9 @@ _CROSSED, _HALVINGS = 1e-6, 5
 # Relative distance at which it is above on one side and below on the other.
 _BESIDE = 1e-3
 _DIFFERENCE = 1e-6
-# Steps along a limit, the share of the way to the goal that one of them has to make for another to follow, and the
-# relative distance to the goal that nobody sees.
-_SLIDES, _PROGRESS, _ARRIVED = 2, 0.02, 5e-4
+# Share of the way to the goal that a step along a limit has to make for another to follow, and the relative distance to
+# the goal that nobody sees.
+_PROGRESS, _ARRIVED = 0.02, 5e-4
 # By how much a ratio on a grid may be wrong.
 _GROSS = 0.02
 # How much more a relative distance to the place wanted counts than the logarithm of a knob.
@@ -94,6 +94,8 @@ class Limits:
     exact, rough, near, local
         Knobs → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
         with its error where the pull begins taken out; the same of the plants that decide alone, good for slopes.
+    steps
+        Most steps along a limit that a pull takes: a hand that drags asks for more of them.
     """
 
     names: tuple[str, ...]
@@ -102,6 +104,7 @@ class Limits:
     rough: Ratios
     near: Ratios
     local: Ratios
+    steps: int = 2
 
     def broken(self, ratios: Ratios, numbers: Mapping[str, float], slack: float = 0.0) -> tuple[str, ...]:
         """Return the names of the requirements that these knobs make missed; all of them where there is no loop."""
@@ -195,7 +198,7 @@ def _along(
     """Return the places of the knobs at which the pole comes nearer to the goal while every limit is kept, in turn."""
     out: list[FloatArray] = []
     here = _nearest(poles(x), here)
-    for _ in range(_SLIDES):
+    for _ in range(limits.steps):
         away = abs(goal - here)
         wanted = here + (goal - here) * min(1.0, _STRIDE * abs(goal) / max(away, 1e-300))
         found = _kept_step(reins, limits, x, residual(wanted))

@@ -99,6 +99,7 @@ def _coupled_limits(closing: Closing, settings: Settings) -> Limits:
         rough=ratios,
         near=ratios,
         local=ratios,
+        steps=1,
     )
 
 
