@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 import dense_peak
 import narrow_loops
+from platform_ctrl import design
 from platform_ctrl.analysis import PlantSet, StateArrays, measure
-from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.analysis.arrays import state_arrays, state_space
 from platform_ctrl.analysis.loop_figures import LoopFigures
-from platform_ctrl.check.coupled import coupled_check
+from platform_ctrl.check.coupled import coupled_check, sensed_rates
 from platform_ctrl.cli import main
+from platform_ctrl.design.blocks import notch
 from platform_ctrl.design.structured.descent import Search
 from platform_ctrl.design.structured.families import Named
 from platform_ctrl.design.structured.loops import ClosedLoops
 from platform_ctrl.design.tuning import tune, worst_ratio
+from platform_ctrl.designer.free_loop import StabilisedLoop
+from platform_ctrl.designer.free_measures import requirements
+from platform_ctrl.designer.free_plants import corners, free_models, free_plants
+from platform_ctrl.job import Job
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.reading import read_job
 from platform_ctrl.requirements import SPREAD, requirement
@@ -238,3 +247,35 @@ def test_the_structured_search_goes_on_where_a_limit_is_missed_between_the_point
     K = StateArrays(*family.block(found.x), PERIOD)
     true = worst_of("sensitivity peak", plants, K)
     assert true <= 3.0
+
+
+@pytest.fixture(scope="module")
+def three_loops() -> tuple[Job, list[control.StateSpace]]:
+    """The main job, and its H-infinity loops with the servo."""
+    job = read_job(Path(__file__).parents[1] / "examples" / "three_gyro_platform.toml")
+    # None of them is the one that is closed: what saturation does to that takes seconds.
+    loops = tuple(dataclasses.replace(s, designs=s.designs[-2:-1] or s.designs, use="") for s in job.loops)
+    return job, [one.designs[0].controller for one in design.loops(dataclasses.replace(job, loops=loops))]
+
+
+@pytest.mark.parametrize(("centre_hz", "depth", "width"), [(30.0, 0.3, 1e-4), (60.0, 0.3, 3e-4), (60.0, 3.0, 3e-4)])
+def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
+    centre_hz: float, depth: float, width: float, three_loops: tuple[Job, list[control.StateSpace]]
+) -> None:
+    """The page works its values out its own way, fast enough for a slider: they are those of the coupled check."""
+    job, (first, second, servo) = three_loops
+    A, B, C, D, _ = state_arrays(second, "K")
+    a, b, c, d = (block_diag(part, part) for part in notch(2.0 * np.pi * centre_hz, depth, width, PERIOD))
+    both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
+    K = StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
+    controllers = (first, state_space(K, second.input_labels, second.output_labels), servo)
+    plants = free_plants(free_models(job, corners(job)[:1], sensed_rates(job, controllers)), job.sampling, False)
+    model = linearise(job.platform)
+    loop = StabilisedLoop(job=job, model=model, spec=job.loops[2], controllers=controllers, plants=plants, shown=plants)
+    found = requirements(loop, lambda name, make: make())
+    expected = coupled_check(job, model, controllers).results
+    assert [one.name for one in found] == [one.name for one in expected]
+    np.testing.assert_allclose([one.value for one in found], [one.value for one in expected], rtol=1e-3, atol=1e-6)
+    assert [one.passed for one in found] == [one.passed for one in expected]
+    assert "sampled" in [one.method for one in found]
+    assert "sampled" not in [one.method for one in expected]

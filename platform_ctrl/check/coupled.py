@@ -264,12 +264,12 @@ def coupled_results(
     cost: FloatArray,
     simultaneous: tuple[float, float],
     noise: FloatArray,
-    exact: bool = True,
+    proved: bool = True,
 ) -> tuple[CheckResult, ...]:
     """Return the job's coupled limits held against figures of the coupled loop; see `CoupledCheck`.
 
-    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `exact` says whether no
-    figure is taken on a grid of frequencies.
+    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` says whether
+    the lower one holds between all frequencies.
     """
     out: list[CheckResult] = []
 
@@ -281,11 +281,11 @@ def coupled_results(
     if limits.disk_margin is not None:
         asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
         guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
-        hold(asked, simultaneous[0], guaranteed, "bound" if exact else "sampled")
+        hold(asked, simultaneous[0], guaranteed, "bound" if proved else "sampled")
     if limits.coupling_cost is not None:
         asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")
         worst = int(np.argmax(cost))
-        hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop", "exact" if exact else "sampled")
+        hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop")
     roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
     for spec in job.loops:
         limit = spec.limits.torque_noise

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse
 from platform_ctrl.analysis.sensitivity import sensitivities
@@ -85,13 +87,9 @@ class Sensitivity:
         return sensitivities(-self._K.at(w) @ self._P.at(w))[0]
 
 
-def peak_margins(sensitivity: Sensitivity, channels: Sequence[int], grid: FloatArray, S: ComplexArray) -> FloatArray:
-    """Return 1/max |S_ii - 1/2| of channels: the largest on the grid, climbed between its neighbours, all at once."""
-    at = np.array(channels)
-    sizes = np.abs(S[:, at, at] - 0.5)
-    k = np.argmax(sizes, axis=0)
-    each = np.arange(len(at))
-    w = np.linspace(grid[np.maximum(k - 1, 0)], grid[np.minimum(k + 1, len(grid) - 1)], 13)
-    found = sensitivity.at(w.ravel()).reshape(*w.shape, *S.shape[1:])
-    best = np.maximum(sizes[k, each], np.abs(found[:, each, at, at] - 0.5).max(axis=0))
-    return np.asarray(1.0 / best)
+def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:
+    """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    # From a torque disturbance to the torque the closed loop is S - 1.
+    parts = [StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + 0.5, P.dt) for i in channels]
+    return np.array([1.0 / peak(part)[0] for part in parts])

@@ -17,7 +17,7 @@ from platform_ctrl.designer.curves import (
     gain_locus,
     moved_by_gain,
 )
-from platform_ctrl.designer.free_loop import Sensitivity, StabilisedLoop, loop_grid, peak_margins, used_arrays
+from platform_ctrl.designer.free_loop import Sensitivity, StabilisedLoop, disk_margins, loop_grid, used_arrays
 from platform_ctrl.designer.free_measures import Kept, requirements
 from platform_ctrl.designer.free_responses import rate_step, turning
 from platform_ctrl.designer.parts import (
@@ -65,7 +65,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
     step, low_frequency = turning(loop, settings, K, at, grid, s, stable, banded)
 
     def measured() -> Measured:
-        own = float(peak_margins(sensitivity, [channel], grid, S)[0]) if stable else 0.0
+        own = float(disk_margins(P, K, [channel])[0]) if stable else 0.0
         return Measured(
             margins=Margins(
                 disk=own,
