@@ -82,8 +82,8 @@ class Viewing(Settable):
         Returns
         -------
         Picture
-            Requirements of a caging loop are as `check` measures them; those of all loops together are climbed on a
-            grid and lie within about a thousandth.
+            Requirements are as `check` measures them; the simultaneous margin of all loops together is looked for at
+            some frequencies and lies within about a thousandth.
 
         Raises
         ------
