@@ -49,10 +49,10 @@ class FrequencyAxis:
         self._w_plane: Matrices | None = None
         self._along = AxisResponse(self.system, balanced=True) if A.size and B.size and C.size else None
 
-    def response(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
+    def response(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> ComplexArray:
         """Return the response at `frequency` (N,), rad/s, as (N, p, m); at infinite frequency D.
 
-        `tolerated` is as of `frequency_response_arrays`. Real at both ends of the axis: exp(j w dt) at the Nyquist
+        `tolerated` and `least` are as of `AxisResponse.at`. Real at both ends of the axis: exp(j w dt) at the Nyquist
         frequency is -1, whatever the rounding of w dt.
         """
         infinite = np.isinf(frequency)
@@ -61,7 +61,7 @@ class FrequencyAxis:
         if self._along is None:
             out = frequency_response_arrays(*self.system, finite)
         else:
-            out = self._along.at(finite, tolerated)
+            out = self._along.at(finite, tolerated, least)
         out = np.ascontiguousarray(out)
         if some:
             out[infinite] = self.system.D
@@ -74,9 +74,9 @@ class FrequencyAxis:
             return None
         return self._along.small(self.edge)
 
-    def gains(self, frequency: FloatArray, tolerated: float | None = None) -> FloatArray:
+    def gains(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""
-        return largest_gains(self.response(frequency, tolerated))
+        return largest_gains(self.response(frequency, tolerated, least))
 
     def largest(self, frequency: FloatArray) -> tuple[float, float]:
         """Return the largest gain among `frequency` up to the edge, and where it is; (0, 0) without any."""

@@ -28,8 +28,9 @@ STEPS = 4
 CONTRACTING = 0.1
 # Share of what is tolerated that may still be missing; the entry, or this times the largest one at that point.
 ENOUGH, FLOOR = 0.04, 1e-3
-# Share of the first correction that rounding of its residual can be.
-ROUNDED = 2.0**-18
+# Share of the first correction that rounding of its residual can be; the same of what it adds to an entry, which may
+# happen to be little.
+ROUNDED, ROUNDED_ENTRY = 2.0**-18, 2.0**-12
 
 
 class HessenbergRefinement:
@@ -60,12 +61,14 @@ class HessenbergRefinement:
         self._A, self._B, self._D, self._lacks = A, B, D, lacks
         # In the states of the Hessenberg form.
         self._driven, self._seen = self._Q.T @ B, C @ self._Q
-        self._weights = np.maximum(np.linalg.norm(C, axis=1), 1e-300)
+        self._weights = np.linalg.norm(C, axis=1)
         # Two numbers of so many bits: n products of them in a sum that has room for all of their digits.
         self._bits = (52 - math.ceil(math.log2(n))) // 2
         self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
 
-    def at(self, z: ComplexArray, beyond: ComplexArray, tolerated: float) -> tuple[ComplexArray, NDArray[np.int64]]:
+    def at(
+        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
+    ) -> tuple[ComplexArray, NDArray[np.int64]]:
         """Return the response at z (N,), (m, p, N), and at which points more is wrong than is `tolerated`.
 
         `beyond` is what z has beyond its doubles. Inf at a pole z = 0. Not accurate is an entry that is next to nothing
@@ -76,11 +79,11 @@ class HessenbergRefinement:
         for first in range(0, N, CHUNK):
             part = slice(first, min(first + CHUNK, N))
             with np.errstate(all="ignore"):  # at a pole
-                found[:, :, part], short[part] = self._refined(z[part], beyond[part], tolerated)
+                found[:, :, part], short[part] = self._refined(z[part], beyond[part], tolerated, least)
         return found, np.flatnonzero(short)
 
     def _refined(
-        self, z: ComplexArray, beyond: ComplexArray, tolerated: float
+        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
     ) -> tuple[ComplexArray, NDArray[np.bool_]]:
         (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
         N = -(-count // LANES) * LANES
@@ -95,7 +98,7 @@ class HessenbergRefinement:
         self._solve(points, change)
         x, whole = _times(self._Q, change), _size(change)
         found, going = np.empty((p, m, N), dtype=np.complex128), np.ones(N, dtype=np.bool_)
-        short, rounded = np.zeros(N, dtype=np.bool_), np.zeros((m, N))
+        short, rounded = np.zeros(N, dtype=np.bool_), np.zeros((p, m, N))
         for step in range(STEPS):
             top, rest = _parted(x, self._bits, axis=0)
             rest += low
@@ -105,18 +108,19 @@ class HessenbergRefinement:
             _residuals(_lanes(points), *solution, *image, self._B, self._lacks, _lanes(residual))
             change = _times(self._Q.T, residual)
             self._solve(points, change)
-            entries = self._entries(product[n:], product_low[n:], change)
+            entries, added = self._entries(product[n:], product_low[n:], change)
             found[:, :, going] = entries[:, :, going]
             missing = _size(change)
             share = missing / whole
+            weighted = self._weights[:, None, None] * missing
             if step == 0:
-                rounded = ROUNDED * missing
+                rounded = np.minimum(ROUNDED * weighted, ROUNDED_ENTRY * np.abs(added))
             size = np.abs(entries)
-            size = ENOUGH * tolerated * np.maximum(size, FLOOR * size.max(axis=(0, 1))) / self._weights[:, None, None]
+            size = ENOUGH * tolerated * np.maximum(size, np.maximum(least, FLOOR * size.max(axis=(0, 1))))
             going &= (share < CONTRACTING).all(axis=0)
             short[going] = (rounded > 10.0 * size).any(axis=(0, 1))[going]
             # The next correction is smaller than this one as this one is than x.
-            going &= ~short & (missing * share > size).any(axis=(0, 1))
+            going &= ~short & (weighted * share > size).any(axis=(0, 1))
             if not going.any() or step == STEPS - 1:
                 break
             x, low = _exact_sums(x, low + _times(self._Q, change))
@@ -136,12 +140,12 @@ class HessenbergRefinement:
         n, _, m, _ = numbers.shape
         _eliminated(self._columns, _lanes(points), _lanes(numbers), memory(2 * n * (m + 1)), memory(3 * n))
 
-    def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> ComplexArray:
-        """Return the entries (p, m, N) with what the correction adds to them; `product` and `low` are C x."""
+    def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the entries (p, m, N) with what the correction adds to them, and that; `product` and `low` are C x."""
         added = _times(self._seen, change)
         total, more = _exact_sums(product[:, 0], self._D[:, :, None])
         out: ComplexArray = total + (low[:, 0] + more + added[:, 0]) + 1j * (product[:, 1] + (low[:, 1] + added[:, 1]))
-        return out
+        return out, added[:, 0] + 1j * added[:, 1]
 
 
 def _lanes(array: FloatArray) -> FloatArray:

@@ -180,7 +180,11 @@ def _looked(axis: FrequencyAxis, w: FloatArray, best: float) -> FloatArray:
     """Return gains (N,), of many states with few digits where they are below the best one."""
     if len(axis.system.A) < LARGE or not w.size:
         return axis.gains(w)
-    sizes = axis.gains(w, ON_A_GRID)
+    if best == 0.0:
+        # Not refined at all: how large the gain is, about.
+        sizes = axis.gains(w, 1e300)
+        best = 0.1 * float(sizes[np.isfinite(sizes)].max(initial=0.0))
+    sizes = axis.gains(w, ON_A_GRID, best)
     high = sizes >= 0.999 * max(best, float(sizes.max()))
     if np.any(high):
         sizes[high] = axis.gains(w[high])

@@ -55,17 +55,17 @@ FLOOR = 1e-3
 
 
 def respond(
-    chains: Chains, D: FloatArray, z: ComplexArray, H: ComplexArray, turned: bool, tolerated: float
+    chains: Chains, D: FloatArray, z: ComplexArray, H: ComplexArray, turned: bool, tolerated: float, least: float = 0.0
 ) -> NDArray[np.int64]:
     """Write D + C (z I - A)^-1 B into H (p, m, N), or (m, p, N) if `turned`; return where that is not good enough.
 
-    There the error may be above what is `tolerated`.
+    There the error may be above what is `tolerated` of an entry, or of `least` where an entry is below that.
     """
     (p, m), N = D.shape, len(z)
     size = math.isqrt(len(chains.rows) // (m + 1))
     down, across = (1, p) if turned else (m, 1)
     poor, work = np.empty(N, dtype=np.int64), workspace(size, m, p)
-    return poor[: quick(z, *chains[:3], D, H.reshape(p * m, N), size, down, across, tolerated, 0.0, poor, work)]
+    return poor[: quick(z, *chains[:3], D, H.reshape(p * m, N), size, down, across, tolerated, least, poor, work)]
 
 
 def workspace(size: int, inputs: int, outputs: int) -> FloatArray:

@@ -306,9 +306,12 @@ class AxisResponse:
             A, B, C = scaled(A, B, C)
         self._resolvent = Resolvent(A, B, C, D, lacks, tolerated)
 
-    def at(self, frequency: FloatArray, tolerated: float | None = None) -> ComplexArray:
-        """Return the response at `frequency` (N,), rad/s, complex (N, p, m); `tolerated` may be another this time."""
-        return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated).transpose(2, 0, 1)
+    def at(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> ComplexArray:
+        """Return the response at `frequency` (N,), rad/s, complex (N, p, m).
+
+        `tolerated` may be another this time; an entry below `least` need be no more accurate than that one.
+        """
+        return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated, least).transpose(2, 0, 1)
 
     def small(self, edge: float) -> Small:
         """Return the system as the compiled search of its largest gain takes it."""
@@ -375,10 +378,12 @@ class Resolvent:
         z: ComplexArray,
         lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
         tolerated: float | None = None,
+        least: float = 0.0,
     ) -> ComplexArray:
         """Return the response at z (N,), (p, m, N).
 
-        `lacks` says on demand what z has beyond its doubles, and `tolerated` may be another this time.
+        `lacks` says on demand what z has beyond its doubles, and `tolerated` may be another this time. An entry below
+        `least` need be no more accurate than that one.
         """
         tolerated = self._tolerated if tolerated is None else tolerated
         (p, m), z = self._D.shape, np.array(z, dtype=np.complex128)
@@ -390,18 +395,18 @@ class Resolvent:
         else:
             from platform_ctrl.analysis.resolvent import respond
 
-            poor = respond(self._chains, self._D, z, H, self._turned, tolerated)
+            poor = respond(self._chains, self._D, z, H, self._turned, tolerated, least)
         if poor.size:
             z_lacks = np.zeros(len(poor), dtype=np.complex128) if lacks is None else lacks(poor)
-            found = self._refined(z[poor], z_lacks, tolerated)
+            found = self._refined(z[poor], z_lacks, tolerated, least)
             H[..., poor] = found if self._turned else found.swapaxes(0, 1)
         return H
 
-    def _refined(self, z: ComplexArray, lacks: ComplexArray, tolerated: float) -> ComplexArray:
+    def _refined(self, z: ComplexArray, lacks: ComplexArray, tolerated: float, least: float) -> ComplexArray:
         n, m = self._B.shape
         if n < LARGE or self._band.work(m) < 64 * n * m:
             return self._refinement.at(z, lacks)
-        found, short = self._hessenberg.at(z, lacks, tolerated)
+        found, short = self._hessenberg.at(z, lacks, tolerated, least)
         if short.size:
             found[:, :, short] = self._refinement.at(z[short], lacks[short])
         return found
