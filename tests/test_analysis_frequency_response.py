@@ -225,6 +225,17 @@ def test_lightly_damped_modes_of_many_states_that_all_mix(dt: float) -> None:
     assert deviation(system, w) < 1e-9
 
 
+def test_stiff_structures_keep_their_digits_where_they_bend_slowly() -> None:
+    # 60 states, every one mixed with all others; the slowest mode is 1e6 times slower than the fastest, and what is
+    # seen of it is a difference.
+    rng = np.random.default_rng(21)
+    own = np.geomspace(1.0, 1e6, 30)
+    A = modes(own, np.full(30, 1e-3))
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0]
+    system = control.ss(Q @ A @ Q.T, rng.normal(size=(60, 1)), rng.normal(size=(1, 60)) / 1e3, 0)
+    assert deviation(system, np.array([1e-2, 1.0, 1.001, 3.0])) < 1e-9
+
+
 def test_the_steep_roll_off_of_many_states_keeps_its_digits() -> None:
     # From one state to another 30 places down a chain: the response falls with the 31st power of the frequency.
     rng = np.random.default_rng(4)

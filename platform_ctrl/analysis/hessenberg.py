@@ -65,6 +65,7 @@ class HessenbergRefinement:
         # Two numbers of so many bits: n products of them in a sum that has room for all of their digits.
         self._bits = (52 - math.ceil(math.log2(n))) // 2
         self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
+        self._middle, self._end = _parted(self._rest, self._bits - 1, axis=1)
 
     def at(
         self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
@@ -80,10 +81,13 @@ class HessenbergRefinement:
             part = slice(first, min(first + CHUNK, N))
             with np.errstate(all="ignore"):  # at a pole
                 found[:, :, part], short[part] = self._refined(z[part], beyond[part], tolerated, least)
+                again = first + np.flatnonzero(short[part])
+                if again.size:
+                    found[:, :, again], short[again] = self._refined(z[again], beyond[again], tolerated, least, True)
         return found, np.flatnonzero(short)
 
     def _refined(
-        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
+        self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float, precise: bool = False
     ) -> tuple[ComplexArray, NDArray[np.bool_]]:
         (p, m), (n, _), count = self._D.shape, self._B.shape, len(z)
         N = -(-count // LANES) * LANES
@@ -100,10 +104,7 @@ class HessenbergRefinement:
         found, going = np.empty((p, m, N), dtype=np.complex128), np.ones(N, dtype=np.bool_)
         short, rounded = np.zeros(N, dtype=np.bool_), np.zeros((p, m, N))
         for step in range(STEPS):
-            top, rest = _parted(x, self._bits, axis=0)
-            rest += low
-            product, product_low = _times(self._top, top), _times(self._top, rest)
-            product_low += _times(self._rest, x)
+            product, product_low = self._product(x, low, precise)
             solution, image = (_lanes(x), _lanes(low)), (_lanes(product), _lanes(product_low))
             _residuals(_lanes(points), *solution, *image, self._B, self._lacks, _lanes(residual))
             change = _times(self._Q.T, residual)
@@ -115,6 +116,7 @@ class HessenbergRefinement:
             weighted = self._weights[:, None, None] * missing
             if step == 0:
                 rounded = np.minimum(ROUNDED * weighted, ROUNDED_ENTRY * np.abs(added))
+                rounded *= 2.0 ** (2 - self._bits) if precise else 1.0
             size = np.abs(entries)
             size = ENOUGH * tolerated * np.maximum(size, np.maximum(least, FLOOR * size.max(axis=(0, 1))))
             going &= (share < CONTRACTING).all(axis=0)
@@ -126,6 +128,19 @@ class HessenbergRefinement:
             x, low = _exact_sums(x, low + _times(self._Q, change))
         self._at_rest(z, beyond, found)
         return found[:, :, :count].swapaxes(0, 1), short[:count]
+
+    def _product(self, x: FloatArray, low: FloatArray, precise: bool) -> tuple[FloatArray, FloatArray]:
+        """Return A and C times x + low in twice the digits, or in a part more if it has to be `precise`."""
+        top, rest = _parted(x, self._bits, axis=0)
+        product = _times(self._top, top)
+        if not precise:
+            return product, _times(self._top, rest + low) + _times(self._rest, x)
+        middle, end = _parted(rest, self._bits - 1, axis=0)
+        product, more = _exact_sums(product, _times(self._top, middle))
+        product, again = _exact_sums(product, _times(self._middle, top))
+        end += low
+        more += again + _times(self._top, end) + _times(self._middle, middle + end) + _times(self._end, x)
+        return product, more
 
     def _at_rest(self, z: ComplexArray, beyond: ComplexArray, found: ComplexArray) -> None:
         """Write inf where z = 0 is a pole: A is singular digit by digit."""
