@@ -219,10 +219,27 @@ def _placed(A: FloatArray, B: FloatArray, wanted: ComplexArray, system: control.
         # Its "convergence not reached" is about the condition, not about the poles: those are judged afterwards.
         warnings.simplefilter("ignore")
         try:
-            return np.asarray(control.place(A, B, wanted), dtype=np.float64)
+            return _corrected(A, B, np.asarray(control.place(A, B, wanted), dtype=np.float64), wanted)
         except (ValueError, np.linalg.LinAlgError, ArithmeticError) as error:
             line = " ".join(str(error).split())
             raise NotCertifiedError(f"pole_placement: not found: {line}; try other poles", system) from None
+
+
+def _corrected(A: FloatArray, B: FloatArray, K: FloatArray, wanted: ComplexArray) -> FloatArray:
+    """Return K after one Newton step on the poles: those much slower than the fastest are placed coarsely."""
+    s, X = np.linalg.eig(A - B @ K)
+    target = _matched(wanted, s)[0]
+    inverse = np.linalg.pinv(X)
+    moved = inverse @ B  # row i times a column of gains moves pole i
+    gains = moved.conj() * ((s - target) / np.maximum((np.abs(moved) ** 2).sum(axis=1), 1e-300))[:, None]
+    better = K + (gains.T @ inverse).real
+    if not np.all(np.isfinite(better)):
+        return K
+    errors = [
+        (np.abs(reached - wanted) / np.maximum(np.abs(wanted), 1e-9)).max()
+        for reached in (_matched(pole_arrays(A - B @ one), wanted)[0] for one in (K, better))
+    ]
+    return better if errors[1] < errors[0] else K
 
 
 def _matched(found: ComplexArray, wanted: ComplexArray) -> tuple[ComplexArray, float]:
