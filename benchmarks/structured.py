@@ -1,8 +1,9 @@
 """Fixed structure beside published norms and beside the full order: what simplicity costs, and how long it takes.
 
-    python benchmarks/structured.py [--problems AC3,HE4] [--starts 16] [--evaluations 16000] [--no-static] [--no-pid]
+    python benchmarks/structured.py [--problems AC3,HE4] [--starts 16] [--evaluations 40000] [--bfgs 24]
+        [--no-static] [--no-pid]
 
-Static output feedback on problems of COMPleib (tests/data/compleib.json: numbers, their source and what `best` and
+Static output feedback on problems of COMPleib (tests/data/compleib*.json: numbers, their source and what `best` and
 `hifoo` are), and PID controllers on the weighted plants of the main job, where the full-order bound is that of the
 Riccati route. Ratios below one are better than the value they are compared with.
 """
@@ -21,7 +22,12 @@ import numpy as np
 from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.design.channels import channels
 from platform_ctrl.design.hinf_loop import default_options
+from platform_ctrl.design.partition import Partition, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.scaling import autoscale
+from platform_ctrl.design.structured.norm import ClosedLoop
+from platform_ctrl.design.structured.run import Goal, Limits, Problem
+from platform_ctrl.design.structured.side_by_side import best_found
 from platform_ctrl.design.structured.structures import PID, Static
 from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.weighting import WeightedPlant, signal_names, weighted_plant
@@ -31,7 +37,7 @@ from platform_ctrl.reading import read_job
 
 HERE = Path(__file__).parent
 JOB = HERE.parent / "examples" / "three_gyro_platform.toml"
-PROBLEMS = HERE.parent / "tests" / "data" / "compleib.json"
+PROBLEMS = [HERE.parent / "tests" / "data" / name for name in ("compleib.json", "compleib-hard.json")]
 # What a norm may exceed `best` and `hifoo` by, and the share of the full-order norm that a PID may cost.
 EXCESS = 1e-3
 TARGETS = {("caging 4-5-7", "full PID"): 1.03, ("caging 9-10", "full PID"): 1.05, ("caging 9-10", "cross PI"): 1.20}
@@ -48,9 +54,92 @@ def compleib(problem: dict[str, Any]) -> control.StateSpace:
     )
 
 
+def all_problems() -> dict[str, Any]:
+    """Return the problems of both files."""
+    return {name: one for path in PROBLEMS for name, one in json.loads(path.read_text())["problems"].items()}
+
+
+def plain_bfgs(function: Any, x: Any, most: int, target: float = -np.inf) -> tuple[Any, float]:
+    """Return where BFGS with a weak Wolfe line search stops (Lewis and Overton 2013), in a few lines of its own."""
+    level, slope = function(x)
+    H, first = np.eye(x.size), True
+    for _ in range(most):
+        d = -H @ slope
+        along = slope @ d
+        if level <= target or not along < 0.0:
+            break
+        if first:
+            d = d / np.linalg.norm(d) * min(1.0, np.linalg.norm(slope))
+            along = slope @ d
+        low, high, t, new = 0.0, np.inf, 1.0, None
+        for _ in range(50):
+            value, gradient = function(x + t * d)
+            if not value < level + 1e-4 * t * along:
+                high = t
+            else:
+                new = x + t * d, value, gradient
+                if gradient @ d >= 0.5 * along:
+                    break
+                low = t
+            t = 0.5 * (low + high) if np.isfinite(high) else 2.0 * low
+        if new is None:
+            break
+        s, change = new[0] - x, new[2] - slope
+        x, level, slope = new
+        if s @ change > 0.0:
+            if first:
+                H, first = H * (s @ change) / (change @ change), False
+            Hy = H @ change
+            rank = np.outer(Hy, s)
+            H = H + (1.0 + change @ Hy / (s @ change)) / (s @ change) * np.outer(s, s) - (rank + rank.T) / (s @ change)
+    return x, float(level)
+
+
+def bfgs_norm(P: Partition, K: Any) -> float:
+    """Return the norm that plain BFGS on the entries of K reaches from one start: first the poles, then the norm."""
+
+    def abscissa(x: Any) -> tuple[float, Any]:
+        poles, V = np.linalg.eig(P.A + P.B2 @ x.reshape(K.shape) @ P.C2)
+        k = int(np.argmax(poles.real))
+        return poles[k].real, np.real(np.outer(np.linalg.inv(V)[k] @ P.B2, P.C2 @ V[:, k])).ravel()
+
+    def norm(x: Any) -> tuple[float, Any]:
+        loop = ClosedLoop(P, x.reshape(K.shape))
+        if not (np.all(np.isfinite(x)) and loop.abscissa() < 0.0):
+            return np.inf, np.zeros(x.size)
+        level, frequency = loop.top(np.zeros(0), np.inf)
+        return level, loop.slope(frequency).ravel()
+
+    x, found = plain_bfgs(abscissa, K.ravel(), 200, -1e-8)
+    return plain_bfgs(norm, x, 1000)[1] if found < 0.0 else np.inf
+
+
+def bfgs_rows(names: list[str], starts: int, evaluations: int) -> None:
+    """Print plain BFGS from random starts beside our search from the same ones: norms, CPU time and their ratios."""
+    print(f"{'same starts':<10}{'best':>12}{'BFGS':>13}{'ours':>13}{'ratio':>9}{'BFGS s':>8}{'ours s':>8}{'ratio':>7}")
+    for name in names or list(all_problems()):
+        data = all_problems()[name]
+        P = partition(compleib(data), len(data["C"]), len(data["B"][0]))
+        scaled = autoscale(P)
+        rng = np.random.default_rng(0)
+        points = [rng.standard_normal((P.B2.shape[1], len(P.C2))) for _ in range(starts)]
+        began = time.process_time()
+        plain = min(bfgs_norm(P, K) for K in points)
+        between = time.process_time()
+        units = scaled.control, scaled.measurement
+        problem = Problem(
+            plants=(P,), soft=(Goal(plants=(P,)),), hard=(), decay=0.0, units=units, order=0, structured=None
+        )
+        found = best_found(problem, points, Limits(evaluations=evaluations), 1, lambda k, outcome: None)
+        ours = min(one.value for one in found if one is not None)
+        times = between - began, time.process_time() - between
+        print(f"{name:<10}{data['best']:>12.7g}{plain:>13.7g}{ours:>13.7g}{ours / plain:>9.4f}", end="")
+        print(f"{times[0]:>8.1f}{times[1]:>8.1f}{times[1] / times[0]:>7.2f}", flush=True)
+
+
 def static_rows(names: list[str], starts: int, evaluations: int) -> bool:
     """Print static output feedback beside the values of the file; return whether all are within the allowed excess."""
-    problems = json.loads(PROBLEMS.read_text())["problems"]
+    problems = all_problems()
     print(f"{'static gains':<10}{'best':>12}{'hifoo':>10}{'ours':>13}{'over best':>11}{'over hifoo':>11}", end="")
     print(f"{'full order':>12}{'price':>8}{'s':>7}")
     met = True
@@ -125,11 +214,14 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=16, help="starts of a static problem")
     parser.add_argument("--pid-starts", type=int, default=4)
-    parser.add_argument("--evaluations", type=int, default=16000, help="of all starts of a problem")
+    parser.add_argument("--evaluations", type=int, default=40000, help="of all starts of a problem")
+    parser.add_argument("--bfgs", type=int, default=0, help="compare with plain BFGS from so many random starts")
     parser.add_argument("--no-static", action="store_true")
     parser.add_argument("--no-pid", action="store_true")
     chosen = parser.parse_args()
     met = []
+    if chosen.bfgs:
+        bfgs_rows([name for name in chosen.problems.split(",") if name], chosen.bfgs, chosen.evaluations)
     if not chosen.no_static:
         names = [name for name in chosen.problems.split(",") if name]
         met.append(("static", static_rows(names, chosen.starts, chosen.evaluations)))

@@ -446,3 +446,25 @@ def test_a_lower_order_is_a_start_of_the_next() -> None:
         behind = response(low_passed(M, n, 7.0, nu), n + nu, s)
         np.testing.assert_allclose(behind, 7.0 / (s + 7.0) * plain, rtol=1e-12)
     assert not np.any(low_passed(M, n, 7.0, nu)[n + nu :, n + nu :])
+
+
+@pytest.mark.parametrize(
+    ("B2", "C1", "D11", "D12", "noise", "said"),
+    [
+        # z = x + u is zero for u = -x, which also stabilises x' = x + w + 3 u.
+        (3.0, [1.0], [0.0], [1.0], 0.0, "infimum is 0"),
+        # |x/w| = 1/(k - 1) beside a direct path of one: less with every larger gain, never below one.
+        (1.0, [1.0, 0.0], [0.0, 1.0], [0.0, 0.0], 0.0, "infinite gain"),
+        # The control is weighed, and the measurement noisy: an optimum at a finite gain.
+        (1.0, [1.0, 0.0], [0.0, 0.0], [0.0, 1.0], 1.0, ""),
+    ],
+)
+def test_an_infimum_of_zero_or_at_infinite_gain_is_said(
+    B2: float, C1: list[float], D11: list[float], D12: list[float], noise: float, said: str
+) -> None:
+    D = np.zeros((len(C1) + 1, 3))
+    D[:-1, 0], D[:-1, 2], D[-1, 1] = D11, D12, noise
+    P = control.ss([[1.0]], [[1.0, 0.0, B2]], np.array([[*C1, 1.0]]).T, D)
+    found = design.structured(P, 1, 1, structure=design.Static(), starts=3, evaluations=2000, processes=1)
+    assert said in found.infimum
+    assert bool(found.infimum) == bool(said)

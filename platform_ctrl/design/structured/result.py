@@ -71,6 +71,8 @@ class StructuredDesign:
         Whether every start had its turn and ended by itself, not by its evaluations or by the time limit.
     cut
         Whether the time limit ended the search: at another load of the machine the result is another one.
+    infimum
+        Where the search saw that no controller reaches the infimum, or that it is zero: a sentence that says so.
     outcomes
         The requirements held against every closed loop, where any were given; those of the first plant first.
 
@@ -94,6 +96,7 @@ class StructuredDesign:
     searches: tuple[SearchRecord, ...]
     finished: bool
     cut: bool
+    infimum: str
     outcomes: tuple[CheckResult, ...] = ()
     _made: list[Certificate] = field(init=False, repr=False, default_factory=list)
 

@@ -232,6 +232,7 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         seconds=0.0,
         finished=found.finished and not (held and gain < _GAINS[1]),
         late=late,
+        at_limit=held,
         inverse=found.inverse,
     )
 

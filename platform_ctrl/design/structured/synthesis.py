@@ -41,6 +41,8 @@ _RESERVE = 1e-3
 _FITTED = 2
 # Largest order whose companion forms are tried where no start stabilises: entries are named by single digits.
 _MOST_STATES = 9
+# Norms, in the natural unit of the scaled plant, that count as zero, and that rounding alone can make.
+_ZERO, _NOTHING = 1e-6, 1e-9
 # What the recomputed norm may exceed that of the search by, relative.
 _AGREEMENT = 1e-3
 
@@ -202,7 +204,7 @@ def structured(
     best = min(ended, key=lambda one: one.rank, default=None)
     if best is None or best.rank[0] > 0.0:
         raise _none_found(best, len(ended), spent, cut, structure, parts, given, requirements)
-    made = _judged(given, parts, structure, requirements, best, ended, cut, whole, order, bounds)
+    made = _judged(given, parts, structure, requirements, best, ended, cut, whole, order, bounds, scaled[0].gain)
     if cut:
         warnings.warn(
             f"structured: time_limit = {seconds:g} s ended the search; the result depends on the load of the machine",
@@ -334,6 +336,20 @@ def _of_orders(
     return [best.M if whole is None else whole.nearest(best.M)], best.evaluations
 
 
+def _infimum(gamma: float, at_limit: bool, bound: float, unit: float) -> str:
+    """Return what the search saw of an infimum that no controller reaches, or that is zero; empty where nothing."""
+    if gamma <= _ZERO * unit:
+        way = " at ever larger gains" if at_limit else ""
+        return f"The infimum is 0, or next to it: the norm fell to {gamma:.3g}{way}, {unit:.3g} being its natural unit."
+    if at_limit:
+        near = ", which is the bound of full order" if bound > 0.0 and gamma <= (1.0 + _AGREEMENT) * bound else ""
+        return (
+            f"The infimum lies at infinite gain: the norm still fell at the largest gains that the search allows, to "
+            f"{gamma:.6g}{near}; bound the structure's numbers where such gains are of no use."
+        )
+    return ""
+
+
 def _none_found(
     best: Outcome | None,
     starts: int,
@@ -403,6 +419,7 @@ def _judged(
     whole: Parametrised | None,
     order: int,
     bounds: Sequence[Bound],
+    unit: float,
 ) -> StructuredDesign:
     """Close the loops with the plants as given and measure them."""
     import control
@@ -436,7 +453,8 @@ def _judged(
         else:
             gammas.append(float(hinf_norm(system)[0]))
     gamma = max(gammas)
-    if not gamma <= (1.0 + _AGREEMENT) * best.value:
+    # A norm of next to nothing is known to rounding of what cancels in it.
+    if not gamma <= (1.0 + _AGREEMENT) * best.value + _NOTHING * unit:
         raise NotCertifiedError(
             f"structured: the closed loops have the norm {gamma:.6g}, the search promised {best.value:.6g}; "
             "bound the structure's numbers: gains this large are at the limit of floating point",
@@ -470,5 +488,6 @@ def _judged(
         ),
         finished=not cut and all(one.finished for one in ended),
         cut=cut,
+        infimum=_infimum(gamma, best.at_limit, largest.gamma, unit),
         outcomes=tuple(outcomes),
     )  # fmt: skip
