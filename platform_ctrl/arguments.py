@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 from typing import Any
 
@@ -13,9 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-
-# Characters of a given value that a message shows, and that a name is compared by.
-_LONGEST = 60
+from platform_ctrl.signatures import LONGEST, short
 
 
 def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
@@ -116,6 +114,20 @@ def positive(name: str, given: float, zero: bool = False) -> float:
     return out
 
 
+def within(name: str, given: float, least: float, most: float) -> float:
+    """Return a float from `least` to `most`.
+
+    Raises
+    ------
+    ArgumentError
+        Not a number, or outside.
+    """
+    out = number(name, given)
+    if not least <= out <= most:
+        raise ArgumentError(f"{name} must be a number from {least:g} to {most:g}, got {out:g}")
+    return out
+
+
 def not_negative(name: str, given: ArrayLike, size: int) -> FloatArray:
     """Return `size` finite numbers >= 0, all alike where one is given.
 
@@ -155,7 +167,7 @@ def indices(name: str, given: Sequence[int] | None, size: int) -> list[int]:
     """
     if given is None:
         return list(range(size))
-    if isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
+    if not isinstance(given, list | tuple | range) and not (isinstance(given, np.ndarray) and given.ndim == 1):
         raise ArgumentError(f"{name} must be a sequence of whole numbers, got {short(given)}")
     out = [whole(name, one, 0, size - 1) for one in given]
     if len(set(out)) < len(out):
@@ -234,14 +246,8 @@ def distinct(kind: str, names: Sequence[str]) -> list[str]:
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that `word` was probably meant to be, or None."""
     by_lower = {name.lower(): name for name in known}
-    begun = [name for name in by_lower if len(word) > 2 and name.startswith(word.lower()[:_LONGEST])]
+    begun = [name for name in by_lower if len(word) > 2 and name.startswith(word.lower()[:LONGEST])]
     if begun:
         return by_lower[begun[0]]
-    close = difflib.get_close_matches(word.lower()[:_LONGEST], by_lower, n=1)
+    close = difflib.get_close_matches(word.lower()[:LONGEST], by_lower, n=1)
     return by_lower[close[0]] if close else None
-
-
-def short(given: object) -> str:
-    """Return what was given as a line that fits a message."""
-    text = " ".join(repr(given).split())
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

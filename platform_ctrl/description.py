@@ -8,10 +8,11 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import known_name, short
+from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import FloatArray, read_only, value
+from platform_ctrl.signatures import check_arguments, short
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -171,6 +172,7 @@ class PickOff:
     quantisation: float = 0.0
     added: bool = False
 
+    @check_arguments
     def sampled_noise(self, period: float) -> float:
         """Return the rms of one sample behind a filter at the Nyquist frequency.
 
@@ -218,6 +220,7 @@ class RateSensor:
     noise_bandwidth_hz: float = 1000.0
     quantisation: float = 0.0
 
+    @check_arguments
     def sampled_noise(self, period: float) -> float:
         """Return the rms of one sample behind a filter at the Nyquist frequency.
 
@@ -319,6 +322,7 @@ class Platform:
         number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
         return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
 
+    @check_arguments
     def body(self, name: str) -> int:
         """Return the number of a body: 0 the root, 1 + k that of gimbal k.
 
@@ -339,6 +343,7 @@ class Platform:
         """
         return known_name(f"body of platform {self.name!r}", name, (self.root_name, *self.gimbal_names))
 
+    @check_arguments
     def gimbal(self, name: str) -> int:
         """Return the index of the named gimbal.
 
@@ -359,6 +364,7 @@ class Platform:
         """
         return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
 
+    @check_arguments
     def torquer_on(self, gimbal: str) -> Torquer:
         """Return the torquer that loops on the named gimbal use: its first one.
 
@@ -379,6 +385,7 @@ class Platform:
         """
         return _on(gimbal, self.torquers, "torquer")
 
+    @check_arguments
     def pickoff_on(self, gimbal: str) -> PickOff:
         """Return the pick-off of the named gimbal.
 
@@ -400,6 +407,7 @@ class Platform:
         return _on(gimbal, self.pickoffs, "pick-off")
 
 
+@check_arguments
 def gimbal_rate(angle: str) -> str:
     """Return the signal name of a gimbal's rate, from that of its angle.
 
@@ -413,9 +421,10 @@ def gimbal_rate(angle: str) -> str:
     str
         The same with ``_rate`` behind it.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -424,6 +433,7 @@ def gimbal_rate(angle: str) -> str:
     return f"{angle}_rate"
 
 
+@check_arguments
 def is_rate(signal: str) -> bool:
     """Return whether a signal's name is that of a rate, of the root or of a gimbal.
 
@@ -437,9 +447,10 @@ def is_rate(signal: str) -> bool:
     bool
         True for Omega1 to Omega3 and for names that end in ``_rate``.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 
 @value
@@ -77,6 +78,7 @@ class Friction:
             raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
         object.__setattr__(self, "breakaway", raised)
 
+    @check_arguments
     def dry(self, rate: float) -> float:
         """Return the dry part of the friction torque, without its minus sign.
 

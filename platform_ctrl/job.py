@@ -11,6 +11,7 @@ from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.scenario import Mode as Mode
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.variation import Vary
 
 Method = Literal["classical", "hinf", "lqg", "structured", "platform-servo"]
@@ -403,6 +404,7 @@ class Job:
         return tuple((by_name[one.name], one.weight) for one in self.campaign.manoeuvres)
 
 
+@check_arguments
 def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
     """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0.
 

@@ -16,13 +16,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import one_of, real_array, short
+from platform_ctrl.arguments import one_of, real_array
 from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.forces import element_forces, force_slopes
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
+from platform_ctrl.signatures import short
 
 Terms = Literal["exact", "paper"]
 

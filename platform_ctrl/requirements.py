@@ -23,6 +23,7 @@ from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import LoopLimits
+from platform_ctrl.signatures import check_arguments, check_kinds
 
 if TYPE_CHECKING:
     import control
@@ -157,6 +158,7 @@ class Requirement:
     sense: Sense
     hard: bool = True
 
+    @check_kinds
     def ratio(self, measured: float) -> float:
         """Return a number that is at most 1 when the bound is met.
 
@@ -170,9 +172,10 @@ class Requirement:
         float
             Dimensionless; infinite when `measured` is no number.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         measured = float(measured)
         if not np.isfinite(measured):
@@ -183,6 +186,7 @@ class Requirement:
             return measured / self.limit
         return self.limit / measured if measured > 0.0 else float("inf")
 
+    @check_kinds
     def judge(
         self,
         measured: float,
@@ -215,9 +219,10 @@ class Requirement:
         CheckResult
             With ratio and verdict.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         ratio = self.ratio(measured)
         return CheckResult(
@@ -278,6 +283,7 @@ class LoopRequirement(Requirement):
         """Whether it is asked of more than the nominal plant."""
         return any(group != "nominal" for group in self.over)
 
+    @check_arguments
     def figures(self, measures: LoopMeasures) -> FloatArray:
         """Return the figures that this bound is held against, one or several.
 
@@ -298,6 +304,7 @@ class LoopRequirement(Requirement):
         """
         return measures.figures(self)
 
+    @check_arguments
     def ratios(self, measures: LoopMeasures) -> FloatArray:
         """Return a ratio for every figure.
 
@@ -318,6 +325,7 @@ class LoopRequirement(Requirement):
         """
         return np.array([self.ratio(float(figure)) for figure in self.figures(measures)])
 
+    @check_arguments
     def result(self, plants: PlantSet, measures: LoopMeasures, *, subject: str = "", design: str = "") -> CheckResult:
         """Hold the worst figure against the bound; the evidence names the plant, or the torquer, that it is from.
 
@@ -363,6 +371,7 @@ class LoopRequirement(Requirement):
             method="exact" if exact or self.kind not in GRIDDED else "sampled",
         )
 
+    @check_arguments
     def check(
         self, plants: PlantSet, controller: control.StateSpace | StateArrays, *, subject: str = "", design: str = ""
     ) -> CheckResult:
@@ -396,6 +405,7 @@ class LoopRequirement(Requirement):
             )
         return self._worst(plants, exact_figures(plants, K, self), subject, design, True)
 
+    @check_arguments
     def check_closed_loop(
         self, closed_loop: control.StateSpace, *, subject: str = "", design: str = "", above: float = 0.0
     ) -> CheckResult:
@@ -437,6 +447,7 @@ class LoopRequirement(Requirement):
         evidence = f"closed loop with {arrays.A.shape[0]} states"
         return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
+    @check_arguments
     def check_controller(self, controller: control.StateSpace, *, subject: str = "", design: str = "") -> CheckResult:
         """Judge a controller by itself: kinds "controller poles" and "controller gain" (from `frequency` on).
 
@@ -467,6 +478,7 @@ class LoopRequirement(Requirement):
         return self.judge(found, subject=subject, design=design, stage="decoupled", evidence=evidence, method="exact")
 
 
+@check_arguments
 def requirement(
     kind: Kind,
     limit: float,
@@ -549,6 +561,7 @@ def requirement(
     )
 
 
+@check_arguments
 def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
     """Return what `limits` ask of a loop; stability of every plant that something is asked of is always asked.
 
@@ -580,6 +593,7 @@ def loop_requirements(limits: LoopLimits) -> tuple[LoopRequirement, ...]:
     return (*always, *_asked(limits, hard=True))
 
 
+@check_arguments
 def hard_and_soft(
     limits: LoopLimits, soft: LoopLimits
 ) -> tuple[tuple[LoopRequirement, ...], tuple[LoopRequirement, ...]]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.arguments import real_numbers
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.frozen import FloatArray, read_only, value
+from platform_ctrl.signatures import check_arguments
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
@@ -104,6 +105,7 @@ class TimeTable:
         out[:, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
         return out
 
+    @check_arguments
     def at(self, t: ArrayLike) -> FloatArray:
         """Return the three numbers at given times.
 
@@ -117,9 +119,10 @@ class TimeTable:
         (..., 3)
             In the units of `values`, scaled.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         times = np.clip(np.asarray(t, dtype=np.float64), self.t[0], self.t[-1])
         if len(self.t) == 1:

@@ -23,6 +23,7 @@ from platform_ctrl.linearisation import LinearModel, expect_model
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
 from platform_ctrl.mechanics.kinematics import cross_matrix
 from platform_ctrl.mechanics.regularity import inverse_inertia
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -64,6 +65,7 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     return subsystems_of_all([model])
 
 
+@check_arguments
 def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals.
 
@@ -101,6 +103,7 @@ def _coupled(model: LinearModel) -> NDArray[np.bool_]:
     return np.asarray(coupled)
 
 
+@check_arguments
 def state_space(
     model: LinearModel,
     root: Literal["prescribed", "free"] = "prescribed",
@@ -207,6 +210,7 @@ def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
     return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
 
 
+@check_arguments
 def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
     """Return the rows of the named gimbals, of all without names.
 
@@ -248,6 +252,7 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
     return sorted(chosen)
 
 
+@check_arguments
 def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
     """Return the torquers on the named gimbals.
 
@@ -263,9 +268,10 @@ def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[st
     names, selection : list of str, (g, t)
         Names of the t torquers, in the file's order; and which of the g gimbals each turns, 1 or 0 (dimensionless).
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

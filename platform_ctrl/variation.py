@@ -7,6 +7,7 @@ from dataclasses import field
 from typing import Literal
 
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import check_arguments
 
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
 
@@ -99,6 +100,7 @@ class Range:
     high: float = math.inf
     low_itself: bool = True
 
+    @check_arguments
     def holds(self, low: float, high: float, continuous: bool) -> bool:
         """Return whether everything drawn between two numbers is allowed.
 
@@ -114,9 +116,10 @@ class Range:
         bool
             True if it is.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         return self.low <= low and high <= self.high and (low > self.low or self.low_itself or continuous)
 

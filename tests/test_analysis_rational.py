@@ -41,7 +41,7 @@ def test_a_sine_is_drawn_as_lines_between_its_samples() -> None:
 
 
 def test_squeeze_is_one_of_three() -> None:
-    with pytest.raises(ArgumentError, match="squeeze: given 'yes'; expected None, True or False"):
+    with pytest.raises(ArgumentError, match="squeeze: given 'yes'; expected True, False or None"):
         analysis.time_response(control.ss(-1, 1, 1, 0), [0, 1], [0, 1], squeeze="yes")  # type: ignore[arg-type]
 
 

@@ -137,7 +137,7 @@ def test_what_cannot_be_is_refused(hold: Hold, D: float, says: str) -> None:
         (lambda system: analysis.time_response(system, [0, 1], [1j, 2]), "inputs: given .*; expected real numbers"),
         (lambda system: analysis.time_response(system, [0, 1], [1, 2], initial_state="x"), "initial_state: given 'x'"),
         (lambda system: analysis.frequency_response(system, "a"), "frequency: given 'a'; expected real numbers"),
-        (lambda system: analysis.disk_margin(system, skew="a"), "skew = 'a', expected a finite number"),
+        (lambda system: analysis.disk_margin(system, skew="a"), "skew: given 'a'; expected a number"),
     ],
 )
 def test_what_are_no_numbers_is_refused_in_one_line(ask, says: str) -> None:

@@ -373,7 +373,7 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
     cases = {
         r"sensitivity_peak = 0\.9": {"sensitivity_peak": 0.9},
         "disk_margin = 2.5; expected numbers between 0 and 2": {"disk_margin": 2.5},
-        "sensitivity_peak = None": {"sensitivity_peak": None},
+        "sensitivity_peak: given None": {"sensitivity_peak": None},
         "expected the same": {"period": 0.1},
         "its hold is in it": {"hold": True, "period": PERIOD},
         "given 'cross'; expected 'full', 'diagonal' or 'cross-axis'": {"pattern": "cross"},
@@ -382,8 +382,8 @@ def test_arguments_that_make_no_sense_are_named(measured, design):
         "expected a number, or a function": {"torque_per_noise": lambda w: w[:3]},
         "angle_per_torque is .*; expected a number, or a function": {"angle_per_torque": lambda w: 1j * w},
         "complementary_peak is .*; expected a number, or a function": {"complementary_peak": lambda w: 1 / len([])},
-        r"unstable = 1\.5; expected a whole number": {"unstable": 1.5},
-        "integrators = 'x'; expected a whole number": {"integrators": "x"},
+        r"unstable: given 1\.5; expected a whole number": {"unstable": 1.5},
+        "integrators: given 'x'; expected a whole number": {"integrators": "x"},
         "steps = -1; expected a whole number": {"steps": -1},
     }
     for size in (0.0, 1e-150, 1e150):

@@ -236,7 +236,7 @@ def test_responses_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     response = export.response_data(control.ss(-1, 1, 1, 0), [1, 2, 3])
     with pytest.raises(ArgumentError, match="at least 3 finite frequencies"):
         export.write_responses(export.response_data(control.ss(-1, 1, 1, 0), [0.0, 1.0, 2.0]), path)
-    with pytest.raises(ArgumentError, match=r"given 'int'; expected a control\.FRD"):
+    with pytest.raises(ArgumentError, match=r"response: given 3; expected a control\.FRD"):
         export.write_responses(3, path)
     with pytest.raises(ArgumentError, match="form: given 'bode'"):
         export.write_responses(response, path, form="bode")  # type: ignore[arg-type]

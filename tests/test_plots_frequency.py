@@ -491,7 +491,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.nichols(gyro()), "expected a square loop transfer"),
         (lambda: figures.nichols(1 / s, disk_margins=2.5), "expected less than 2"),
         (lambda: figures.nichols(1 / s, T_peaks=(0.5,)), "expected more than 1"),
-        (lambda: figures.nichols(1 / s, skew=math.nan), "expected a finite number"),
+        (lambda: figures.nichols(1 / s, skew=math.nan), "skew: given nan; expected a number"),
         (lambda: figures.singular_values(1 / s, upper=-1.0), "expected a number > 0"),
         (lambda: figures.singular_values(1 / s, upper=([1.0, 2.0], [1.0, 2.0, 3.0])), "expected a number > 0"),
         (lambda: figures.gang_of_four(control.frd([1.0 + 0j], [1.0]), 1 / s), "given data"),
@@ -500,7 +500,7 @@ def test_importing_the_plots_does_not_load_pyplot():
         (lambda: figures.Omega_sensitivity(1 / s), "expected Omega1"),
         (lambda: figures.disk_margin_region(-0.1), ">= 0"),
         (lambda: figures.disk_margin_region([]), "expected at least one"),
-        (lambda: figures.disk_margin_region(0.5, labels=3), "labels: expected 1 strings"),
+        (lambda: figures.disk_margin_region(0.5, labels=3), "labels: given 3; expected a sequence of names"),
         (lambda: figures.disk_margin_region(gyro()), "expected a square loop transfer"),
     ],
 )

@@ -6,13 +6,11 @@ import ast
 import dataclasses
 import doctest
 import functools
-import importlib
 import inspect
 import logging
 import re
-import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,7 @@ import pytest
 from numpydoc.docscrape import NumpyDocString, Parameter
 
 from platform_ctrl import errors
-from public_modules import MODULES
+from public_modules import methods, public
 
 HOUSE = Path(__file__).resolve().parent.parent
 
@@ -93,34 +91,6 @@ UNIT = re.compile(
     r"(?<![\w'’])(rad|rad/s²?|kg m²|kg m|N m|Hz|m/s²|s|1/s|SI|[Rr]elative|[Dd]imensionless|[Uu]nits?|"
     r"[Rr]atios?|[Ff]actors?|[Ss]hares?|[Pp]robability|[Pp]robabilities|booleans)(?!\w)|[Aa]s (in|of) `|[Aa]s `"
 )
-
-
-@functools.cache
-def public() -> dict[str, Any]:
-    """Return the objects that the public names stand for, each once, by module and name."""
-    found: dict[str, Any] = {}
-    known = set()
-    for part in MODULES:
-        name = f"platform_ctrl.{part}".rstrip(".")
-        importlib.import_module(name)
-        module = sys.modules[name]
-        own = [n for n, o in vars(module).items() if n[0] != "_" and getattr(o, "__module__", None) == name]
-        for public_name in getattr(module, "__all__", own):
-            item = getattr(module, public_name)
-            if (inspect.isclass(item) or inspect.isroutine(item)) and id(item) not in known:
-                known.add(id(item))
-                found[f"{name}.{public_name}"] = item
-    return found
-
-
-def methods(cls: type) -> Iterator[tuple[str, Any]]:
-    """Yield the public functions and properties that a class itself defines."""
-    for name, item in vars(cls).items():
-        if name[0] != "_":
-            if isinstance(item, classmethod | staticmethod):
-                yield name, item.__func__
-            elif inspect.isfunction(item) or isinstance(item, property):
-                yield name, item
 
 
 @functools.cache

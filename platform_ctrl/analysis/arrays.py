@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.arguments import complex_numbers, positive, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, portable
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -42,6 +43,7 @@ class StateArrays(NamedTuple):
     dt: float
 
 
+@check_arguments
 def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
     """Return the arrays of `system`.
 
@@ -144,6 +146,7 @@ def all_finite(array: FloatArray) -> bool:
     return math.isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
+@check_arguments
 def state_space(
     arrays: StateArrays,
     inputs: Sequence[str],
@@ -169,9 +172,10 @@ def state_space(
     control.StateSpace
         With `arrays.dt` as its time base.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        Arrays that do not fit one another, or names that are not as many as the arrays have signals.
 
     References
     ----------
@@ -179,6 +183,14 @@ def state_space(
     """
     import control
 
+    arrays = system_arrays("state_space", *arrays)
+    for kind, names, size in (
+        ("inputs", inputs, arrays.B.shape[-1]),
+        ("outputs", outputs, arrays.C.shape[-2]),
+        ("states", states, len(arrays.A)),
+    ):
+        if names is not None and len(names) != size:
+            raise ArgumentError(f"state_space: {kind} must be {size} names, got {len(names)}")
     # python-control keeps the full stop to itself.
     options = {} if name is None else {"name": name.replace(".", "_")}
     if states is not None:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arrays
 from platform_ctrl.analysis.feedback import series_arrays
 from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -42,6 +43,7 @@ class Channel:
     input_weight: Weight = None
     output_weight: Weight = None
 
+    @check_arguments
     def of(self, system: StateArrays, inputs: Sequence[str], outputs: Sequence[str]) -> StateArrays:
         """Return the weighted part of a system (or a stack of them) whose signals are named.
 
@@ -64,7 +66,12 @@ class Channel:
         """
         columns = [known_name("inputs", name, inputs) for name in self.inputs] or list(range(len(inputs)))
         rows = [known_name("outputs", name, outputs) for name in self.outputs] or list(range(len(outputs)))
-        A, B, C, D, dt = system
+        A, B, C, D, dt = system_arrays("Channel.of", *system)
+        if (len(outputs), len(inputs)) != D.shape[-2:]:
+            raise ArgumentError(
+                f"Channel.of: the system has {D.shape[-1]} inputs and {D.shape[-2]} outputs, "
+                f"got {len(inputs)} and {len(outputs)} names"
+            )
         arrays = A, B[..., columns], C[..., rows, :], D[..., rows, :][..., columns]
         if self.input_weight is not None:
             weight = weight_arrays(self.input_weight, len(columns), dt, "input_weight")

@@ -31,7 +31,9 @@ from platform_ctrl.analysis.lifting import (
 )
 from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
+from platform_ctrl.arguments import within
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 _BEYOND = 50.0
 
 
+@check_arguments
 def intersample_norm(
     P: control.StateSpace,
     K: control.StateSpace,
@@ -83,6 +86,7 @@ def intersample_norm(
 
     T. Chen, B. A. Francis, Optimal Sampled-Data Control Systems, 1995.
     """
+    tolerance = within("intersample_norm: tolerance", tolerance, 1e-12, 0.1)
     plant, controller = _arguments(P, K, nmeas, ncon, delay, "intersample_norm")
     _require_stable(plant, controller, "intersample_norm")
     return intersample_norm_arrays(plant, controller, tolerance)

@@ -12,11 +12,13 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
 from platform_ctrl.description import is_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
 
 
+@check_arguments
 def joined(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:

@@ -16,9 +16,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
 from platform_ctrl.analysis.feedback import closed_loop_arrays
-from platform_ctrl.arguments import positive, short
+from platform_ctrl.analysis.sampled import split_delay
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control
@@ -83,10 +84,7 @@ def sampled_plant(
     for name, number, total, what in (("nmeas", nmeas, C.shape[0], "outputs"), ("ncon", ncon, B.shape[1], "inputs")):
         if not (isinstance(number, int | np.integer) and 1 <= number <= total):
             raise ArgumentError(f"{where}: {name} = {short(number)}; P has {total} {what}, expected 1 to {total}")
-    period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)
-    whole = math.floor(delay / period + 1e-9)
-    part = delay / period - whole
-    part = 0.0 if part < 1e-9 else part
+    period, whole, part = split_delay(where, period, delay, ncon)
     nz, nw = C.shape[0] - nmeas, B.shape[1] - ncon
     D21 = D[nz:, :nw]
     if np.any(D21):

@@ -14,6 +14,7 @@ from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 _BANDWIDTH, _DISK_MARGIN, _DAMPING = Own(kind="bandwidth"), Own(kind="disk margin"), Own(kind="damping")
 
@@ -59,6 +60,7 @@ class LoopMeasures:
     exact: bool = False
     further: dict[Key, FloatArray] = field(default_factory=dict)
 
+    @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,).
 
@@ -78,6 +80,7 @@ class LoopMeasures:
         """
         return members(self.groups, groups)
 
+    @check_arguments
     def figures(self, asked: Asked) -> FloatArray:
         """Return what is asked for: a figure of every plant that it is asked of; nominal noise of every torquer.
 
@@ -111,6 +114,7 @@ class LoopMeasures:
         return out
 
 
+@check_arguments
 def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = ()) -> LoopMeasures:
     """Measure `controller` (u = K y, same period) on every plant, on the set's frequency grid.
 
@@ -132,9 +136,10 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
     LoopMeasures
         A figure for each plant of the set.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -143,6 +148,7 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
     return _measured(LoopFigures(plants, controller), asked)
 
 
+@check_arguments
 def exact_measures(
     plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = (), loops: LoopFigures | None = None
 ) -> LoopMeasures:

@@ -23,8 +23,10 @@ from platform_ctrl.analysis.mu_peak import SLACK, MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.rational import LinearSystem, StateSystem, linear_arrays
+from platform_ctrl.arguments import number, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -148,6 +150,7 @@ class LoopMargins:
     frequency: FloatArray
 
 
+@check_arguments
 def disk_margin(
     loop_transfer: LinearSystem,
     skew: float = 0.0,
@@ -317,6 +320,7 @@ def _margin_of_data(data: control.FrequencyResponseData, skew: float, frequency:
     )
 
 
+@check_arguments
 def loop_margins(plant: StateSystem, controller: StateSystem, at: At = "input", skew: float = 0.0) -> LoopMargins:
     """Return the disk margin of each channel, broken one at a time with all others closed.
 
@@ -377,14 +381,17 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
         Two gain factors and a phase in rad. The highest factor is infinite and the phase π where the disk does not
         bound them.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        A negative `alpha`, or numbers that are not finite.
 
     References
     ----------
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
+    alpha = positive("disk_to_gain_phase: alpha", alpha, zero=True)
+    skew = number("disk_to_gain_phase: skew", skew)
     low = (2.0 - alpha * (1.0 - skew)) / (2.0 + alpha * (1.0 + skew))
     denominator = 2.0 - alpha * (1.0 + skew)
     if denominator == 0.0:
@@ -395,6 +402,7 @@ def disk_to_gain_phase(alpha: float, skew: float = 0.0) -> tuple[float, float, f
     return low, high if high > 0.0 else math.inf, phase
 
 
+@check_arguments
 def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
     """Return the phase up to which a loop may turn while its gain changes by a factor: both inside the same disk.
 
@@ -416,9 +424,10 @@ def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
     (...)
         rad, 0 to π; NaN where the gain alone leaves the disk.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -25,11 +25,13 @@ from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response
 from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 # Where a climb looks around the best frequency, in widths.
 FAN = np.linspace(-1.0, 1.0, 15)
 
 
+@check_arguments
 def hinf_norm(system: StateSystem, allow_unstable: bool = False) -> tuple[float, float]:
     """Return the H-infinity norm of `system` and the frequency where it is reached.
 

@@ -15,6 +15,7 @@ from platform_ctrl.arguments import whole
 from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -145,6 +146,7 @@ class PlantSet:
             )
         return K
 
+    @check_arguments
     def of(self, groups: Sequence[str]) -> BoolArray:
         """Return which plants belong to `groups`, truth values (N,).
 
@@ -164,6 +166,7 @@ class PlantSet:
         """
         return members(self.groups, groups)
 
+    @check_arguments
     def finer(self, frequency: FloatArray) -> PlantSet:
         """Return the set with further frequencies in its grid.
 
@@ -196,6 +199,7 @@ class PlantSet:
             Omega_response=np.concatenate([self.Omega_response, found[..., m:]], axis=1)[:, order],
         )
 
+    @check_arguments
     def only(self, chosen: Sequence[int]) -> PlantSet:
         """Return the set of the `chosen` plants (indices).
 

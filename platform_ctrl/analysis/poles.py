@@ -11,9 +11,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
-from platform_ctrl.arguments import complex_numbers, number, positive, real_numbers, short
+from platform_ctrl.arguments import complex_numbers, number, positive, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import short
 
 
 @value

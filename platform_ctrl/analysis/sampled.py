@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     import control
 
 
+# States for held inputs: dense matrices of more take minutes each.
+MOST_HELD = 1_000
+
+
 def sampled(
     system: control.StateSpace, period: float, delay: float = 0.0, lag: ArrayLike | None = None
 ) -> control.StateSpace:
@@ -117,16 +121,11 @@ def sampled_arrays(
 def _sampled(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, period: float, delay: float, lag: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    period = positive("sampled: period", period)
-    delay = positive("sampled: delay", delay, zero=True)
     m = B.shape[-1]
     lags = not_negative("sampled: lag", 0.0 if lag is None else lag, m)
     A, B, C, D = with_lag(A, B, C, D, lags)
 
-    whole = math.floor(delay / period + 1e-9)
-    part = delay / period - whole
-    # A delay given as a decimal fraction is rarely a multiple of the period to the last bit.
-    part = 0.0 if part < 1e-9 else part
+    period, whole, part = split_delay("sampled", period, delay, m)
     reach = whole + (1 if part > 0.0 else 0)
 
     phi, late = held_input(A, B, (1.0 - part) * period)
@@ -159,6 +158,26 @@ def _sampled(
     for j in range(1, reach):
         Ad[..., n + j * m : n + (j + 1) * m, n + (j - 1) * m : n + j * m] = np.eye(m)
     return Ad, Bd, Cd, np.zeros((*batch, p, m)), lags
+
+
+def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[float, int, float]:
+    """Return the period, s, and the delay in periods: a whole number and the part that is left.
+
+    Raises
+    ------
+    ArgumentError
+        No period or delay, or a delay that needs more states than `MOST_HELD`.
+    """
+    period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)
+    if delay / period * inputs > MOST_HELD:
+        raise ArgumentError(
+            f"{where}: delay = {delay:.4g} s needs {delay / period * inputs:.4g} states for held inputs; "
+            f"expected at most {MOST_HELD}"
+        )
+    whole = math.floor(delay / period + 1e-9)
+    part = delay / period - whole
+    # A delay given as a decimal fraction is rarely a multiple of the period to the last bit.
+    return period, whole, 0.0 if part < 1e-9 else part
 
 
 def with_lag(
@@ -200,8 +219,10 @@ def held_input(A: FloatArray, B: FloatArray, duration: float) -> tuple[FloatArra
     whole[..., :n, :n] = A * s / s[:, None] * duration
     # A power of two that makes the input matrix as large as A is exact to undo.
     size = np.abs(whole).max(initial=0.0)
-    gain = np.abs(B / s[:, None]).max(initial=0.0) * duration
-    unit = 2.0 ** round(math.log2(gain / size)) if size > 0.0 and gain > 0.0 else 1.0
+    with np.errstate(over="ignore"):
+        gain = np.abs(B / s[:, None]).max(initial=0.0) * duration
+        ratio = gain / size if size > 0.0 and 0.0 < gain < math.inf else 1.0
+    unit = 2.0 ** round(math.log2(ratio)) if 0.0 < ratio < math.inf else 1.0
     whole[..., :n, n:] = B / s[:, None] * (duration / unit)
     with np.errstate(over="ignore", invalid="ignore"):
         power = expm(whole)

@@ -13,6 +13,7 @@ from platform_ctrl.analysis.rational import StateSystem, is_rational, linear_arr
 from platform_ctrl.arguments import one_of, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 Hold = Literal["zoh", "foh", "impulse"]
 
@@ -22,6 +23,7 @@ EQUAL, ROUNDING = 1e-9, 1e-15
 TOGETHER = 256
 
 
+@check_arguments
 def time_response(
     system: StateSystem,
     timepts: ArrayLike,

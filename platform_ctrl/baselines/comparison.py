@@ -10,6 +10,7 @@ from platform_ctrl.baselines.record import AcceptedFigure, Baseline, LoopMatrice
 from platform_ctrl.check import JobResult
 from platform_ctrl.frozen import value
 from platform_ctrl.requirements import Sense
+from platform_ctrl.signatures import check_arguments
 
 State = Literal["within", "worse", "better", "missing", "new"]
 
@@ -128,6 +129,7 @@ class Comparison:
         return tuple((found[loop.loop], loop) for loop in self.now if loop.loop in found)
 
 
+@check_arguments
 def compare(result: JobResult, baseline: Baseline) -> Comparison:
     """Hold the figures of a job against accepted ones.
 
@@ -144,9 +146,10 @@ def compare(result: JobResult, baseline: Baseline) -> Comparison:
         `Comparison.passed` unless a figure is worse beyond its tolerance, or no longer there. A figure that was a
         finite number and is none now (an unstable loop, a run that diverged) is worse whatever its tolerance.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -11,6 +11,7 @@ from platform_ctrl.check.simulated import RUN_FIGURES
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.frozen import value
 from platform_ctrl.requirements import FAULTS, SPREAD, CheckResult, Sense
+from platform_ctrl.signatures import check_arguments
 
 ALL_LOOPS = "all loops closed"
 COST = "disk margin lost by coupling"
@@ -54,6 +55,7 @@ class Figure:
         return self.subject, self.name, self.unit, self.sense
 
 
+@check_arguments
 def figures_of(result: JobResult) -> tuple[Figure, ...]:
     """Return the figures of a job, each once, in the order loops, all loops closed, manoeuvres.
 
@@ -73,9 +75,10 @@ def figures_of(result: JobResult) -> tuple[Figure, ...]:
     tuple of Figure
         Each subject and name once.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

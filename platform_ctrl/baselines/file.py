@@ -21,6 +21,7 @@ from platform_ctrl.frozen import value
 from platform_ctrl.reading.json_file import read_json
 from platform_ctrl.reading.mistakes import given
 from platform_ctrl.requirements import Sense
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 _KEYS = ("schema", "job", "tolerance", "figures", "controllers", "plants")
@@ -73,6 +74,7 @@ class Update:
         return f"{self.path}: written, {'; '.join(words) or 'all figures within their tolerances'}"
 
 
+@check_arguments
 def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     """Read a baseline and judge it.
 
@@ -125,6 +127,7 @@ def read_baseline(path: str | os.PathLike[str]) -> Baseline:
     )
 
 
+@check_arguments
 def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
     """Write a baseline, whole or not at all, and return its path.
 
@@ -155,6 +158,7 @@ def write_baseline(baseline: Baseline, path: str | os.PathLike[str]) -> Path:
     return write_whole(path, _text(baseline))
 
 
+@check_arguments
 def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     """Accept `result`: write its baseline, with the tolerances that stand in the file already; folders are made.
 
@@ -196,6 +200,7 @@ def update_baseline(result: JobResult, path: str | os.PathLike[str]) -> Update:
     )
 
 
+@check_arguments
 def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None) -> Path:
     """Return where the figure of what has moved is saved: ``gyros.moved.png`` beside ``gyros.json``.
 
@@ -211,9 +216,10 @@ def plot_beside(path: str | os.PathLike[str], folder: str | os.PathLike[str] | N
     pathlib.Path
         Of the PNG, whether or not there is one.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -14,6 +14,7 @@ from platform_ctrl.check import JobResult
 from platform_ctrl.check.proofs import PROVED
 from platform_ctrl.frozen import value
 from platform_ctrl.requirements import Sense
+from platform_ctrl.signatures import check_arguments
 
 # The same loop on another machine: what differs by less has not changed, and its text stays as it is.
 _ROUNDING = 1e-6
@@ -47,6 +48,7 @@ class Tolerance:
         positive("Tolerance: relative", self.relative, zero=True)
         positive("Tolerance: absolute", self.absolute, zero=True)
 
+    @check_arguments
     def allowed(self, accepted: float) -> float:
         """Return the tolerance for an accepted value.
 
@@ -60,9 +62,10 @@ class Tolerance:
         float
             How much worse the figure may be, in the same unit.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         return max(self.relative * abs(accepted), self.absolute)
 
@@ -136,6 +139,7 @@ class LoopMatrices:
     outputs: tuple[str, ...]
     plant: StateArrays | None
 
+    @check_arguments
     def agrees(self, other: LoopMatrices) -> bool:
         """Return whether plant and controller are the same but for rounding.
 
@@ -149,12 +153,14 @@ class LoopMatrices:
         bool
             Whether every number agrees to a millionth of its matrix's largest.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         return self.same_controller(other) and self.same_plant(other)
 
+    @check_arguments
     def same_controller(self, other: LoopMatrices) -> bool:
         """Return whether the controllers are the same but for rounding.
 
@@ -168,14 +174,16 @@ class LoopMatrices:
         bool
             Whether every number agrees to a millionth of its matrix's largest.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
         timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
         return signals and timing and _near(self.controller, other.controller)
 
+    @check_arguments
     def same_plant(self, other: LoopMatrices) -> bool:
         """Return whether the plants are the same but for rounding.
 
@@ -189,9 +197,10 @@ class LoopMatrices:
         bool
             Whether every number agrees to a millionth of its matrix's largest.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         if self.plant is None or other.plant is None:
             return self.plant is other.plant
@@ -224,6 +233,7 @@ class Baseline:
     loops: tuple[LoopMatrices, ...]
 
 
+@check_arguments
 def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
     """Return the baseline that accepts `result` as it is.
 
@@ -239,9 +249,10 @@ def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
     Baseline
         With the figures of `result`, in their order; those that `before` alone has are left out.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

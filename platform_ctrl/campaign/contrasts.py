@@ -26,6 +26,7 @@ from platform_ctrl.campaign.table import (
     input_names,
 )
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import check_arguments
 
 # A number with more values than this, or with about one for each run, is no choice among a few.
 _MOST_LEVELS = 12
@@ -77,6 +78,7 @@ class Contrast:
         return self.present.events > 0 and self.absent.events == 0
 
 
+@check_arguments
 def contrasts(
     table: Table, limits: Limits, *, inputs: Sequence[str] | None = None, confidence: float = CONFIDENCE
 ) -> tuple[Contrast, ...]:

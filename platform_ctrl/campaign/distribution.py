@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.arguments import real_numbers
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 # Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
 RESOLUTION = 1e-3
@@ -42,6 +44,7 @@ class Distribution:
         """How many figures were counted."""
         return int(self.counts.sum())
 
+    @check_arguments
     def add(self, figures: ArrayLike) -> None:
         """Count more figures.
 
@@ -50,11 +53,12 @@ class Distribution:
         figures : any shape
             Not negative, in one unit; what is not finite lies beyond all.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            Not numbers.
         """
-        values = np.asarray(figures, dtype=np.float64)
+        values = np.atleast_1d(real_numbers("Distribution.add: figures", figures))
         if not values.size:
             return
         values = np.where(np.isfinite(values), values, np.inf)
@@ -62,6 +66,7 @@ class Distribution:
         self.smallest = min(self.smallest, float(values.min()))
         self.largest = max(self.largest, float(values.max()))
 
+    @check_arguments
     def quantile(self, share: float) -> float:
         """Return the least figure that a share of the runs does not exceed.
 
@@ -75,9 +80,10 @@ class Distribution:
         float
             In the figures' unit, right to half a thousandth of itself; NaN without runs.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         runs = self.runs
         if not runs:
@@ -100,6 +106,7 @@ class Distribution:
         above = self.runs - np.cumsum(self.counts[filled])
         return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
 
+    @check_arguments
     def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
         """Return how many figures lie between each two edges; what lies beyond the last is left out.
 
@@ -115,9 +122,10 @@ class Distribution:
         (k,)
             Counts.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
         """
         filled = np.flatnonzero(self.counts)
         middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)

@@ -17,6 +17,7 @@ from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_FLOWN, arrow
 from platform_ctrl.campaign.workers import flown_by_processes
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.device import expect_device, processors
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class Campaigned:
         return bool(self.counts["passed"] == self.record["runs"])
 
 
+@check_arguments
 def run_campaign(
     plan: Plan,
     folder: str | os.PathLike[str],

@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from platform_ctrl.arguments import real_numbers
 from platform_ctrl.campaign.table import Array
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import short
 
 # An input is called a driver if noise would look like it in fewer than this share of campaigns, over all inputs.
 SIGNIFICANCE = 0.01
@@ -93,7 +95,10 @@ def influences(inputs: Mapping[str, ArrayLike], output: ArrayLike) -> tuple[Infl
 
     S. Holm, Scandinavian Journal of Statistics 6, 1979.
     """
-    y = np.asarray(output, dtype=np.float64)
+    if not isinstance(inputs, Mapping):
+        raise ArgumentError(f"inputs: given {short(inputs)}; expected a dictionary of columns")
+    yes_or_no = isinstance(output, np.ndarray) and output.dtype.kind == "b"
+    y = real_numbers("output", np.asarray(output, dtype=np.float64) if yes_or_no else output)
     columns = {name: np.asarray(column) for name, column in inputs.items()}
     for name, column in columns.items():
         if column.shape != y.shape or y.ndim != 1:

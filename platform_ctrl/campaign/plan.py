@@ -15,6 +15,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Campaign, Job, Points, manoeuvre_scenario
 from platform_ctrl.parameters import Parameter, misfits, parameters, varied_scenario
 from platform_ctrl.scenario import Fault, Scenario
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -99,6 +100,7 @@ class Plan:
         last = whole("end of the runs", last, first, self.runs)
         return unit_points(self.sampling, _seed_of(self.seed, "inputs"), self.runs, self.dimensions, first, last)
 
+    @check_arguments
     def inputs_at(self, points: FloatArray) -> Columns:
         """Return the inputs at points of the unit cube.
 
@@ -114,10 +116,13 @@ class Plan:
         dict
             Columns (N,) by the names of `input_names`, in the parameters' units.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            Another shape.
         """
+        if points.ndim != 2 or points.shape[1] != self.dimensions:
+            raise ArgumentError(f"Plan.inputs_at: points must be (N, {self.dimensions}), got {points.shape}")
         names = np.array([one.name for one, _ in self.job.flown], dtype=np.str_)
         columns: Columns = {"manoeuvre": names[chosen(self.weights, points[:, 0])]}
         for k, vary in enumerate(self.campaign.vary, 1):
@@ -146,6 +151,7 @@ class Plan:
         """
         return self.inputs_at(self.points(first, last))
 
+    @check_arguments
     def scenarios_with(self, inputs: Mapping[str, NDArray[Any]], runs: Sequence[int]) -> list[Scenario]:
         """Return runs of given inputs.
 
@@ -161,10 +167,14 @@ class Plan:
         list of Scenario
             One for each row.
 
-        Notes
-        -----
-        The arguments are not judged.
+        Raises
+        ------
+        ArgumentError
+            A column is missing, or not as long as `runs`.
         """
+        for name in self.input_names:
+            if name not in inputs or len(inputs[name]) != len(runs):
+                raise ArgumentError(f"Plan.scenarios_with: inputs must have {len(runs)} numbers of {name!r}, one a run")
         place = {manoeuvre.name: k for k, (manoeuvre, _) in enumerate(self.job.flown)}
         # Python's numbers: a dataclass keeps what it is given.
         columns = [inputs[name].tolist() for name in self.input_names]
@@ -221,6 +231,7 @@ class Plan:
         return self.scenarios(run, run + 1)[0]
 
 
+@check_arguments
 def plan(
     job: Job,
     controllers: Sequence[control.StateSpace],

@@ -19,11 +19,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import one_of, short
+from platform_ctrl.arguments import one_of
 from platform_ctrl.campaign.probability import CONFIDENCE, clopper_pearson
 from platform_ctrl.campaign.rare_result import RareMethod, RarePoint, RareResult, Repetition
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments, short
 
 RunNumbers = NDArray[np.int64]
 # Points of the unit cube (N, d) and the numbers of their noise (N,) to figures over their limits (N,).
@@ -40,6 +41,7 @@ _KEPT = 10
 FEWEST_SAMPLES = 50
 
 
+@check_arguments
 def rare_event(
     figures: Figures,
     dimension: int,

@@ -16,8 +16,10 @@ from platform_ctrl.campaign.table import FIGURES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import Scenario
+from platform_ctrl.signatures import check_arguments
 
 
+@check_arguments
 def rare_probability(
     plan: Plan,
     requirement: str | None = None,

@@ -15,6 +15,7 @@ from platform_ctrl.check.simulated import Run, judged
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -54,6 +55,7 @@ class Rerun:
     run: Run
 
 
+@check_arguments
 def rerun(plan: Plan, number: int) -> Rerun:
     """Fly one run of a plan again.
 

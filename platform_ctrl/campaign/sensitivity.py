@@ -24,6 +24,7 @@ from platform_ctrl.campaign.table import (
     input_names,
 )
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 # Runs that are looked at: the first ones of the campaign, in whatever order the table has them.
 MOST_RUNS = 1 << 16
@@ -68,6 +69,7 @@ class Sensitivity:
     violations: tuple[Influence, ...] = ()
 
 
+@check_arguments
 def sensitivities(table: Table, limits: Limits, *, inputs: Sequence[str] | None = None) -> tuple[Sensitivity, ...]:
     """Return what drives each requirement, over all manoeuvres and within each.
 

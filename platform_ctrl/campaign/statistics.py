@@ -26,6 +26,7 @@ from platform_ctrl.campaign.table import (
 from platform_ctrl.campaign.worst import RunFigure, WorstRuns
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
 # Different endings that are told apart; further ones are counted together.
@@ -118,6 +119,7 @@ class CampaignStatistics:
         """Whether every run was flown and met whatever was asked of it."""
         return self.not_flown == 0 and self.violation.events == 0
 
+    @check_arguments
     def of(self, figure: str, manoeuvre: str | None = None) -> RequirementStatistics:
         """Return the statistics of one requirement, over all manoeuvres by default.
 
@@ -145,6 +147,7 @@ class CampaignStatistics:
         raise ArgumentError(f"requirement: given {figure!r} of {manoeuvre or 'all manoeuvres'!r}; expected {asked}")
 
 
+@check_arguments
 def statistics(table: Table, limits: Limits, *, confidence: float = CONFIDENCE, worst: int = 10) -> CampaignStatistics:
     """Return what a campaign's table says about each requirement.
 

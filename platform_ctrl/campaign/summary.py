@@ -15,6 +15,7 @@ from platform_ctrl.campaign.table import Table
 from platform_ctrl.campaign.worst import RunFigure
 from platform_ctrl.check.records import plain
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import check_arguments
 
 Record = dict[str, Any]
 
@@ -52,6 +53,7 @@ class Summary:
         """Whether every run was flown and met whatever was asked of it."""
         return self.statistics.passed
 
+    @check_arguments
     def inputs_of(self, run: int) -> dict[str, float | bool | str]:
         """Return the inputs of one run by their names, in plain types.
 
@@ -73,6 +75,7 @@ class Summary:
         return {name: column[0].item() for name, column in self.plan.inputs(run, run + 1).items()}
 
 
+@check_arguments
 def summarised(
     plan: Plan, table: Table, *, confidence: float = CONFIDENCE, rare: tuple[RareResult, ...] = ()
 ) -> Summary:
@@ -115,6 +118,7 @@ def summarised(
     )
 
 
+@check_arguments
 def summary_record(summary: Summary) -> Record:
     """Return what campaign.json holds of a summary; None where a number is not finite.
 
@@ -128,9 +132,10 @@ def summary_record(summary: Summary) -> Record:
     dict
         `statistics`, `sensitivity`, `contrasts` and `rare`, in plain types.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

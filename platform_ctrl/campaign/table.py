@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.arguments import short
 from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.signatures import short
 
 # The figures of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
 FIGURES = {

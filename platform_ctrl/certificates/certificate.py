@@ -29,6 +29,7 @@ from platform_ctrl.certificates.closed_loop import BallSystem, ClosedLoop, is_ma
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.rounding import at_least, at_most
+from platform_ctrl.signatures import check_arguments
 
 Claim = Literal["stability", "norm", "h2", "region"]
 
@@ -131,6 +132,7 @@ class Certificate:
         where = f"every system between {many} vertices" if many > 1 else "the closed loop"
         return f"{where}{f' ({label})' if label else ''} of order {order} is {text}"
 
+    @check_arguments
     def verify(self, precision: int = 128) -> Verification:
         """Prove the claim in ball arithmetic, or say what fails; a false or a senseless certificate never raises.
 
@@ -319,6 +321,7 @@ def _energy_left(system: BallSystem, X: Balls, bound: float, dt: float) -> Balls
     return flint.arb_mat([[flint.arb(bound) ** 2 - energy]])
 
 
+@check_arguments
 def proved(certificate: Certificate, problem: object = None) -> Certificate:
     """Return `certificate` if it verifies.
 

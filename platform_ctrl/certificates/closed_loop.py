@@ -11,6 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.certificates.balls import Balls, balls, blocks, identity
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 
 class BallSystem(NamedTuple):
@@ -182,6 +183,7 @@ def matrices_of(
     return StateArrays(state, inputs, outputs, direct, period)
 
 
+@check_arguments
 def static_gain(gain: FloatArray, dt: float) -> StateArrays:
     """Return u = gain y as a controller without states.
 
@@ -197,18 +199,22 @@ def static_gain(gain: FloatArray, dt: float) -> StateArrays:
     StateArrays
         With D alone.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        `gain` is no matrix.
 
     References
     ----------
     Textbook definition.
     """
+    if gain.ndim != 2:
+        raise ArgumentError(f"static_gain: gain must be a matrix, got shape {gain.shape}")
     q, p = gain.shape
     return StateArrays(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((q, 0)), gain, dt)
 
 
+@check_arguments
 def closed(
     system: StateArrays, controller: StateArrays | None = None, label: str = "", where: str = "certificate"
 ) -> ClosedLoop:

@@ -22,6 +22,7 @@ from platform_ctrl.certificates.closed_loop import ClosedLoop, closed, matrices_
 from platform_ctrl.certificates.precise import modes, stabilising
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, PlatformCtrlError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 # Shares of the true decay rate that are claimed, and how far above the true norm: the first that can be proved.
 _SHARES = (0.99, 0.9, 0.5, 0.1)
@@ -59,6 +60,7 @@ def found_in_doubles(make: Callable[Given, Certificate]) -> Callable[Given, Cert
     return made
 
 
+@check_arguments
 @found_in_doubles
 def stability_certificate(
     A: ArrayLike,
@@ -136,6 +138,7 @@ def stability_certificate(
     )
 
 
+@check_arguments
 @found_in_doubles
 def norm_certificate(
     A: ArrayLike,
@@ -191,6 +194,7 @@ def norm_certificate(
     return _norm_proved("norm", norm, gamma, loop, system, _bounded_real)
 
 
+@check_arguments
 @found_in_doubles
 def h2_certificate(
     A: ArrayLike,

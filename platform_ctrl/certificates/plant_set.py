@@ -8,10 +8,12 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.certificates.certificate import Certificate
 from platform_ctrl.certificates.makers import norm_certificate, stability_certificate
-from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 
+@check_arguments
 def plant_set_certificates(
     plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, asked: FloatArray
 ) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
@@ -47,6 +49,9 @@ def plant_set_certificates(
 
     See docs/certificates.md.
     """
+    for name, numbers in (("decay", decay), ("margin", margin), ("asked", asked)):
+        if numbers.shape != (len(plants.labels),):
+            raise ArgumentError(f"plant_set_certificates: {name} must be ({len(plants.labels)},), got {numbers.shape}")
     proved: list[Certificate] = []
     unproved: list[str] = []
     for k in np.flatnonzero(decay > 0.0):
@@ -75,6 +80,7 @@ def plant_set_certificates(
     return tuple(proved), tuple(unproved)
 
 
+@check_arguments
 def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
     """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
 

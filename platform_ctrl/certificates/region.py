@@ -11,8 +11,10 @@ from platform_ctrl.certificates.closed_loop import closed, matrices_of
 from platform_ctrl.certificates.makers import found_in_doubles
 from platform_ctrl.certificates.precise import real_modes
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
+from platform_ctrl.signatures import check_arguments
 
 
+@check_arguments
 @found_in_doubles
 def region_certificate(
     A: ArrayLike,

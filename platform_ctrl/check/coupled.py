@@ -26,6 +26,7 @@ from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.requirements import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.rounding import at_most
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as linear_state_space
 from platform_ctrl.state_space import subsystems
 
@@ -85,6 +86,7 @@ class CoupledCheck:
         return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
 
 
+@check_arguments
 def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
     """Close `controllers` around the coupled sampled model and hold the job's limits against it.
 

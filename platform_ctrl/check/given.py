@@ -23,6 +23,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import Job, LoopSpec
 from platform_ctrl.reading.json_file import finite, read_json
 from platform_ctrl.reading.mistakes import given, one_line, suggestion
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 MOST_STATES = 1000
 
 
+@check_arguments
 def read_controllers(
     source: str | os.PathLike[str] | Mapping[str, Any], job: Job, key: str = "controllers"
 ) -> list[control.StateSpace]:
@@ -206,6 +208,7 @@ class _Entry:
         return out
 
 
+@check_arguments
 def outcomes_from(
     job: Job, controllers: Sequence[control.StateSpace], alternatives: Sequence[control.StateSpace] = ()
 ) -> tuple[LoopOutcome, ...]:

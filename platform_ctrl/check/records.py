@@ -21,6 +21,7 @@ from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job import Job
 from platform_ctrl.requirements import CheckResult
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 SCHEMA = 1
@@ -28,6 +29,7 @@ SCHEMA = 1
 Record = dict[str, Any]
 
 
+@check_arguments
 def result_record(result: JobResult) -> Record:
     """Return what a job came to in plain types: the content of ``result.json``.
 
@@ -43,9 +45,10 @@ def result_record(result: JobResult) -> Record:
     dict
         Keys as in ``result.json``, numbers in SI units.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -101,6 +104,7 @@ def versions() -> dict[str, str]:
     return own | {name: metadata.version(name) for name in used}
 
 
+@check_arguments
 def write_record(record: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
     """Write `record` as JSON, whole or not at all: what stood at `path` stays until the new file is complete.
 

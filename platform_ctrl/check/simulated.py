@@ -10,6 +10,7 @@ import numpy as np
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.requirements import CheckResult, Requirement
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation import Trajectory, acting, flight
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Run:
     results: tuple[CheckResult, ...]
 
 
+@check_arguments
 def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
     """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
 
@@ -71,6 +73,7 @@ def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
 
 
+@check_arguments
 def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     """Return the run's figures by the names of the limits, each with the signal that it belongs to.
 
@@ -89,9 +92,10 @@ def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
     dict
         Figure and signal by name; rad, rad and a share.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -13,6 +13,7 @@ from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.requirements import CheckResult
+from platform_ctrl.signatures import check_arguments
 
 Progress = Callable[[str], None]
 
@@ -58,6 +59,7 @@ class JobResult:
         return all(result.passed or not result.hard for result in self.requirements)
 
 
+@check_arguments
 def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
     """Close the chosen designs of `loops`, check the whole, and return the verdict.
 

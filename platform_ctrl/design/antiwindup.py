@@ -20,6 +20,7 @@ from platform_ctrl.design.antiwindup_lmi import InvariantEllipsoid, below_the_li
 from platform_ctrl.design.antiwindup_loop import LimitedLoop
 from platform_ctrl.errors import InfeasibleError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -97,6 +98,7 @@ class AntiWindup:
     verification: Verification
 
 
+@check_arguments
 def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> SurvivedOmega:
     """Return the largest Omega for which the loop provably keeps within its stops and returns.
 
@@ -145,6 +147,7 @@ def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: f
     return SurvivedOmega(Omega=best.Omega, static_Omega=loop.static_Omega, ellipsoid=best, verification=shown)
 
 
+@check_arguments
 def anti_windup(
     loop: LimitedLoop, Omega: float = 0.0, shocks: ArrayLike | None = None, *, time_limit: float = 60.0
 ) -> AntiWindup:

@@ -15,6 +15,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import linearise
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ class LoopSurvival:
     spread_label: str
 
 
+@check_arguments
 def caging_loop_limits(
     job: Job,
     controller: StateSpace,
@@ -126,6 +128,7 @@ def caging_loop_limits(
     )
 
 
+@check_arguments
 def caging_survival(
     job: Job, controller: StateSpace, *, rise: float | None = None, axes: Sequence[int] = (1, 2, 3)
 ) -> tuple[LoopSurvival, ...]:

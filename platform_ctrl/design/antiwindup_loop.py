@@ -29,6 +29,7 @@ from platform_ctrl.analysis.sampled import held_input, sampled_arrays, with_lag
 from platform_ctrl.arguments import known_name, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -93,6 +94,7 @@ class LimitedLoop:
             shares = np.concatenate([self.limits / np.abs(self.u_steady), self.stops / np.abs(self.angle_steady)])
         return float(shares.min(initial=np.inf))
 
+    @check_arguments
     def impulse(self, control: str) -> FloatArray:
         """Return the state after a unit torque impulse where a control acts, behind its lag.
 
@@ -114,6 +116,7 @@ class LimitedLoop:
         return np.asarray(self.impulses[:, known_name("control", control, self.controls)])
 
 
+@check_arguments
 def limited_loop(
     plant: StateSpace,
     controller: StateSpace,

@@ -27,6 +27,7 @@ from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel, expect_model
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as model_state_space
 from platform_ctrl.state_space import whole_subsystems
 
@@ -113,6 +114,7 @@ class ComplexSystem:
         return state_space(arrays, self.inputs, self.outputs, self.states or None)
 
 
+@check_arguments
 def complex_plant(
     model: LinearModel,
     gimbals: Sequence[str],
@@ -204,6 +206,7 @@ def complex_plant(
     )
 
 
+@check_arguments
 def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArray:
     """Return the response at positive and negative frequencies.
 

@@ -30,6 +30,7 @@ from platform_ctrl.design.blocks import series
 from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_response, transfer
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -145,6 +146,7 @@ class ComplexLoop:
         )
 
 
+@check_arguments
 def complex_loop(
     plant: ComplexSystem,
     *,
@@ -232,6 +234,7 @@ def complex_loop(
     return ComplexLoop(plant=plant, controller=controller, real_controller=controller.real_system(), nyquist=curve)
 
 
+@check_arguments
 def two_sided_nyquist(
     plant: ComplexSystem, controller: ComplexSystem, frequency: ArrayLike | None = None
 ) -> TwoSidedNyquist:

@@ -26,6 +26,7 @@ from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with
 from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
 from platform_ctrl.errors import UnscalableError
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -39,6 +40,7 @@ NO_SOLUTION = (
 )
 
 
+@check_arguments
 def h2(
     P: StateSpace,
     nmeas: int,

@@ -14,6 +14,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.linearisation import linearise
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as linear_system
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class IntersampleGains:
     Omega_frequency: float | None
 
 
+@check_arguments
 def intersample_gains(job: Job, controller: control.StateSpace) -> IntersampleGains:
     """Return the gains of a caging loop around the job's plant at rest, between samples as at them.
 

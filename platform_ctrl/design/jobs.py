@@ -21,6 +21,7 @@ from platform_ctrl.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.linearisation import LinearModel, linearise
 from platform_ctrl.reading import read_job
 from platform_ctrl.requirements import hard_and_soft, loop_requirements
+from platform_ctrl.signatures import check_arguments
 
 Progress = Callable[[str], None]
 
@@ -58,6 +59,7 @@ class LoopOutcome:
         return tuple(design for design in self.designs if design.name != self.use)
 
 
+@check_arguments
 def loops(
     job: Job | str | os.PathLike[str] | Mapping[str, object], progress: Progress | None = None
 ) -> tuple[LoopOutcome, ...]:

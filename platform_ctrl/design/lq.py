@@ -29,6 +29,7 @@ from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.design.synthesis import Synthesis, certify
 from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -272,6 +273,7 @@ def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None 
     return _estimator(system, arrays, noise, "lqe")
 
 
+@check_arguments
 def lqg(
     system: StateSpace,
     Q1: ArrayLike,

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
-from platform_ctrl.arguments import short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     from control import StateSpace

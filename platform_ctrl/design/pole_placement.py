@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays, state_scaling
 from platform_ctrl.analysis.poles import pole_arrays
-from platform_ctrl.arguments import known_names, short
+from platform_ctrl.arguments import known_names
 from platform_ctrl.certificates import Certificate, stability_certificate, static_gain
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotStabilisableError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,6 +84,7 @@ class PolePlacement:
         return stability_certificate(A, dt, B=B[:, columns], C=np.eye(len(A)), controller=gain, label="state feedback")
 
 
+@check_arguments
 def pole_placement(system: control.StateSpace, poles: ArrayLike, inputs: Sequence[str] | None = None) -> PolePlacement:
     """Return the state feedback u = −K x that gives A − B K the wanted poles.
 

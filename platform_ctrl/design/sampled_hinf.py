@@ -30,6 +30,7 @@ from platform_ctrl.certificates import Certificate, stability_certificate
 from platform_ctrl.design.synthesis import HinfMethod, Synthesis, hinf
 from platform_ctrl.errors import ArgumentError, IllPosedError, InfeasibleError, NotCertifiedError
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -108,6 +109,7 @@ class SampledSynthesis:
         return stable, self.equivalent.certificate
 
 
+@check_arguments
 def sampled_hinf(
     P: StateSpace,
     nmeas: int,

@@ -22,7 +22,7 @@ import numpy as np
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.arguments import one_of, positive, short
+from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.certificates import Certificate, h2_certificate, norm_certificate
 from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
@@ -38,6 +38,7 @@ from platform_ctrl.design.partition import (
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     from control import StateSpace

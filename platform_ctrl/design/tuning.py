@@ -161,4 +161,5 @@ def _stable(measures: LoopMeasures, requirements: Sequence[LoopRequirement]) -> 
     """Return which plants have to be stable, (N,): those with a fault only where something is asked of them."""
     if any("faults" in requirement.over for requirement in requirements):
         return np.ones(len(measures.groups), dtype=np.bool_)
-    return np.logical_not(measures.of(("faults",)))
+    out: BoolArray = np.logical_not(measures.of(("faults",)))
+    return out

@@ -6,10 +6,11 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-from platform_ctrl.arguments import known_name, short
+from platform_ctrl.arguments import known_name
 from platform_ctrl.designer.values import Group, Knob, Settings
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import short
 
 # A slider goes this factor to both sides of where it started.
 _REACH = 20.0

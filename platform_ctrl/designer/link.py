@@ -10,11 +10,11 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.arguments import short
 from platform_ctrl.designer.controllers import OPTIONAL
 from platform_ctrl.designer.knobs import KINDS
 from platform_ctrl.designer.values import Conditions, Settings
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     from platform_ctrl.designer.workbench import Workbench

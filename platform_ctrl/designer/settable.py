@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from platform_ctrl.arguments import known_name, short
+from platform_ctrl.arguments import known_name
 from platform_ctrl.designer.closing import Closing
 from platform_ctrl.designer.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.designer.knobs import KINDS, PARTS, moved, option_knobs, plant_knobs
@@ -13,6 +13,7 @@ from platform_ctrl.designer.values import Knob, Offer, Part, Settings
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job import Job
 from platform_ctrl.reading import read_job
+from platform_ctrl.signatures import short
 
 
 class Settable:

@@ -20,6 +20,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Faults, Job, Spread
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.report.loop_responses import following_grid
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class ResponseTable:
     notes: tuple[str, ...]
 
 
+@check_arguments
 def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[LinearSystem, ...]:
     """Return a job's controllers with units and delay.
 
@@ -80,6 +82,7 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
     return tuple(linear_system(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
 
 
+@check_arguments
 def model_systems(job: Job) -> tuple[LinearSystem, ...]:
     """Return the linear models of a job's plant about rest.
 
@@ -118,6 +121,7 @@ def model_systems(job: Job) -> tuple[LinearSystem, ...]:
     return tuple(out)
 
 
+@check_arguments
 def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[ResponseTable, ...]:
     """Return the frequency responses of a job: plants, controllers and loops.
 

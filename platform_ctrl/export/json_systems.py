@@ -13,6 +13,7 @@ from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expec
 from platform_ctrl.reading.json_file import read_json
 from platform_ctrl.reading.mistakes import given
 from platform_ctrl.reading.source import path_of
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _EXPECTED = "a JSON file with systems or controllers"
 
 
+@check_arguments
 def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> Path:
     """Write systems as JSON, whole or not at all.
 
@@ -51,6 +53,7 @@ def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str])
     return write_whole(path, laid_out(plain({"schema": SCHEMA, "systems": [_entry(one) for one in systems]})) + "\n")
 
 
+@check_arguments
 def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.PathLike[str], *, delay: float) -> Path:
     """Write controllers as ``check``, ``simulate`` and ``campaign`` read them, whole or not at all.
 

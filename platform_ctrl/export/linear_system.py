@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
-from platform_ctrl.arguments import positive, short
+from platform_ctrl.arguments import positive
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.reading.json_file import finite
 from platform_ctrl.reading.mistakes import given, one_line
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -72,6 +73,7 @@ class LinearSystem:
         return state_space(arrays, self.inputs, self.outputs, self.states, name=self.name)
 
 
+@check_arguments
 def linear_system(
     system: control.StateSpace,
     name: str | None = None,

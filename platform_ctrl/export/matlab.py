@@ -18,6 +18,7 @@ from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expec
 from platform_ctrl.export.mat_elements import HEADER_LENGTH, structs
 from platform_ctrl.reading.mistakes import one_line
 from platform_ctrl.reading.source import MOST_OF_ANY, path_of
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 # The text at the head of the file, in place of the date that would make every file another one.
@@ -34,6 +35,7 @@ _FIELDS = {
 _EXPECTED = "a MAT file (save -v7) with structs of A, B, C, D"
 
 
+@check_arguments
 def write_mat(systems: Sequence[LinearSystem], path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write systems as a MATLAB 5 file, whole or not at all.
 

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis import frequency_response
-from platform_ctrl.arguments import one_of, short
+from platform_ctrl.arguments import one_of
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.signatures import check_arguments, short
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def response_data(system: control.StateSpace, frequency: ArrayLike) -> control.F
     return control.FRD(response, np.atleast_1d(np.asarray(frequency, dtype=np.float64)), system.dt or 0.0, **names)
 
 
+@check_arguments
 def write_responses(
     response: control.FRD, path: str | os.PathLike[str], *, form: Form = "complex", notes: Sequence[str] = ()
 ) -> Path:

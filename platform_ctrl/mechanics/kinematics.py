@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 
 @value
@@ -172,6 +173,7 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
     return out
 
 
+@check_arguments
 def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     """Return the directions of everything at given angles.
 
@@ -190,7 +192,7 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     Raises
     ------
     ArgumentError
-        Not a platform, or the gimbals carry each other in a ring.
+        Not a platform, the gimbals carry each other in a ring, or `q` has another shape.
 
     References
     ----------
@@ -198,6 +200,8 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     """
     tree = topology(platform)
     n = len(tree.parents)
+    if q.shape != (n,):
+        raise ArgumentError(f"kinematics: q must be ({n},), got {q.shape}")
     turned = cross_matrix(tree.axes)
     sine, cosine = np.sin(q)[:, None, None], np.cos(q)[:, None, None]
     own = np.eye(3) + sine * turned + (1.0 - cosine) * (turned @ turned)

@@ -21,6 +21,7 @@ from platform_ctrl.linearisation import Terms, linearise
 from platform_ctrl.parameter_varying.coefficients import acceleration_part, inertia_part, rotor_part
 from platform_ctrl.parameter_varying.model import AffineModel, Form, FrozenRows, FrozenSystem, ParameterVaryingModel
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial, monomial_values, polynomial, total
+from platform_ctrl.signatures import check_arguments
 
 __all__ = [
     "AffineModel",
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 
+@check_arguments
 def parameter_varying(
     platform: Platform,
     gimbals: Sequence[str] | None = None,

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.arguments import distinct, real_array, short
+from platform_ctrl.arguments import distinct, real_array
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import Terms
 from platform_ctrl.mechanics.regularity import inverse_inertia
 from platform_ctrl.parameter_varying.polynomial import MatrixPolynomial, monomial_values, polynomial, product, total
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -320,6 +321,7 @@ class ParameterVaryingModel:
             momenta = momenta + _momentum_slope(self).at(rate) @ angles + self.M_Omega @ rate
         return np.concatenate([angles, momenta])
 
+    @check_arguments
     def rhs(
         self, t: float, x: ArrayLike, Omega: Signal, Omega_dot: Signal | None = None, Q: Signal | None = None
     ) -> FloatArray:

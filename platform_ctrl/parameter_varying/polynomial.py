@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.arguments import known_name, real_array
 from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 
 _VARIABLES = (*OMEGA_NAMES, *(f"{name}'" for name in OMEGA_NAMES))
 
@@ -97,6 +98,7 @@ class MatrixPolynomial:
         return np.zeros(self.coefficients.shape[1:])
 
 
+@check_arguments
 def monomial_values(
     monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
 ) -> FloatArray:

@@ -12,6 +12,7 @@ from platform_ctrl.arguments import nearest
 from platform_ctrl.description import OMEGA_NAMES, Platform
 from platform_ctrl.frozen import value
 from platform_ctrl.scenario import FAULT_KEYS, Fault, Scenario
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
 
 _SENSOR = {"noise_rms": NOT_NEGATIVE, "noise_bandwidth_hz": POSITIVE, "quantisation": NOT_NEGATIVE}
@@ -107,6 +108,7 @@ class Parameter:
     factor: bool = False
 
 
+@check_arguments
 def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Parameter]:
     """Return what may be varied, by its path.
 
@@ -122,9 +124,10 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
     dict
         What the number is and what it may be, by its path.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

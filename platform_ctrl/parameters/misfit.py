@@ -8,9 +8,11 @@ from collections.abc import Iterator, Sequence
 from platform_ctrl.parameters.known import Parameter, nominal, parameters, unknown_parameter
 from platform_ctrl.parameters.varied import drawn_value
 from platform_ctrl.scenario import Fault, Scenario
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.variation import Vary
 
 
+@check_arguments
 def misfits(
     varied: Sequence[Vary], scenarios: Sequence[Scenario], faults: Sequence[Fault]
 ) -> Iterator[tuple[int, str, str]]:

@@ -12,8 +12,10 @@ from platform_ctrl.force_elements import Unbalance
 from platform_ctrl.frozen import replaced
 from platform_ctrl.parameters.known import Parameter, in_manoeuvre
 from platform_ctrl.scenario import Fault, Scenario
+from platform_ctrl.signatures import check_arguments
 
 
+@check_arguments
 def varied_scenario(
     scenario: Scenario,
     drawn: Sequence[tuple[Parameter, float, bool]],
@@ -39,9 +41,10 @@ def varied_scenario(
     Scenario
         A new one.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

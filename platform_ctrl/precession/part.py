@@ -11,6 +11,7 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.precession.choice import Choice
 from platform_ctrl.precession.reduction import ComplexArray, Reduction, Scaled, distance
+from platform_ctrl.signatures import check_arguments
 
 
 @value
@@ -145,6 +146,7 @@ class PrecessionPart:
         """Frequency above which what is dropped comes too near, rad/s; infinite where nothing is dropped."""
         return float(self.nutation.min(initial=np.inf)) / self.required_separation
 
+    @check_arguments
     def error(self, frequency: ArrayLike, momentum_states: bool = False, each_direction: bool = False) -> FloatArray:
         """Return the relative error of this subsystem's model: see `Precession.error`.
 

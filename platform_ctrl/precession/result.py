@@ -14,6 +14,7 @@ from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.precession.admissibility import judged
 from platform_ctrl.precession.part import PrecessionPart
 from platform_ctrl.precession.signals import system
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import gimbal_torquers, subsystems, whole_subsystems
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ class Precession:
         """How many momentum states cure all subsystems; 0 where precession theory is admissible."""
         return sum(part.momentum_directions.shape[1] for part in self.parts)
 
+    @check_arguments
     def part(self, gimbal: str) -> PrecessionPart:
         """Return the test of the subsystem that the named gimbal belongs to.
 
@@ -85,6 +87,7 @@ class Precession:
         known_name("gimbal", gimbal, self.gimbals)
         return next(part for part in self.parts if gimbal in part.gimbals)
 
+    @check_arguments
     def state_space(self, momentum_states: bool = False) -> control.StateSpace:
         """Return the precession model as a state-space system, proper and without the derivative of Omega.
 
@@ -169,6 +172,7 @@ class Precession:
         return "\n".join(lines)
 
 
+@check_arguments
 def precession(
     model: LinearModel,
     gimbals: Sequence[str] | None = None,

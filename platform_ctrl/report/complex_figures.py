@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import short
 from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -29,6 +28,7 @@ from platform_ctrl.report.style import (
     standalone,
 )
 from platform_ctrl.rounding import at_least
+from platform_ctrl.signatures import short
 
 # Half width of the close view about −1, and of the wide one.
 _CLOSE, _WIDE = 1.8, 6.0

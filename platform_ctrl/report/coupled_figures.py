@@ -34,12 +34,14 @@ from platform_ctrl.report.style import (
     panels,
 )
 from platform_ctrl.rounding import at_least
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as linear_state_space
 
 if TYPE_CHECKING:
     import control
 
 
+@check_arguments
 def coupled_pole_figure(result: JobResult) -> Figure:
     """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below.
 
@@ -53,9 +55,10 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     matplotlib.figure.Figure
         Two panels.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -87,6 +90,7 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     return figure
 
 
+@check_arguments
 def margin_bars_figure(check: CoupledCheck) -> Figure:
     """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system.
 
@@ -100,9 +104,10 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     matplotlib.figure.Figure
         One panel.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -131,6 +136,7 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     return figure
 
 
+@check_arguments
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
     """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded.
 
@@ -146,9 +152,10 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     matplotlib.figure.Figure
         One panel.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -192,6 +199,7 @@ def coupled_grid(result: JobResult) -> FloatArray:
     return following_grid(s, low, 0.999 * nyquist)
 
 
+@check_arguments
 def servo_figure(result: JobResult) -> Figure | None:
     """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer.
 
@@ -205,9 +213,10 @@ def servo_figure(result: JobResult) -> Figure | None:
     matplotlib.figure.Figure or None
         A column for each root torquer.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -240,6 +249,7 @@ def servo_figure(result: JobResult) -> Figure | None:
     return figure
 
 
+@check_arguments
 def platform_disturbance_figure(result: JobResult) -> Figure:
     """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all.
 
@@ -253,9 +263,10 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     matplotlib.figure.Figure
         Two panels; one where there are no gimbals.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

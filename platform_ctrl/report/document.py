@@ -27,6 +27,7 @@ from platform_ctrl.report.record import versions
 from platform_ctrl.report.rendering import html
 from platform_ctrl.report.survival import survival
 from platform_ctrl.report.verdict_words import opening
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from platform_ctrl.report.loop_responses import LoopResponses
 
 
+@check_arguments
 def write_page(
     result: JobResult | Document,
     path: str | os.PathLike[str],
@@ -77,6 +79,7 @@ def write_page(
     return write_whole(path, page(result, command=command, campaign=campaign, again=again))
 
 
+@check_arguments
 def page(
     result: JobResult | Document,
     *,
@@ -96,9 +99,10 @@ def page(
     str
         The whole file, without links to anything outside.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -107,6 +111,7 @@ def page(
     return html(prepared(result, command=command, campaign=campaign, again=again))
 
 
+@check_arguments
 def prepared(
     result: JobResult | Document,
     *,
@@ -126,9 +131,10 @@ def prepared(
     Document
         Sections with text, tables and figures.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -33,6 +33,7 @@ from platform_ctrl.report.style import (
     line_style,
     panels,
 )
+from platform_ctrl.signatures import check_arguments
 
 # With more designs than this only the closed one shows all its singular values.
 _ALL_LINES = 2
@@ -40,6 +41,7 @@ _ALL_LINES = 2
 _ONE_ROW = 4
 
 
+@check_arguments
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin.
 
@@ -55,9 +57,10 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     matplotlib.figure.Figure
         Panels side by side.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -99,6 +102,7 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     return figure
 
 
+@check_arguments
 def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...], nutation: float) -> Figure:
     """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel.
 
@@ -118,9 +122,10 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     matplotlib.figure.Figure
         Singular values above the channels.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -162,6 +167,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     return figure
 
 
+@check_arguments
 def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for.
 
@@ -177,9 +183,10 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     matplotlib.figure.Figure
         Panels side by side.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -18,6 +18,7 @@ from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.errors import InputError, TypesettingError
 from platform_ctrl.report.content import Document, Listing, Plate
 from platform_ctrl.report.document import prepared
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _DEFINED = re.compile(r"--([a-z0-9-]+): (#[0-9a-f]{6})")
 _FIGURE_FONT = "DejaVu Sans"
 
 
+@check_arguments
 def write_pdf(
     result: JobResult | Document,
     path: str | os.PathLike[str],
@@ -74,6 +76,7 @@ def write_pdf(
     return write_whole(path, pdf(result, command=command, campaign=campaign, again=again))
 
 
+@check_arguments
 def pdf(
     result: JobResult | Document,
     *,

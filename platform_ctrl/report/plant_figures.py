@@ -11,6 +11,7 @@ from platform_ctrl.report.plots.campbell import campbell
 from platform_ctrl.report.price import bandwidth_hz
 from platform_ctrl.report.quantities import quantity
 from platform_ctrl.report.style import BAND, MUTED, REFERENCE
+from platform_ctrl.signatures import check_arguments
 
 # Range of the speed, as a factor.
 _SPINS = (0.0, 1.5)
@@ -18,6 +19,7 @@ _SPINS = (0.0, 1.5)
 _APART = 0.05
 
 
+@check_arguments
 def nutation_figure(result: JobResult) -> Figure | None:
     """Natural frequencies at rest over the rotors' speed (all alike); None for a plant without nutation.
 
@@ -33,9 +35,10 @@ def nutation_figure(result: JobResult) -> Figure | None:
     matplotlib.figure.Figure or None
         One panel.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -24,10 +24,12 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
+from platform_ctrl.signatures import check_arguments
 
 _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
+@check_arguments
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
     """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses).
 
@@ -47,9 +49,10 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     matplotlib.figure.Figure
         The upper half plane.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------
@@ -79,6 +82,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     return figure
 
 
+@check_arguments
 def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
     """Poles of the closed design while its gain goes from 0 to twice its value.
 
@@ -98,9 +102,10 @@ def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period:
     matplotlib.figure.Figure
         The upper half plane.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -24,6 +24,7 @@ from platform_ctrl.report.style import (
     panels,
     signal_style,
 )
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation import Trajectory
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
@@ -34,6 +35,7 @@ _WILD = 5.0
 _TINY = 1e-5
 
 
+@check_arguments
 def run_figure(run: Run, platform: Platform) -> Figure:
     """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude.
 
@@ -49,9 +51,10 @@ def run_figure(run: Run, platform: Platform) -> Figure:
     matplotlib.figure.Figure
         Panels above each other.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

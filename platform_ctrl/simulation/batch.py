@@ -16,6 +16,7 @@ from platform_ctrl.description import Platform, RateSensor
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import Mode, Scenario
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.background import heeding_interrupts
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.flight_plan import (
@@ -85,6 +86,7 @@ class Figures:
         )
 
 
+@check_arguments
 def fly(
     scenarios: Sequence[Scenario],
     controllers: Sequence[control.StateSpace],
@@ -185,6 +187,7 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     )
 
 
+@check_arguments
 def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: Mode) -> list[control.StateSpace]:
     """Return the controllers that act in a mode: caged, those on the root do not.
 
@@ -202,9 +205,10 @@ def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: 
     list of control.StateSpace
         In the given order.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
 
     References
     ----------

@@ -13,6 +13,7 @@ from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import HalfCosine, Mode, Scenario
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.batch import merged, recorded
 from platform_ctrl.simulation.flight_plan import prepared
@@ -99,6 +100,7 @@ class Trajectory:
         return np.asarray(toward[:, 1:] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0))
 
 
+@check_arguments
 def simulate(
     platform: Platform,
     controllers: Sequence[control.StateSpace],
@@ -217,6 +219,7 @@ def simulate(
     return flight(scenario, controllers, period=period, step=longest, noise=noise)
 
 
+@check_arguments
 def flight(
     scenario: Scenario,
     controllers: Sequence[control.StateSpace],

@@ -12,6 +12,7 @@ from platform_ctrl.arguments import positive, real_array, whole
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.attitude import unit_quaternions
 from platform_ctrl.simulation.device import Device, expect_device, processors, roll_out
 from platform_ctrl.simulation.packing import pack
@@ -60,6 +61,7 @@ class Rollout:
     spin_history: FloatArray
 
 
+@check_arguments
 def rollout(
     platform: Platform,
     q: ArrayLike,

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from platform_ctrl.arguments import one_of, positive, real_array, short, whole
+from platform_ctrl.arguments import one_of, positive, real_array, whole
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import FAULT_KEYS, Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.signatures import short
 
 # Numbers of a fault that divide, or would stand still at zero.
 _POSITIVE = ("time_constant", "frequency_hz")

@@ -16,6 +16,7 @@ from platform_ctrl.arguments import real_array, whole
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import Scenario
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.batch import columns_of_record, merged
 from platform_ctrl.simulation.closed_loop import Trajectory, trajectory_of
 from platform_ctrl.simulation.flight_plan import batch, prepared
@@ -79,6 +80,7 @@ class Stepper:
     See docs/simulation.md.
     """
 
+    @check_arguments
     def __init__(
         self,
         scenario: Scenario,
@@ -283,6 +285,7 @@ class Stepper:
         inputs = (self._reached, self._slope, self._torque, self._gimbal_torque)
         return np.concatenate([head, *inputs, self._memory[:, 0], self._row[0] if len(self._row) else []])
 
+    @check_arguments
     def restore(self, snapshot: ArrayLike) -> None:
         """Go back, or on, to where a snapshot of a run like this one was taken.
 

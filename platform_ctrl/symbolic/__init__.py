@@ -62,8 +62,9 @@ def equations(
 
     See docs/the-paper.md.
     """
-    from platform_ctrl.arguments import one_of, short
+    from platform_ctrl.arguments import one_of
     from platform_ctrl.description import expect_platform
+    from platform_ctrl.signatures import short
 
     expect_platform(platform)
     one_of("form", form, FORMS)

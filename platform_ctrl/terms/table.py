@@ -9,6 +9,7 @@ from platform_ctrl.arguments import known_name, known_names
 from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.greek import padded, width
+from platform_ctrl.signatures import check_arguments
 
 Kind = Literal[
     "nutation",
@@ -146,6 +147,7 @@ class TermTable:
     accelerations: FloatArray
     terms: tuple[Term, ...]
 
+    @check_arguments
     def of(self, gimbal: str) -> tuple[Term, ...]:
         """Return the terms of the named gimbal's equation.
 
@@ -177,6 +179,7 @@ class TermTable:
         """
         return tuple(sorted((term for term in self.terms if not term.kept), key=lambda term: -term.size))
 
+    @check_arguments
     def text(self, gimbals: Sequence[str] | None = None, smallest: float = 0.0) -> str:
         """Return the table as aligned text.
 

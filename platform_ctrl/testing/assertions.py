@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from platform_ctrl.arguments import short
 from platform_ctrl.baselines import Comparison, Update, compare, plot_beside, read_baseline, update_baseline
 from platform_ctrl.baselines.file import remove_plot
 from platform_ctrl.check import JobResult
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.failure_text import failure_text, missed_text, requirement_text
 from platform_ctrl.requirements import CheckResult
+from platform_ctrl.signatures import check_arguments, short
 
 
+@check_arguments
 def assert_requirements(result: JobResult, *, goals: bool = False) -> None:
     """Assert that every requirement of a job is met.
 
@@ -54,6 +55,7 @@ def assert_met(one: CheckResult) -> None:
         raise AssertionError(f"{requirement_text(one)}\n  {one.evidence}")
 
 
+@check_arguments
 def assert_baseline(
     result: JobResult,
     file: str | os.PathLike[str],

@@ -36,6 +36,7 @@ from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscal
 from platform_ctrl.errors import DesignError, NotCertifiedError
 from platform_ctrl.frozen import value
 from platform_ctrl.requirements import CheckResult, LoopRequirement
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -107,6 +108,7 @@ class Multiobjective:
         return max(soft or [outcome.ratio for outcome in self.outcomes], default=0.0)
 
 
+@check_arguments
 def multiobjective(
     P: StateSpace,
     nmeas: int,

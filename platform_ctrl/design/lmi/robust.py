@@ -38,6 +38,7 @@ from platform_ctrl.design.scaling import require_stabilisable, unscale
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import CheckResult, LoopRequirement
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -97,6 +98,7 @@ class _Found(NamedTuple):
     ratio: float
 
 
+@check_arguments
 def robust(
     plants: Sequence[StateSpace],
     nmeas: int,

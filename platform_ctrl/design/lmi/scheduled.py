@@ -24,6 +24,7 @@ from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import NotCertifiedError, UnscalableError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.parameter_varying import monomial_values
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -146,6 +147,7 @@ class Scheduled:
         return _combined(self.plants, self.box.shares(parameters))
 
 
+@check_arguments
 def scheduled(
     plant: Callable[[FloatArray], StateSpace],
     names: Sequence[str],

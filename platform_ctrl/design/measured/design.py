@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_space
-from platform_ctrl.arguments import positive, short
+from platform_ctrl.arguments import positive
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.design.measured.limits import Bound, ratios
 from platform_ctrl.design.measured.pid import Pattern, controller_response, masks, realisation
@@ -25,6 +25,7 @@ from platform_ctrl.design.measured.restriction import Sample
 from platform_ctrl.design.measured.search import Search
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -113,6 +114,7 @@ class MeasuredDesign:
     ended: str
 
 
+@check_arguments
 def measured_pid(
     measurement: control.FRD | Sequence[control.FRD],
     *,

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import short
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import short
 
 # A number, or its value over frequencies in rad/s.
 Bound = float | Callable[[FloatArray], FloatArray]

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import positive, short
+from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control

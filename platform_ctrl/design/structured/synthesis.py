@@ -29,6 +29,7 @@ from platform_ctrl.design.synthesis import require_time_limit
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotFoundError, TimeLimitError, TimeLimitWarning
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.requirements import LoopRequirement
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -57,6 +58,7 @@ class _Task:
     decay: float
 
 
+@check_arguments
 def structured(
     plants: StateSpace | Sequence[StateSpace],
     nmeas: int,

@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from platform_ctrl.arguments import short
 from platform_ctrl.errors import InputError
 from platform_ctrl.frozen import value
+from platform_ctrl.signatures import short
 
 # Characters of a message, sliders moved by one, and the largest count of either.
 LONGEST = 20_000

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from platform_ctrl.arguments import known_name, known_names, short, whole
+from platform_ctrl.arguments import known_name, known_names, whole
 from platform_ctrl.errors import InputError
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     from platform_ctrl.designer.values import Settings

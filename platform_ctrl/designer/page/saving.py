@@ -6,8 +6,8 @@ import re
 import shlex
 from pathlib import Path
 
-from platform_ctrl.arguments import short
 from platform_ctrl.errors import InputError
+from platform_ctrl.signatures import short
 
 # A name and no path; nothing that a system keeps to itself.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays
-from platform_ctrl.arguments import short
 from platform_ctrl.check.given import read_controllers
 from platform_ctrl.check.records import SCHEMA
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.job import Job
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control

@@ -22,6 +22,7 @@ from platform_ctrl.export.code.windup import Windup, back_calculation, proved
 from platform_ctrl.frozen import value
 from platform_ctrl.job import Job
 from platform_ctrl.rounding import at_most
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ class Written:
     notes: tuple[str, ...] = ()
 
 
+@check_arguments
 def write_c(
     job: Job,
     entries: Sequence[Mapping[str, Any] | control.StateSpace],

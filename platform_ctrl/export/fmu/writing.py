@@ -25,6 +25,7 @@ from platform_ctrl.export.json_systems import write_controllers
 from platform_ctrl.job import Job
 from platform_ctrl.report.record import job_data, plant_data, toml
 from platform_ctrl.scenario import Mode
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.batch import acting, merged
 from platform_ctrl.writing import write_whole
 
@@ -55,6 +56,7 @@ class Unit(PlatformSlave, Fmi3Slave):
 '''
 
 
+@check_arguments
 def write_fmu(
     job: Job,
     controllers: Sequence[control.StateSpace],

@@ -19,6 +19,7 @@ from platform_ctrl.frozen import FloatArray
 from platform_ctrl.reading import read_platform
 from platform_ctrl.reading.mistakes import given, one_line
 from platform_ctrl.reading.source import path_of, read_text
+from platform_ctrl.signatures import check_arguments
 
 Tables = dict[str, Any]
 
@@ -30,6 +31,7 @@ _ROTOR = "rotor "
 _ROUNDING = 1e-9
 
 
+@check_arguments
 def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = None) -> Platform:
     """Read a plant from a MuJoCo model.
 

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
-from platform_ctrl.arguments import one_of, positive, short
+from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.bodies import Placed, children, placed, rotor_mass, rotors_on
@@ -23,6 +23,7 @@ from platform_ctrl.export.mujoco.shapes import (
     text,
 )
 from platform_ctrl.frozen import FloatArray
+from platform_ctrl.signatures import check_arguments, short
 from platform_ctrl.writing import write_whole
 
 Root = Literal["free", "prescribed", "fixed"]
@@ -33,6 +34,7 @@ REGULATED = 1e11
 PRESCRIBED = 1e11
 
 
+@check_arguments
 def write_mjcf(
     platform: Platform, path: str | os.PathLike[str], *, root: Root = "free", step: float = 1e-4
 ) -> tuple[str, ...]:

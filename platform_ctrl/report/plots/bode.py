@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import known_name, short
+from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import value
 from platform_ctrl.greek import greek
@@ -33,6 +33,7 @@ from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, SERIES, standalone
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -50,6 +51,7 @@ class _Block:
     curves: tuple[Curve, ...]
 
 
+@check_arguments
 @standalone
 def bode(
     systems: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],

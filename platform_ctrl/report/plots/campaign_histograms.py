@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from platform_ctrl.arguments import one_of, short
+from platform_ctrl.arguments import one_of
 from platform_ctrl.campaign.engine import Campaigned
 from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
@@ -18,6 +18,7 @@ from platform_ctrl.campaign.table import FIGURES, Table
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.campaign_figures import asked, histograms
 from platform_ctrl.report.style import standalone
+from platform_ctrl.signatures import short
 
 _COLUMNS = 3
 

@@ -35,6 +35,7 @@ from platform_ctrl.report.style import (
     panels,
     standalone,
 )
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space, subsystems, whole_subsystems
 
 # Speeds at which the modes are worked out, at least.
@@ -68,6 +69,7 @@ class SpinMode:
     nominal: float
 
 
+@check_arguments
 @standalone
 def campbell(
     platform: Platform,

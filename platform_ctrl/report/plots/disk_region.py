@@ -35,6 +35,7 @@ from platform_ctrl.report.plots.systems import (
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone
 from platform_ctrl.rounding import at_least, at_most
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -58,6 +59,7 @@ class _Region:
     margin: DiskMargin | None
 
 
+@check_arguments
 @standalone
 def disk_margin_region(
     margins: float | LinearSystem | Sequence[float | LinearSystem] | Mapping[str, float | LinearSystem],

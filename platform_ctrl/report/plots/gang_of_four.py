@@ -39,6 +39,7 @@ from platform_ctrl.report.plots.systems import (
 )
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, standalone
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -58,6 +59,7 @@ class _Closed:
     gang: Gang
 
 
+@check_arguments
 @standalone
 def gang_of_four(
     plant: LinearSystem,

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays, loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
-from platform_ctrl.arguments import known_names, positive, real_numbers, short
+from platform_ctrl.arguments import known_names, positive, real_numbers
 from platform_ctrl.description import Platform, expect_platform
 from platform_ctrl.design.plants import changed
 from platform_ctrl.errors import ArgumentError
@@ -21,12 +22,12 @@ from platform_ctrl.linearisation import linearise
 from platform_ctrl.report.branches import Poles, followed, traced
 from platform_ctrl.report.plots.planes import View, view_of
 from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
+from platform_ctrl.signatures import short
 from platform_ctrl.state_space import state_space
 
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.rational import LinearSystem
 
 # A pole this near to the boundary, against the largest, counts as on it: multiple ones come out that far away.
 _ON = 1e-9

@@ -12,7 +12,7 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import positive, short
+from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.greek import greek
@@ -24,6 +24,7 @@ from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -34,6 +35,7 @@ _HIGHEST, _LOWEST = 60.0, -60.0
 _ROUND = (1.0, 2.0, 5.0)
 
 
+@check_arguments
 @standalone
 def nichols(
     loops: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],

@@ -16,6 +16,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, sta
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.analysis.poles import pole_arrays
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -44,7 +45,6 @@ from platform_ctrl.report.style import (
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.rational import LinearSystem
 
 # How far from the origin the view goes; larger |L| lies on the rim.
 _REACH = 3.0

@@ -14,7 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import real_numbers, short
+from platform_ctrl.arguments import real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.limit_lines import DASHED
@@ -34,6 +34,7 @@ from platform_ctrl.report.style import (
     legend_rows,
     log_axis,
 )
+from platform_ctrl.signatures import short
 
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6

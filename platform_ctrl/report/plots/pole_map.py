@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.panels import line_array
@@ -21,11 +22,11 @@ from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, legend_above, legend_rows, panels, standalone
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.rational import LinearSystem
 
 _HEIGHT = 5.4
 # Poles of a system whose damping is written, at most, and up to which damping ratio.
@@ -34,6 +35,7 @@ _WRITTEN, _DAMPED = 3, 0.5
 _FAR = 1e6
 
 
+@check_arguments
 @standalone
 def pole_map(
     systems: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],

@@ -33,11 +33,13 @@ from platform_ctrl.report.plots.panels import (
 )
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems
 from platform_ctrl.report.style import REFERENCE, standalone
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
 
 
+@check_arguments
 @standalone
 def Omega_sensitivity(
     plant: LinearSystem,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -27,7 +28,6 @@ from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels,
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.rational import LinearSystem
     from platform_ctrl.description import Platform
 
 Plane = Literal["s", "z"]

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
-from platform_ctrl.arguments import short
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control

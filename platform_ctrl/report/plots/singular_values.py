@@ -27,11 +27,13 @@ from platform_ctrl.report.plots.panels import (
 )
 from platform_ctrl.report.plots.systems import drawn_systems, unit_of_gain
 from platform_ctrl.report.style import standalone
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
 
 
+@check_arguments
 @standalone
 def singular_values(
     systems: LinearSystem | Sequence[LinearSystem] | Mapping[str, LinearSystem],

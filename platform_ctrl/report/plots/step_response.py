@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from platform_ctrl.analysis.arrays import scaled, state_space
 from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.analysis.time_response import time_response
 from platform_ctrl.arguments import positive
 from platform_ctrl.errors import ArgumentError
@@ -32,7 +33,6 @@ from platform_ctrl.report.style import (
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.rational import LinearSystem
 
 # Time constants of a decay or growth, and periods of an undamped motion, that are worth seeing.
 _DECAYS, _GROWTHS, _PERIODS = 6.0, 3.0, 6.0

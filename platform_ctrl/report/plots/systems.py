@@ -19,11 +19,11 @@ from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.rational import LinearSystem, is_proper, is_rational, linear_arrays, rational_response
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.arguments import short
 from platform_ctrl.description import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.greek import LETTERS
+from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control
@@ -139,7 +139,8 @@ def drawn_systems(
         if labels is not None:
             raise ArgumentError(f"{name}: labels are given twice; expected them as keys or as labels")
         labels, systems = [str(key) for key in systems], list(systems.values())
-    given = list(systems) if isinstance(systems, Sequence | np.ndarray) and not isinstance(systems, str) else [systems]
+    several = isinstance(systems, Sequence) or (isinstance(systems, np.ndarray) and systems.ndim > 0)
+    given = list(systems) if several and not isinstance(systems, str) else [systems]
     if not given:
         raise ArgumentError(f"{name}: given no system; expected at least one")
     texts = _labels(name, given, labels)

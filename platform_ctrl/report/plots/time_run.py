@@ -8,13 +8,14 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from platform_ctrl.arguments import known_name, positive, short
+from platform_ctrl.arguments import known_name, positive
 from platform_ctrl.check import Run
 from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform, Torquer, expect_platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.run_figures import trajectory_figure
 from platform_ctrl.report.style import standalone
+from platform_ctrl.signatures import short
 from platform_ctrl.simulation import Trajectory
 
 _LIMITS = ("angle", "attitude", "torque_share")

@@ -1,0 +1,716 @@
+"""Valid arguments of every public call, in one table: what the contract test starts from.
+
+A new public function needs an entry in `FUNCTIONS` (or `METHODS`, by class); a new public class one in `INSTANCES`.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+
+import platform_ctrl as pc
+from one_gyro_job import JOB as ONE_LOOP
+from one_gyro_runs import MANOEUVRES
+from platform_ctrl import analysis, baselines, campaign, certificates, check, design, export, job, mechanics, simulation
+from platform_ctrl import scenario as scenario_module
+from platform_ctrl.parameters import parameters
+from platform_ctrl.requirements import Requirement, requirement
+from platform_ctrl.variation import ANY, Vary
+
+PERIOD = 0.0005
+W = np.array([1.0, 10.0, 100.0])
+TEXT = """
+[campaign]
+runs = 4
+
+[[campaign.vary]]
+parameter = "rotor.11.spin"
+distribution = "normal"
+mean = 1.0
+deviation = 0.01
+relative = true
+"""
+
+
+@functools.cache
+def platform() -> pc.Platform:
+    return pc.read_platform("three_gyro_platform")
+
+
+@functools.cache
+def model() -> pc.LinearModel:
+    return pc.linearise(platform())
+
+
+@functools.cache
+def pair() -> control.StateSpace:
+    return pc.state_space(model(), gimbals=("9", "10"))
+
+
+@functools.cache
+def crossover() -> design.CrossoverDesign:
+    return design.from_crossover_and_margin(model(), ("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD)
+
+
+def plant() -> control.StateSpace:
+    return crossover().plant
+
+
+def controller() -> control.StateSpace:
+    return crossover().controller
+
+
+def one(dt: float = 0.0) -> control.StateSpace:
+    """A stable system of two states, one input, one output."""
+    return control.ss([[-0.5, 0.1], [0.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], 0.0, dt)
+
+
+def general(noise: bool = True) -> control.StateSpace:
+    """A plant w, u -> z, y that every synthesis takes: two states, one control, one measurement, with noise or not."""
+    A, B1, B2 = [[0.0, 1.0], [-1.0, -0.2]], [[0.0, 0.0], [1.0, 0.0]], [[0.0], [1.0]]
+    C = [[1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]
+    D = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, float(noise), 0.0]]
+    return control.ss(A, np.hstack([B1, B2]), C, D)
+
+
+def matrices(K: bool = False) -> dict[str, Any]:
+    names = ("A_K", "B_K", "C_K", "D_K") if K else ("A", "B", "C", "D")
+    return dict(zip(names, ([[-0.5, 0.1], [0.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]), strict=True))
+
+
+def arrays(dt: float = 0.0) -> analysis.StateArrays:
+    return analysis.state_arrays(one(dt), "")
+
+
+@functools.cache
+def asked() -> job.Job:
+    return pc.read_job(tomllib.loads(ONE_LOOP + MANOEUVRES + TEXT))
+
+
+@functools.cache
+def outcomes() -> tuple[design.LoopOutcome, ...]:
+    return design.loops(asked())
+
+
+def closed() -> control.StateSpace:
+    return outcomes()[0].closed.controller
+
+
+def plants() -> analysis.PlantSet:
+    found = outcomes()[0].closed.plants
+    assert found is not None
+    return found
+
+
+@functools.cache
+def result() -> check.JobResult:
+    return check.checked(asked(), outcomes())
+
+
+@functools.cache
+def baseline() -> baselines.Baseline:
+    return baselines.accepted(result())
+
+
+@functools.cache
+def planned() -> campaign.Plan:
+    return campaign.plan(asked(), [closed()])
+
+
+def table() -> dict[str, Any]:
+    from campaign_flights import flown_quickly, planned
+
+    return flown_quickly(planned(), range(64))
+
+
+LIMITS = {"turn": {"angle": 0.003}, "step": {"angle": 0.0005}}
+
+
+@functools.cache
+def summary() -> campaign.Summary:
+    from campaign_flights import planned
+
+    return campaign.summarised(planned(), table())
+
+
+@functools.cache
+def scenario() -> simulation.Scenario:
+    return simulation.Scenario(platform=platform(), mode="caged", duration=0.002, delay=0.0)
+
+
+@functools.cache
+def varying() -> pc.ParameterVaryingModel:
+    return pc.parameter_varying(platform(), gimbals=("9", "10"))
+
+
+@functools.cache
+def coordinates() -> design.ComplexSystem:
+    return design.complex_plant(model(), ("9", "10"), balance=True)
+
+
+@functools.cache
+def shaped() -> design.ComplexLoop:
+    return design.complex_loop(
+        coordinates(), crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=2000.0
+    )
+
+
+@functools.cache
+def limited() -> design.LimitedLoop:
+    from test_design_antiwindup import loop
+
+    return loop()
+
+
+@functools.cache
+def precession() -> pc.Precession:
+    return pc.precession(model(), gimbals=("9", "10"))
+
+
+@functools.cache
+def responses() -> Any:
+    from platform_ctrl.report.loop_responses import loop_responses
+
+    return loop_responses(model(), outcomes()[0])
+
+
+@functools.cache
+def locus() -> Any:
+    from platform_ctrl.report.loop_responses import root_locus
+
+    return root_locus(outcomes()[0].closed)
+
+
+def certificate() -> certificates.Certificate:
+    return certificates.stability_certificate([[-1.0, 0.0], [0.0, -2.0]])
+
+
+def measured() -> control.FRD:
+    w = np.geomspace(0.1, 1e4, 400)
+    return control.FRD(1.0 / (1.0 + 1j * w) / (1.0 + 0.01j * w), w)
+
+
+def trajectory() -> simulation.Trajectory:
+    return result().runs[0].trajectory
+
+
+def stepper() -> simulation.Stepper:
+    return simulation.Stepper(scenario(), [], period=PERIOD)
+
+
+def limit() -> Any:
+    return requirement("disk margin", 0.4)
+
+
+@functools.cache
+def file(kind: str) -> Path:
+    folder = Path(tempfile.mkdtemp())
+    match kind:
+        case "baseline":
+            return baselines.write_baseline(baseline(), folder / "baseline.json")
+        case "mat":
+            export.write_mat(export.model_systems(asked()), folder / "systems.mat")
+            return folder / "systems.mat"
+        case "mjcf":
+            export.write_mjcf(platform(), folder / "plant.xml")
+            return folder / "plant.xml"
+        case "csv":
+            return export.write_responses(measured(), folder / "response.csv")
+        case "controllers":
+            return export.write_controllers([closed()], folder / "controllers.json", delay=PERIOD)
+    return export.write_systems(export.model_systems(asked()), folder / "systems.json")
+
+
+def gains(q: tuple[str, ...] = ("9", "10")) -> dict[str, Any]:
+    return {"gimbals": q}
+
+
+Q, V = [0.0] * 5, [0.1] * 8
+CALL = {"P": general, "nmeas": lambda: 1, "ncon": lambda: 1}
+POINT = {"platform": platform, "q": lambda: Q, "velocity": lambda: V}
+JOINED = {"plant": plant, "controller": controller}
+NEW = {"path": lambda: Path("new")}  # in the folder that the caller chose
+UNITS = {"nmeas": lambda: 1, "ncon": lambda: 1}
+
+
+def of(**given: Any) -> dict[str, Callable[[], Any]]:
+    """Arguments as they are, each made anew by a call."""
+    return {name: (lambda item=item: item) for name, item in given.items()}
+
+
+SYSTEM = of(**matrices())
+FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
+    "element_forces": POINT,
+    "equations": {"platform": platform},
+    "forward_dynamics": POINT | of(force=[0.0] * 8),
+    "inverse_dynamics": POINT | of(acceleration=[0.0] * 8),
+    "linearise": {"platform": platform},
+    "matrices": POINT,
+    "parameter_varying": {"platform": platform, **of(gimbals=("9", "10"))},
+    "precession": {"model": model, **of(gimbals=("9", "10"))},
+    "read_job": {"source": lambda: tomllib.loads(ONE_LOOP)},
+    "read_platform": of(source="rate_gyro"),
+    "rotor_momenta": POINT,
+    "state_space": {"model": model, **of(gimbals=("9", "10"))},
+    "subsystems": {"model": model},
+    "terms": {"platform": platform, **of(Omega=[0.1, 0.0, 0.0], rates=[0.01] * 5)},
+    "with_free_rotors": POINT,
+    "with_regulated_rotors": POINT,
+    "with_rotors_as_gimbals": {"platform": platform},
+    "analysis.bandwidth": JOINED,
+    "analysis.bandwidth_of_response": of(frequency=np.arange(1.0, 6.0), S=np.ones((4, 5, 2, 2), dtype=complex)),
+    "analysis.bilinear_to_continuous": {"system": lambda: one(0.1)},
+    "analysis.bilinear_to_discrete": {"system": one, **of(period=0.1)},
+    "analysis.closed_loop": JOINED,
+    "analysis.closed_loop_arrays": SYSTEM | of(**matrices(True), torques=[0], angles=[0]),
+    "analysis.continuous_poles": of(poles=np.array([0.5, 0.1 + 0.2j]), dt=0.1),
+    "analysis.damping": {"system": one},
+    "analysis.damping_ratio": of(poles=np.array([-0.5, -0.1 + 0.2j])),
+    "analysis.disk_margin": {"loop_transfer": one},
+    "analysis.disk_phase": of(alpha=0.5, gain=1.2),
+    "analysis.disk_to_gain_phase": of(alpha=0.5),
+    "analysis.exact_measures": {"plants": plants, "controller": lambda: analysis.state_arrays(closed(), "")},
+    "analysis.frequency_response": {"system": one, **of(frequency=W)},
+    "analysis.frequency_response_arrays": SYSTEM | of(dt=0.1, frequency=W),
+    "analysis.gang": JOINED | of(frequency=W),
+    "analysis.h2_norm": {"system": one},
+    "analysis.hinf_norm": {"system": one},
+    "analysis.hinf_norm_arrays": SYSTEM | of(dt=0.1),
+    "analysis.intersample_h2": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
+    "analysis.intersample_norm": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
+    "analysis.is_stable": {"system": one},
+    "analysis.joined": {
+        "controllers": lambda: [closed()],
+        **of(inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], period=PERIOD),
+    },
+    "analysis.loop_margins": JOINED,
+    "analysis.loop_transfer": JOINED,
+    "analysis.measure": {"plants": plants, "controller": lambda: analysis.state_arrays(closed(), "")},
+    "analysis.minimum_damping": of(poles=np.array([0.5, 0.1 + 0.2j]), dt=0.1),
+    "analysis.noise_rms": {"system": lambda: one(0.1), **of(rms=[1.0])},
+    "analysis.noise_rms_arrays": SYSTEM | of(rms=[1.0]),
+    "analysis.pole_arrays": of(A=[[-0.5, 0.1], [0.0, -0.2]]),
+    "analysis.poles": {"system": one},
+    "analysis.response_arrays": SYSTEM | of(z=1j * W),
+    "analysis.sampled": {"system": one, **of(period=0.1)},
+    "analysis.sampled_arrays": SYSTEM | of(period=0.1),
+    "analysis.sensitivities": of(loop=np.ones((3, 2, 2), dtype=complex)),
+    "analysis.series_arrays": of(
+        **{f"{name}{k}": item for k in (1, 2) for name, item in matrices().items()},
+    ),
+    "analysis.spectral_abscissa": of(poles=np.array([-0.5, -0.1 + 0.2j])),
+    "analysis.spectral_radius": of(poles=np.array([-0.5, -0.1 + 0.2j])),
+    "analysis.state_arrays": {"system": one, **of(where="a test")},
+    "analysis.state_space": {"arrays": arrays, **of(inputs=["u"], outputs=["y"])},
+    "analysis.time_response": {"system": one, **of(timepts=[0.0, 0.1, 0.2], inputs=[[0.0, 1.0, 1.0]])},
+    "baselines.accepted": {"result": result},
+    "baselines.compare": {"result": result, "baseline": baseline},
+    "baselines.figures_of": {"result": result},
+    "baselines.plot_beside": of(path="baseline.json"),
+    "baselines.read_baseline": {"path": lambda: file("baseline")},
+    "baselines.update_baseline": {"result": result, **NEW},
+    "baselines.write_baseline": {"baseline": baseline, **NEW},
+    "campaign.clopper_pearson": of(events=1, runs=10),
+    "campaign.contrasts": {"table": table, **of(limits=LIMITS)},
+    "campaign.influences": of(inputs={"a": np.arange(40.0), "b": np.arange(40.0) % 7}, output=np.arange(40.0) % 5),
+    "campaign.plan": {"job": asked, "controllers": lambda: [closed()]},
+    "campaign.rare_event": of(figures=lambda u, _: u.sum(axis=1) / 1.9, dimension=2, samples=100, repetitions=2),
+    "campaign.rare_probability": {"plan": planned},
+    "campaign.rerun": {"plan": planned, **of(number=0)},
+    "campaign.run_campaign": {"plan": planned, **of(folder="runs")},
+    "campaign.sensitivities": {"table": table, **of(limits=LIMITS)},
+    "campaign.statistics": {"table": table, **of(limits=LIMITS)},
+    "campaign.summarised": {"plan": planned, "table": table},
+    "campaign.summary_record": {"summary": summary},
+    "certificates.closed": {"system": arrays},
+    "certificates.h2_certificate": SYSTEM,
+    "certificates.margin_certificates": {
+        "plant": lambda: analysis.state_arrays(plant(), ""),
+        "controller": lambda: analysis.state_arrays(controller(), ""),
+    },
+    "certificates.norm_certificate": SYSTEM,
+    "certificates.plant_set_certificates": {
+        "plants": plants,
+        "controller": lambda: analysis.state_arrays(closed(), ""),
+        **of(decay=np.ones(1), margin=np.ones(1), asked=np.ones(1)),
+    },
+    "certificates.proved": {"certificate": certificate},
+    "certificates.region_certificate": of(A=[[-1.0, 0.0], [0.0, -2.0]], L=[[0.0]], M=[[1.0]]),
+    "certificates.stability_certificate": of(A=[[-1.0, 0.0], [0.0, -2.0]]),
+    "certificates.static_gain": of(gain=np.eye(2), dt=0.0),
+    "check.checked": {"job": asked, "loops": outcomes},
+    "check.coupled_check": {"job": asked, "model": model, "controllers": lambda: [closed()]},
+    "check.fly": {"job": asked, "manoeuvre": lambda: asked().manoeuvres[0], "controllers": lambda: [closed()]},
+    "check.largest": {"job": asked, "trajectory": trajectory},
+    "check.outcomes_from": {"job": asked, "controllers": lambda: [closed()]},
+    "check.read_controllers": {"source": lambda: file("controllers"), "job": asked},
+    "check.result_record": {"result": result},
+    "check.write_record": of(record={"schema": 1}) | NEW,
+    "description.expect_platform": {"given": platform},
+    "description.gimbal_rate": of(angle="alpha4"),
+    "description.is_rate": of(signal="Omega1"),
+    "design.anti_windup": {"loop": limited},
+    "design.caging_loop_limits": {"job": asked, "controller": closed, **of(axis=1)},
+    "design.caging_survival": {"job": asked, "controller": closed},
+    "design.complex_loop": {
+        "plant": coordinates,
+        **of(crossover_hz=8.0, integral_hz=1.0, damping_hz=30.0, lead_hz=20.0, rolloff_hz=2000.0),
+    },
+    "design.complex_plant": {"model": model, **of(gimbals=("9", "10"), balance=True)},
+    "design.complex_response": {"system": coordinates, **of(frequency=W)},
+    "design.from_crossover_and_margin": {
+        "model": model,
+        **of(gimbals=("9", "10"), crossover_hz=8.0, disk_margin=0.5, period=PERIOD),
+    },
+    "design.h2": CALL,
+    "design.hinf": CALL,
+    "design.intersample_gains": {"job": asked, "controller": closed},
+    "design.limited_loop": {"plant": pair, "controller": controller, **of(disturbance="Omega1", limits=0.5)},
+    "design.loops": {"job": asked},
+    "design.lqe": {"system": general, **of(R1=np.eye(2), R2=np.eye(3))},
+    "design.lqg": {"system": one, **of(Q1=np.eye(2), Q2=np.eye(1), R1=np.eye(2), R2=np.eye(1))},
+    "design.lqr": {"system": general, **of(Q1=np.eye(2), Q2=np.eye(3))},
+    "design.measured_pid": {"measurement": measured, **of(filter_time=0.01)},
+    "design.multiobjective": CALL | {"requirements": lambda: [norm_limit()]},
+    "design.pole_placement": {"system": one, **of(poles=[-1.0, -2.0])},
+    "design.read_measurement": {"source": lambda: file("csv")},
+    "design.robust": of(nmeas=1, ncon=1) | {"plants": lambda: [general()], "requirements": lambda: [norm_limit()]},
+    "design.sampled_hinf": CALL | {"P": lambda: general(False), **of(period=0.01)},
+    "design.scheduled": of(plant=lambda p: general(), names=("a",), low=[0.0], high=[1.0], nmeas=1, ncon=1),
+    "design.scheduled_caging": {"platform": platform, **of(gimbals=("9", "10"), bandwidth_hz=8.0)},
+    "design.structured": {"plants": general, **of(nmeas=1, ncon=1, structure=design.Static(), starts=1)},
+    "design.survived_Omega": {"loop": limited},
+    "design.two_sided_nyquist": {"plant": coordinates, "controller": lambda: shaped().controller},
+    "export.controller_systems": {"job": asked, "controllers": lambda: [closed()]},
+    "export.job_responses": {"job": asked, "controllers": lambda: [closed()]},
+    "export.linear_system": {"system": one},
+    "export.model_systems": {"job": asked},
+    "export.read_mat": {"path": lambda: file("mat")},
+    "export.read_mjcf": {"path": lambda: file("mjcf")},
+    "export.read_systems": {"path": lambda: file("json")},
+    "export.response_data": {"system": one, **of(frequency=W)},
+    "export.write_c": {"job": asked, "entries": lambda: [closed()], **of(folder="code")},
+    "export.write_controllers": {"controllers": lambda: [closed()], **NEW, **of(delay=PERIOD)},
+    "export.write_fmu": {"job": asked, "controllers": lambda: [closed()], **of(path="loop.fmu")},
+    "export.write_mat": {"systems": lambda: export.model_systems(asked()), **NEW},
+    "export.write_mjcf": {"platform": platform, **NEW},
+    "export.write_responses": {"response": measured, **NEW},
+    "export.write_systems": {"systems": lambda: export.model_systems(asked()), **NEW},
+    "job.manoeuvre_scenario": {"job": asked, "manoeuvre": lambda: asked().manoeuvres[0]},
+    "linearisation.expect_model": {"given": model},
+    "mechanics.kinematics": {"platform": platform, **of(q=np.zeros(5))},
+    "mechanics.topology": {"platform": platform},
+    "parameter_varying.monomial_values": of(monomials=("1", "Omega1"), Omega=[1.0, 2.0, 3.0]),
+    "parameters.misfits": {"varied": lambda: [], "scenarios": lambda: [scenario()], "faults": lambda: []},
+    "parameters.parameters": {"scenarios": lambda: [scenario()], "faults": lambda: []},
+    "parameters.varied_scenario": {
+        "scenario": scenario,
+        "drawn": lambda: [(parameters([scenario()], [])["rotor.11.spin"], 1.0, False)],
+    },
+    "reading.platform_source": of(name="rate_gyro"),
+    "reading.shipped_models": {},
+    "report.page": {"result": result},
+    "report.pdf": {"result": result},
+    "report.prepared": {"result": result},
+    "report.write_page": {"result": result, **NEW},
+    "report.write_pdf": {"result": result, **NEW},
+    "report.figures.Omega_sensitivity": {"plant": pair},
+    "report.figures.bode": {"systems": one},
+    "report.figures.campaign_histograms": {"campaign": summary},
+    "report.figures.campbell": {"platform": platform, **of(gimbals=("9", "10"))},
+    "report.figures.coupled_pole_figure": {"result": result},
+    "report.figures.disk_margin_region": of(margins=0.5),
+    "report.figures.disturbance_figure": {"responses": responses, "spec": lambda: asked().loops[0]},
+    "report.figures.gang_of_four": {"plant": plant, "controllers": controller},
+    "report.figures.gimbal_tree": {"platform": platform},
+    "report.figures.loop_transfer_figure": {
+        "responses": responses,
+        "spec": lambda: asked().loops[0],
+        **of(torques=("Q9", "Q10"), nutation=100.0),
+    },
+    "report.figures.margin_bars_figure": {"check": lambda: result().coupled},
+    "report.figures.nichols": {"loops": one},
+    "report.figures.nutation_figure": {"result": result},
+    "report.figures.nyquist": {"loops": one},
+    "report.figures.platform_disturbance_figure": {"result": result},
+    "report.figures.pole_figure": {
+        "responses": responses,
+        "spec": lambda: asked().loops[0],
+        **of(nutation=100.0, period=PERIOD),
+    },
+    "report.figures.pole_map": {"systems": one},
+    "report.figures.root_locus": {"plant": plant, "controller": controller},
+    "report.figures.root_locus_figure": {
+        "locus": locus,
+        "spec": lambda: asked().loops[0],
+        **of(nutation=100.0, period=PERIOD),
+    },
+    "report.figures.root_locus_over_spin": {
+        "platform": platform,
+        "controller": controller,
+        **of(gimbals=("9", "10"), period=PERIOD),
+    },
+    "report.figures.run_figure": {"run": lambda: result().runs[0], "platform": platform},
+    "report.figures.sensitivity_figure": {"responses": responses, "spec": lambda: asked().loops[0]},
+    "report.figures.servo_figure": {"result": result},
+    "report.figures.simultaneous_margin_figure": {"check": lambda: result().coupled, **of(limit=0.4)},
+    "report.figures.singular_values": {"systems": one},
+    "report.figures.step_response": {"systems": one},
+    "report.figures.time_run": {"run": trajectory, "platform": platform},
+    "report.figures.two_sided_nyquist": {"curve": lambda: shaped().nyquist},
+    "requirements.hard_and_soft": {"limits": lambda: asked().loops[0].limits, "soft": job.LoopLimits},
+    "requirements.loop_requirements": {"limits": lambda: asked().loops[0].limits},
+    "requirements.requirement": of(kind="disk margin", limit=0.4),
+    "simulation.acting": {"controllers": lambda: [closed()], "platform": platform, **of(mode="caged")},
+    "simulation.flight": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
+    "simulation.fly": {"scenarios": lambda: [scenario()], "controllers": list, **of(period=PERIOD)},
+    "simulation.rollout": {"platform": platform, **of(q=[Q] * 2, velocity=[V] * 2, step=1e-4, steps=2, every=1)},
+    "simulation.Stepper": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
+    "simulation.simulate": {
+        "platform": platform,
+        "controllers": list,
+        **of(period=PERIOD, delay=0.0, duration=0.002, mode="stabilised"),
+    },
+    "state_space.gimbal_torquers": {"model": model, **of(gimbals=("9",))},
+    "state_space.subsystems_of_all": {"models": lambda: [model()]},
+    "state_space.whole_subsystems": {"model": model, **of(gimbals=("9", "10"))},
+    "testing.assert_baseline": {"result": result, "file": lambda: file("baseline")},
+    "testing.assert_requirements": {"result": result},
+}
+
+
+def norm_limit() -> Any:
+    return requirement("H-infinity norm", 10.0, channel=analysis.Channel())
+
+
+# One valid value of each public class: its constructor's arguments, and what its methods are called on.
+INSTANCES: dict[str, Callable[[], Any]] = {
+    "Cage": lambda: pc.Cage(gimbal="4", stiffness=1.0),
+    "Erection": lambda: pc.Erection(gimbal="4", senses="5", axis=np.array([0.0, 1.0, 0.0]), gain=0.1),
+    "Friction": lambda: pc.Friction(gimbal="4", viscous=1e-3, coulomb=(1e-3, 1e-3), breakaway=(2e-3, 2e-3)),
+    "Gimbal": lambda: platform().gimbals[0],
+    "Job": asked,
+    "LinearModel": model,
+    "ParameterVaryingModel": varying,
+    "PickOff": lambda: platform().pickoffs[0],
+    "Platform": platform,
+    "Precession": precession,
+    "RateSensor": lambda: pc.RateSensor(name="rate", root_axis=1),
+    "Rotor": lambda: platform().rotors[0],
+    "Spring": lambda: pc.Spring(gimbal="4", stiffness=1.0),
+    "TermTable": lambda: pc.terms(platform(), Omega=(1, 1, 1), rates=[0.01] * 5),
+    "Torquer": lambda: platform().torquers[0],
+    "Unbalance": lambda: pc.Unbalance(body="4", moment=np.array([0.0, 0.0, 1e-3])),
+    "analysis.Channel": analysis.Channel,
+    "analysis.Damping": lambda: analysis.damping(one()),
+    "analysis.DiskMargin": lambda: analysis.disk_margin(one()),
+    "analysis.Gang": lambda: analysis.gang(plant(), controller(), W),
+    "analysis.LoopMargins": lambda: analysis.loop_margins(plant(), controller()),
+    "analysis.LoopMeasures": lambda: analysis.measure(plants(), analysis.state_arrays(closed(), "")),
+    "analysis.PlantSet": plants,
+    "analysis.StateArrays": arrays,
+    "baselines.AcceptedFigure": lambda: baseline().figures[0],
+    "baselines.Baseline": baseline,
+    "baselines.Change": lambda: baselines.compare(result(), baseline()).changes[0],
+    "baselines.Comparison": lambda: baselines.compare(result(), baseline()),
+    "baselines.Figure": lambda: baselines.figures_of(result())[0],
+    "baselines.LoopMatrices": lambda: baseline().loops[0],
+    "baselines.Tolerance": baselines.Tolerance,
+    "baselines.Update": lambda: baselines.Update(path=Path("new"), comparison=None, figures=3, written=True),
+    "campaign.CampaignStatistics": lambda: summary().statistics,
+    "campaign.Campaigned": lambda: campaign.Campaigned(table=Path("table"), record={"counts": {}, "passed": True}),
+    "campaign.Contrast": lambda: campaign.contrasts(table(), LIMITS)[0],
+    "campaign.Distribution": campaign.Distribution,
+    "campaign.Influence": lambda: campaign.influences({"a": np.arange(40.0)}, np.arange(40.0) % 5)[0],
+    "campaign.Plan": planned,
+    "campaign.Probability": lambda: campaign.clopper_pearson(1, 10),
+    "campaign.RarePoint": lambda: campaign.RarePoint(u=np.zeros(2), run=1, ratio=1.0, distance=1.0),
+    "campaign.RareResult": lambda: rare(),
+    "campaign.Repetition": lambda: rare().repetitions[0],
+    "campaign.RequirementStatistics": lambda: summary().statistics.requirements[0],
+    "campaign.Rerun": lambda: campaign.rerun(planned(), 0),
+    "campaign.RunFigure": lambda: campaign.RunFigure(
+        run=0, manoeuvre="turn", figure="angle", value=1.0, limit=2.0, ratio=0.5, ended="completed"
+    ),
+    "campaign.Sensitivity": lambda: summary().sensitivities[0],
+    "campaign.Summary": summary,
+    "certificates.Certificate": certificate,
+    "certificates.ClosedLoop": lambda: certificates.closed(arrays()),
+    "certificates.Verification": lambda: certificate().verify(),
+    "check.CoupledCheck": lambda: result().coupled,
+    "check.JobResult": result,
+    "check.Run": lambda: result().runs[0],
+    "design.AntiWindup": lambda: design.anti_windup(limited(), Omega=1.0),
+    "design.Claim": lambda: design.Claim(name="claim", norm="hinf", limit=1.0),
+    "design.ComplexLoop": shaped,
+    "design.ComplexSystem": coordinates,
+    "design.CrossoverDesign": crossover,
+    "design.Estimator": lambda: design.lqe(general(), np.eye(2), np.eye(3)),
+    "design.IntersampleGains": lambda: design.intersample_gains(asked(), closed()),
+    "design.Lead": design.Lead,
+    "design.LoopSurvival": lambda: design.LoopSurvival(
+        axis=1, rise=0.5, nominal=design.survived_Omega(limited()), spread=1.0, spread_label="nominal"
+    ),
+    "design.MeasuredDesign": lambda: measured_design(),
+    "design.Multiobjective": lambda: design.multiobjective(general(), 1, 1, [norm_limit()]),
+    "design.Robust": lambda: design.robust([general()], 1, 1, [norm_limit()]),
+    "design.SampledSynthesis": lambda: design.sampled_hinf(general(False), 1, 1, period=0.01),
+    "design.Scheduled": lambda: scheduled(),
+    "design.ScheduledCaging": lambda: design.scheduled_caging(
+        platform(), ("9", "10"), Omega_max=(5, 5, 5), bandwidth_hz=40, terms="paper"
+    ),
+    "design.StructuredDesign": lambda: design.structured(general(), 1, 1, structure=design.Static(), starts=1),
+    "design.measured.ClosedLoopResponse": lambda: measured_design().responses[0],
+    "design.LimitedLoop": limited,
+    "design.LoopDesign": lambda: outcomes()[0].closed,
+    "design.LoopOutcome": lambda: outcomes()[0],
+    "design.LqgDesign": lambda: design.lqg(one(), np.eye(2), np.eye(1), np.eye(2), np.eye(1)),
+    "design.Notch": design.Notch,
+    "design.PID": design.PID,
+    "design.PolePlacement": lambda: design.pole_placement(one(), [-1.0, -2.0]),
+    "design.Series": lambda: design.Series(blocks=[design.PID(), design.Notch()]),
+    "design.StateFeedback": lambda: design.lqr(general(), np.eye(2), np.eye(3)),
+    "design.StateSpaceOrder": lambda: design.StateSpaceOrder(states=2),
+    "design.Static": design.Static,
+    "design.SurvivedOmega": lambda: design.survived_Omega(limited()),
+    "design.Synthesis": lambda: design.hinf(general(), 1, 1, method="riccati"),
+    "design.TwoSidedNyquist": lambda: shaped().nyquist,
+    "export.LinearSystem": lambda: export.linear_system(one()),
+    "export.ResponseTable": lambda: export.ResponseTable(name="one", response=measured(), notes=()),
+    "export.Written": lambda: export.Written(files=(Path("new"),)),
+    "job.Campaign": job.Campaign,
+    "job.CampaignFault": lambda: job.CampaignFault(fault="a", probability=0.1),
+    "job.CampaignManoeuvre": lambda: job.CampaignManoeuvre(name="turn"),
+    "job.CoupledLimits": job.CoupledLimits,
+    "job.DesignSpec": lambda: asked().loops[0].designs[0],
+    "job.Faults": job.Faults,
+    "job.LoopLimits": lambda: asked().loops[0].limits,
+    "job.LoopSpec": lambda: asked().loops[0],
+    "job.Manoeuvre": lambda: asked().manoeuvres[0],
+    "job.Sampling": lambda: asked().sampling,
+    "job.Spread": job.Spread,
+    "mechanics.Kinematics": lambda: mechanics.kinematics(platform(), np.zeros(5)),
+    "mechanics.MagnusMatrices": lambda: pc.matrices(platform()),
+    "mechanics.RotorMomenta": lambda: pc.rotor_momenta(platform()),
+    "mechanics.Topology": lambda: mechanics.topology(platform()),
+    "parameter_varying.AffineModel": lambda: varying().affine(),
+    "parameter_varying.FrozenRows": lambda: varying().at([0.1, 0.0, 0.0]),
+    "parameter_varying.FrozenSystem": lambda: varying().grid(2, [0.1, 0.0, 0.0])[0],
+    "parameter_varying.MatrixPolynomial": lambda: varying().G,
+    "parameters.Parameter": lambda: parameters([scenario()], [])["rotor.11.spin"],
+    "precession.PrecessionPart": lambda: precession().part("9"),
+    "requirements.CheckResult": lambda: result().requirements[0],
+    "requirements.LoopRequirement": limit,
+    "requirements.LoopRequirement.check_closed_loop": lambda: requirement("damping", 0.1),
+    "requirements.LoopRequirement.check_controller": lambda: requirement("controller gain", 0.1),
+    "requirements.Requirement": lambda: Requirement(name="angle", limit=0.1, unit="rad", sense="at most"),
+    "scenario.Fault": lambda: simulation.Fault(name="lost", kind="torquer", part="Q9", at=0.1, share=0.5),
+    "scenario.FaultKeys": lambda: scenario_module.FaultKeys(part="torquer", needed=("share",)),
+    "scenario.HalfCosine": lambda: simulation.HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.1),
+    "scenario.Scenario": scenario,
+    "scenario.TimeTable": lambda: simulation.TimeTable(t=np.array([0.0, 1.0]), values=np.zeros((2, 3))),
+    "scenario.Vibration": lambda: simulation.Vibration(
+        kind="rate", axis=1, frequencies_hz=np.array([10.0, 20.0]), densities=np.array([1e-6, 1e-6])
+    ),
+    "simulation.Figures": lambda: simulation.fly([scenario()], [], period=PERIOD),
+    "simulation.Rollout": lambda: simulation.rollout(platform(), [Q], [V], step=1e-4, steps=2),
+    "simulation.Stepper": stepper,
+    "simulation.Trajectory": trajectory,
+    "terms.Term": lambda: pc.terms(platform(), Omega=(1, 1, 1), rates=[0.01] * 5).terms[0],
+    "variation.Range": lambda: ANY,
+    "variation.Vary": lambda: Vary(
+        parameter="rotor.11.spin", distribution="uniform", numbers={"low": 0.9, "high": 1.1}
+    ),
+}
+
+
+@functools.cache
+def rare() -> campaign.RareResult:
+    return campaign.rare_event(lambda u, _: u.sum(axis=1) / 1.9, 2, samples=400, repetitions=2)
+
+
+@functools.cache
+def measured_design() -> design.MeasuredDesign:
+    return design.measured_pid(measured(), filter_time=0.01)
+
+
+@functools.cache
+def scheduled() -> design.Scheduled:
+    return design.scheduled(lambda p: general(), ("Omega1",), [0.0], [1.0], 1, 1)
+
+
+METHODS: dict[str, dict[str, Callable[[], Any]]] = {
+    "Friction.dry": of(rate=0.1),
+    "ParameterVaryingModel.at": of(Omega=[0.1, 0.0, 0.0]),
+    "ParameterVaryingModel.forcing": of(Omega=[0.1, 0.0, 0.0]),
+    "ParameterVaryingModel.grid": of(points=2, Omega_max=[0.1, 0.0, 0.0]),
+    "ParameterVaryingModel.rhs": of(t=0.0, x=np.zeros(4), Omega=np.zeros(3), Q=np.zeros(2)),
+    "ParameterVaryingModel.state": of(q=[0.0, 0.1], rates=[0.0, 0.0], Omega=[0.0, 0.0, 1.0]),
+    "ParameterVaryingModel.state_space": of(Omega=[0.1, 0.0, 0.0]),
+    "ParameterVaryingModel.vertices": of(Omega_max=[0.1, 0.0, 0.0]),
+    "PickOff.sampled_noise": of(period=PERIOD),
+    "RateSensor.sampled_noise": of(period=PERIOD),
+    "Platform.body": of(name="4"),
+    "Platform.gimbal": of(name="4"),
+    "Platform.pickoff_on": of(gimbal="9"),
+    "Platform.torquer_on": of(gimbal="9"),
+    "Precession.error": of(frequency=W),
+    "Precession.state_space": of(momentum_states=False),
+    "Precession.part": of(gimbal="9"),
+    "TermTable.text": of(gimbals=("9",)),
+    "TermTable.of": of(gimbal="9"),
+    "analysis.Channel.of": {"system": arrays, **of(inputs=["u"], outputs=["y"])},
+    "analysis.LoopMeasures.figures": {"asked": limit},
+    "analysis.LoopMeasures.of": of(groups=("nominal",)),
+    "analysis.PlantSet.finer": of(frequency=W),
+    "analysis.PlantSet.joined": {"controller": closed},
+    "analysis.PlantSet.of": of(groups=("nominal",)),
+    "analysis.PlantSet.only": of(chosen=[0]),
+    "analysis.PlantSet.system": of(k=0),
+    "baselines.LoopMatrices.agrees": {"other": lambda: baseline().loops[0]},
+    "baselines.LoopMatrices.same_controller": {"other": lambda: baseline().loops[0]},
+    "baselines.LoopMatrices.same_plant": {"other": lambda: baseline().loops[0]},
+    "baselines.Tolerance.allowed": of(accepted=1.0),
+    "campaign.CampaignStatistics.of": of(figure="angle", manoeuvre="turn"),
+    "campaign.Distribution.add": of(figures=[1.0, 2.0]),
+    "campaign.Distribution.histogram": of(edges=np.array([0.0, 1.0, 2.0])),
+    "campaign.Distribution.quantile": of(share=0.5),
+    "campaign.Plan.inputs": of(first=0, last=2),
+    "campaign.Plan.inputs_at": {"points": lambda: np.full((1, planned().dimensions), 0.5)},
+    "campaign.Plan.points": of(first=0, last=2),
+    "campaign.Plan.scenario": of(run=0),
+    "campaign.Plan.scenarios": of(first=0, last=2),
+    "campaign.Plan.scenarios_with": {"inputs": lambda: planned().inputs(0, 2), **of(runs=[0, 1])},
+    "campaign.Summary.inputs_of": of(run=0),
+    "certificates.Certificate.verify": of(precision=128),
+    "design.Scheduled.at": of(parameters=[0.5]),
+    "design.Scheduled.controller": of(Omega=[0.5, 0.5, 0.5]),
+    "design.Scheduled.plant": of(parameters=[0.5]),
+    "design.LimitedLoop.impulse": of(control="torque"),
+    "design.ScheduledCaging.controller": of(Omega=[0.5, 0.5, 0.5]),
+    "precession.PrecessionPart.error": of(frequency=W),
+    "parameter_varying.AffineModel.state_matrix": of(parameters=[0.1] + [0.0] * 5),
+    "parameter_varying.AffineModel.system": of(parameters=[0.1] + [0.0] * 5),
+    "parameter_varying.MatrixPolynomial.at": of(Omega=[0.1, 0.0, 0.0]),
+    "requirements.LoopRequirement.check": {"plants": plants, "controller": closed},
+    "requirements.LoopRequirement.check_closed_loop": {"closed_loop": lambda: one(PERIOD)},
+    "requirements.LoopRequirement.check_controller": {"controller": closed},
+    "requirements.LoopRequirement.figures": {"measures": INSTANCES["analysis.LoopMeasures"]},
+    "requirements.LoopRequirement.ratios": {"measures": INSTANCES["analysis.LoopMeasures"]},
+    "requirements.LoopRequirement.result": {"plants": plants, "measures": INSTANCES["analysis.LoopMeasures"]},
+    "requirements.Requirement.judge": of(measured=0.5, subject="a", stage="decoupled", evidence="b"),
+    "requirements.Requirement.ratio": of(measured=0.5),
+    "scenario.TimeTable.at": of(t=[0.5]),
+    "simulation.Stepper.advance": of(samples=1),
+    "simulation.Stepper.restore": {"snapshot": lambda: stepper().snapshot()},
+    "variation.Range.holds": of(low=0.1, high=0.2, continuous=True),
+}
+# Their arguments come from the search, not from a user.
+STRUCTURES = ("block", "order", "parameters")
