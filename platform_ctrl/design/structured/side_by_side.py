@@ -28,11 +28,13 @@ _POLL = 0.1
 # polish of the best of them.
 _FIRST, _ON = 0.3, 0.3
 # Of how many starts one goes on after the first descent, how many at least, and how many are polished.
-_HALF, _LEAST, _POLISHED = 3, 4, 4
+_HALF, _LEAST, _POLISHED = 3, 4, 12
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
 # Values that differ by no more are one minimum, relative, before the polish and after it.
 _SAME, _AGREE = 1e-6, 1e-5
+# Polished starts that have to come to the least value of all before the others are left.
+_ENOUGH = 5
 
 # Number of the start, what was found.
 Report = Callable[[int, Outcome | None], None]
@@ -97,12 +99,12 @@ def best_found(
 
 
 def _settled(found: Sequence[Outcome | None], level: Sequence[tuple[float, float]], least: float) -> bool:
-    """Whether more work is idle: nothing can be less, or two of the polished starts came to the least value of all."""
+    """Whether more work is idle: nothing can be less, or several polished starts came to the least value of all."""
     best = min(_of(found, k).rank for k in _ranked(found))
     if best[0] > 0.0:
         return False
     near = sum(one[0] == 0.0 and one[1] <= best[1] * (1.0 + _AGREE) for one in level)
-    return near > 1 or best[1] <= least * (1.0 + _AGREE)
+    return near >= _ENOUGH or best[1] <= least * (1.0 + _AGREE)
 
 
 def _better(one: Outcome | None, other: Outcome | None) -> Outcome | None:
