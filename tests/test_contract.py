@@ -101,3 +101,24 @@ def test_no_call_raises_anything_else_hangs_or_ends_the_process(tmp_path: Path) 
 @pytest.mark.slow
 def test_arguments_are_refused_without_assertions_too(tmp_path: Path) -> None:
     assert wrong(outcomes(functions(), FAST, 3, tmp_path, "-O"), refused=True) == ""
+
+
+ALONE = """
+import numpy as np
+from concurrent.futures import ThreadPoolExecutor
+import platform_ctrl as pc
+from platform_ctrl import analysis
+system, w = pc.state_space(pc.linearise(pc.read_platform("rate_gyro"))), np.geomspace(0.1, 100.0, 50)
+one = analysis.frequency_response(system, w)
+with ThreadPoolExecutor(4) as pool:
+    found = list(pool.map(lambda _: analysis.frequency_response(system, w), range(8)))
+print(sum(np.array_equal(one, other) for other in found))
+"""
+
+
+@pytest.mark.parametrize("python", [(), ("-O",)], ids=["plain", "-O"])
+def test_threads_agree_where_nothing_can_be_written(python: tuple[str, ...]) -> None:
+    nowhere = dict.fromkeys(("HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "XDG_CACHE_HOME"), f"{os.devnull}/none")
+    command = [sys.executable, *python, "-c", ALONE]
+    done = subprocess.run(command, env=os.environ | nowhere, capture_output=True, text=True, check=False)
+    assert done.stdout == "8\n", done.stderr
