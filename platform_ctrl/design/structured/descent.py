@@ -42,6 +42,9 @@ _FIRST, _MORE, _STEPS = 6, 3, 25
 _SPARED = 0.8
 # How often a search that has come to an end is tried again, and how often on a finer grid.
 _TRIES, _FINER = 3, 10
+# How often a search whose goals are missed starts again from about its best point, and how far from it: a search may
+# end at a kink from which no quadratic program leads on, and which kink that is depends on rounding.
+_AGAIN, _SCATTER = 2, 0.1
 # S at the wanted frequency is held this much more tightly than the level, and the frequency wanted this share higher:
 # what is found has to be there when it is measured exactly.
 _TIGHT, _BEYOND = 1e-4, 1.003
@@ -150,10 +153,20 @@ class Search:
 
     def run(self, family: Family, start: FloatArray | None = None) -> Found:
         """Return the best parameters of `family`, from its own start or from `start`."""
-        x = family.start if start is None else start
-        if self._moving:
-            x = np.append(x, np.log(self._bandwidth(family, x)))
         spent = self._left
+        best = self._run(family, family.start if start is None else start)
+        rng = np.random.default_rng(0)
+        for _ in range(_AGAIN):
+            if self._left <= 0 or self._enough(best):
+                break
+            x = best.x + _SCATTER * rng.uniform(-1.0, 1.0, len(best.x))
+            found = self._run(family, np.clip(x, family.lower, family.upper))
+            best = found if found.better_than(best, self._reserve) else best
+        return dataclasses.replace(best, evaluations=spent - self._left)
+
+    def _run(self, family: Family, start: FloatArray) -> Found:
+        """Return where the search from one start ends."""
+        x = np.append(start, np.log(self._bandwidth(family, start))) if self._moving else start
         hard, soft, worst = self._all(family, x)
         self._tell(hard, soft)
         best = Found(x=x, hard=hard, soft=soft, evaluations=0)
@@ -166,7 +179,7 @@ class Search:
             self._plants = self._plants.finer(missed)
             hard, soft, worst = self._all(family, best.x)
             best = dataclasses.replace(best, hard=hard, soft=soft)
-        return dataclasses.replace(best, x=best.x[: len(family.start)], evaluations=spent - self._left)
+        return dataclasses.replace(best, x=best.x[: len(family.start)])
 
     def _missed(self, family: Family, found: Found) -> FloatArray | None:
         """Return the frequencies at which a limit is exceeded that seems to be met; None where none is, exactly."""
