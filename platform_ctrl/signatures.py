@@ -163,6 +163,10 @@ class _Names(dict[str, Any]):
         return _Module(name) if name[0].islower() else _ByName(name, (), {})
 
 
+# Where a value comes from that users often replace by its name or by the value before it.
+_SOURCES = {"Platform": ", for example from read_platform", "LinearModel": ", from linearise(platform)"}
+
+
 def _kind(annotation: object, names: _Names) -> Kind | None:
     """Return what an annotation asks for; None: anything."""
     while isinstance(annotation, str | typing.ForwardRef):
@@ -202,7 +206,7 @@ def _kind(annotation: object, names: _Names) -> Kind | None:
     if isinstance(annotation, type):
         name = annotation.__name__
         words: str = annotation.__dict__.get("words", f"an {name}" if name[0] in "AEIOU" else f"a {name}")
-        return Kind(words, lambda given: isinstance(given, annotation))
+        return Kind(words + _SOURCES.get(name, ""), lambda given: isinstance(given, annotation))
     return None
 
 
