@@ -31,6 +31,8 @@ POLISH_COST = 10
 # Largest entries of M, in their units, in the first part of a descent and when it goes on: where the infimum lies at
 # infinite gain a descent without limit runs there on a way of its own, and stops at a kink.
 _GAINS = (1e2, 1e4)
+# Decrease for which a descent begins afresh once more, relative.
+_AGAIN = 1e-4
 # Most iterations of a descent to stability.
 _SETTLING = 400
 # Most evaluations in one chart or scaling.
@@ -161,6 +163,7 @@ def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, poli
     began = time.monotonic()
     if isinstance(start, Outcome):
         x, inverse, spent, seconds = start.x, start.inverse, start.evaluations, start.seconds
+        inverse = None if start.finished else inverse
     else:
         x = start if problem.structured is not None else Entries(problem.units, problem.order).coordinates(start)
         inverse, spent, seconds = None, 0, 0.0
@@ -169,7 +172,7 @@ def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, poli
         if isinstance(start, Outcome) and start.rank < found.rank:
             found = dataclasses.replace(start, finished=found.finished, late=found.late, evaluations=found.evaluations)
     else:
-        found = _approached(problem, x, inverse, limits)
+        found = _approached(problem, x, inverse, limits, isinstance(start, Outcome))
     return dataclasses.replace(found, evaluations=found.evaluations + spent, seconds=seconds + time.monotonic() - began)
 
 
@@ -183,14 +186,15 @@ def _curved(problem: Problem) -> bool:
     return len(problem.soft) == 1 and not problem.soft[0].h2
 
 
-def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, limits: Limits) -> Outcome:
+def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, limits: Limits, again: bool) -> Outcome:
     """Descend to stability and then on the norm, in the entries of M: BFGS goes through kinks there.
 
-    On a chart it would not: there a way to infinite gain is short, and it goes it before the norm is small.
+    On a chart it would not: there a way to infinite gain is short, and it goes it before the norm is small. A descent
+    that goes on begins afresh where it ends, without what it has learnt, as long as that is worth it.
     """
     whole = problem.structured
     controller = Entries(problem.units, problem.order) if whole is None else whole
-    gain = max(_GAINS[inverse is not None], 2.0 * float(np.abs(x).max(initial=0.0)))
+    gain = max(_GAINS[again], 2.0 * float(np.abs(x).max(initial=0.0)))
     low = np.full(x.size, -gain) if whole is None else whole.lower
     high = np.full(x.size, gain) if whole is None else whole.upper
     loops = WorstNorm(problem.plants, controller, margin=problem.decay)
@@ -218,8 +222,11 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         found = descended(rightmost, x, low, high, target=-1e-300, iterations=_SETTLING)
         found = dataclasses.replace(found, inverse=None)
     stable = loops.stable(found.x)
-    if stable and found.finished:
-        found = descended(norm, found.x, low, high, inverse=found.inverse)
+    while stable and found.finished:
+        last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse)
+        if not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
+            break
+        found = dataclasses.replace(found, inverse=None)
     held = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))
     return Outcome(
         x=found.x,
