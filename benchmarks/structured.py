@@ -239,7 +239,9 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=16, help="starts of a static problem")
     parser.add_argument("--pid-starts", type=int, default=4)
-    parser.add_argument("--evaluations", type=int, default=40000, help="of all starts of a problem; 0 beside BFGS: as many as it needs")
+    parser.add_argument(
+        "--evaluations", type=int, default=40000, help="of all starts of a problem; 0 beside BFGS: as many as it needs"
+    )
     parser.add_argument("--bfgs", type=int, default=0, help="compare with plain BFGS from so many random starts")
     parser.add_argument("--no-static", action="store_true")
     parser.add_argument("--no-pid", action="store_true")

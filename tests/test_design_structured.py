@@ -350,7 +350,7 @@ def test_what_cannot_be_is_said_in_one_line() -> None:
             P, 2, 2, structure=structure, requirements=asked + soft, starts=2, evaluations=3000, processes=1
         )
     for wrong, said in (
-        ({"structure": "PID"}, "expected a structure such as"),
+        ({"structure": "PID"}, "expected a Structure"),
         ({"structure": design.Static(), "starts": 0}, "expected a whole number"),
         ({"structure": design.Static(), "time_limit": -1.0}, "expected a positive number of seconds"),
         ({"structure": design.Static(), "evaluations": 0.5}, "expected a whole number"),
@@ -400,9 +400,7 @@ def test_two_masses_with_uncertain_spring_decay_by_a_strictly_proper_controller_
     plants = [two_masses(k) for k in STIFFNESS]
     asked = [requirement("stability", 0.25), requirement("H-infinity norm", 1.0, hard=False)]
     structure = design.StateSpaceOrder(states=4, strictly_proper=True)
-    found = design.structured(
-        plants, 1, 1, structure=structure, requirements=asked, starts=2, evaluations=3000, processes=1
-    )
+    found = design.structured(plants, 1, 1, structure=structure, requirements=asked, starts=2, processes=1)
     assert found.passed
     assert not np.any(found.controller.D)
     for k in STIFFNESS:
@@ -427,6 +425,22 @@ def test_none_found_is_not_infeasible_and_says_where_the_poles_of_the_loop_are(
     said = re.search(r"pole at (\S+) rad/s", str(caught.value))
     assert said is not None
     assert float(said[1]) == pytest.approx(worst, rel=1e-3)
+
+
+@pytest.mark.parametrize(("evaluations", "deadline", "most"), [(70, np.inf, 70), (10**6, -np.inf, 0)])
+def test_controllers_of_every_order_are_sought_within_the_limits(evaluations: int, deadline: float, most: int) -> None:
+    from platform_ctrl.design.partition import partition
+    from platform_ctrl.design.structured.orders import Orders
+    from platform_ctrl.design.structured.run import Limits
+    from platform_ctrl.design.structured.structures import Units
+
+    plants = [partition(two_masses(k), 1, 1) for k in STIFFNESS]
+    units = Units(gain=np.ones((1, 1)), rate=1.0)
+    # No decay of 10 1/s is found: the limits alone end the search.
+    known = Orders(plants, 10.0, units, np.random.default_rng(0), Limits(evaluations=evaluations, deadline=deadline))
+    nearest = known.best(4, True)
+    assert known.spent == most
+    assert np.isfinite(nearest.abscissa)
 
 
 def test_a_lower_order_is_a_start_of_the_next() -> None:

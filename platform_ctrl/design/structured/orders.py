@@ -8,6 +8,7 @@ too: with a state more that nothing reads, or behind a fast low-pass where there
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +16,15 @@ import numpy as np
 from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.structured.norm import augmented
 from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.quasi_newton import descended
+from platform_ctrl.design.structured.quasi_newton import Stopped, descended
+from platform_ctrl.design.structured.run import Limits
 from platform_ctrl.design.structured.structures import StateSpaceOrder, Units
 from platform_ctrl.frozen import FloatArray, value
 
 # Random starts of one order, and most iterations of the descent from each.
 _STARTS, _ITERATIONS = 32, 600
+# Share of what is left of the evaluations that they may use.
+_RANDOM = 0.75
 # Poles of random starts in units of the rate, and decades by which they all are faster; decades of the gains.
 _POLES, _FASTER, _GAINS = (0.3, 3.0), (-0.3, 0.7), (-1.0, 1.0)
 # Corners of a low-pass that stands behind a controller of lower order, and poles of a state that nothing reads, in
@@ -32,11 +36,10 @@ _CORNERS, _UNREAD = (1e3, 3e2, 1e2, 3e1, 1e1), (1.0, 10.0)
 
 @value
 class Reached:
-    """A controller M = [A_K, B_K; C_K, D_K], the largest real part of the loops' poles, and evaluations spent."""
+    """A controller M = [A_K, B_K; C_K, D_K], and the largest real part of the loops' poles."""
 
     M: FloatArray
     abscissa: float
-    evaluations: int
 
 
 class Orders:
@@ -52,10 +55,20 @@ class Orders:
         Of gains and rates.
     rng
         Of the random starts.
+    limits
+        Of all orders together; where they end the search, the nearest so far is the answer.
+
+    Attributes
+    ----------
+    spent
+        Evaluations of the loops' poles.
     """
 
-    def __init__(self, plants: Sequence[Partition], decay: float, units: Units, rng: np.random.Generator) -> None:
-        self.plants, self.decay, self.units, self.rng = plants, decay, units, rng
+    def __init__(
+        self, plants: Sequence[Partition], decay: float, units: Units, rng: np.random.Generator, limits: Limits
+    ) -> None:
+        self.plants, self.decay, self.units, self.rng, self.limits = plants, decay, units, rng, limits
+        self.spent = 0
         self.ncon, self.nmeas = units.gain.shape
         self._known: dict[tuple[int, bool], Reached] = {}
 
@@ -71,19 +84,22 @@ class Orders:
         zero = np.zeros((order + self.ncon, order + self.nmeas))
         zero[:order, :order] = -self.units.rate * np.eye(order)
         best = self._descended(free, zero, 0)
+        # Lower orders are to have their turn.
+        enough = self.spent + int(_RANDOM * (self.limits.evaluations - self.spent))
         for _ in range(_STARTS):
-            if best.abscissa < -self.decay:
+            if self._ended(best):
                 return best
-            tried = self._descended(self._companion(order, strictly_proper), None, _ITERATIONS)
-            best = self._better(best, tried)
+            if self.spent >= enough:
+                break
+            best = self._better(best, self._descended(self._companion(order, strictly_proper), None, _ITERATIONS))
         # Once more with all entries.
         best = self._better(best, self._descended(free, best.M, _ITERATIONS))
-        if strictly_proper and order > self.ncon and not best.abscissa < -self.decay:
+        if strictly_proper and order > self.ncon and not self._ended(best):
             lower = self.best(order - self.ncon, False)
             behind = [low_passed(lower.M, order - self.ncon, c * self.units.rate, self.ncon) for c in _CORNERS]
             first = min((self._descended(free, M, 0) for M in behind), key=lambda one: one.abscissa)
-            best = self._better(best, self._descended(free, first.M, _ITERATIONS), lower.evaluations)
-        if order > 1 and not best.abscissa < -self.decay:
+            best = self._better(best, self._descended(free, first.M, _ITERATIONS))
+        if order > 1 and not self._ended(best):
             lower = self.best(order - 1, strictly_proper)
             for speed in _UNREAD:
                 inputs = np.asarray(self.rng.standard_normal(self.nmeas) * self.units.rate)
@@ -91,10 +107,16 @@ class Orders:
                 best = self._better(best, self._descended(free, M, _ITERATIONS))
         return best
 
+    def _ended(self, best: Reached) -> bool:
+        """Whether there is enough decay, or no more work is allowed."""
+        return best.abscissa < -self.decay or self._over()
+
+    def _over(self) -> bool:
+        return self.spent >= self.limits.evaluations or time.monotonic() > self.limits.deadline
+
     @staticmethod
-    def _better(one: Reached, other: Reached, more: int = 0) -> Reached:
-        least = min(one, other, key=lambda r: r.abscissa)
-        return Reached(M=least.M, abscissa=least.abscissa, evaluations=one.evaluations + other.evaluations + more)
+    def _better(one: Reached, other: Reached) -> Reached:
+        return min(one, other, key=lambda r: r.abscissa)
 
     def _companion(self, order: int, strictly_proper: bool) -> StateSpaceOrder:
         """Return the order with A_K in companion form, at random starting values."""
@@ -120,11 +142,18 @@ class Orders:
         whole = Parametrised(structure, self.nmeas, self.ncon, self.units)
         poles = _Poles([augmented(plant, structure.states) for plant in self.plants], whole)
         x = whole.start if M is None else whole.nearest(M)
+
+        def asked(y: FloatArray, _: float) -> tuple[float, FloatArray]:
+            if self._over():
+                raise Stopped
+            self.spent += 1
+            return poles.rightmost(y)
+
         if iterations:
             low, high = np.full(x.size, -np.inf), np.full(x.size, np.inf)
             enough = -self.decay * (1.0 + _AHEAD)
-            x = descended(poles.rightmost, x, low, high, target=enough, iterations=iterations, progress=0.0).x
-        return Reached(M=poles.matrix(x), abscissa=poles.rightmost(x, np.inf)[0], evaluations=poles.spent)
+            x = descended(asked, x, low, high, target=enough, iterations=iterations, progress=0.0).x
+        return Reached(M=poles.matrix(x), abscissa=poles.rightmost(x)[0])
 
 
 class _Poles:
@@ -132,7 +161,7 @@ class _Poles:
 
     def __init__(self, plants: Sequence[Partition], whole: Parametrised) -> None:
         zero = np.zeros(len(whole.start))
-        self.base, self.slope, self.spent = whole.matrix(zero), whole.jacobian(zero), 0
+        self.base, self.slope = whole.matrix(zero), whole.jacobian(zero)
         self.A, self.B, self.C, self.D = (
             np.array([getattr(plant, name) for plant in plants]) for name in ("A", "B2", "C2", "D22")
         )
@@ -142,9 +171,8 @@ class _Poles:
         """Return M."""
         return np.asarray(self.base + self.slope @ x)
 
-    def rightmost(self, x: FloatArray, _: float) -> tuple[float, FloatArray]:
+    def rightmost(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Return the largest real part of all poles and its gradient."""
-        self.spent += 1
         refused = np.inf, np.zeros(len(x))
         M = self.matrix(x)
         if not np.all(np.isfinite(M)):

@@ -98,7 +98,9 @@ def structured(
         Of the scatter.
     evaluations
         Most evaluations of the closed loops (poles, norms and their gradients, of all plants at once) over all starts,
-        each of which gets the same number. The result depends on it, and not on the machine or its load.
+        each of which gets the same number. The result depends on it, and not on the machine or its load. Where no start
+        of a controller of free order stabilises, the search for one that does, and the one that begins there, may each
+        spend as many again.
     time_limit
         Longest time for everything, s; default none. A search that it ends returns the best so far with a
         `TimeLimitWarning` and `StructuredDesign.cut`: at another load the result is another one.
@@ -135,10 +137,6 @@ def structured(
     See docs/structured.md.
     """
     given = _plants(plants)
-    if not isinstance(structure, Structure):
-        raise ArgumentError(
-            f"structured: structure = {structure!r}; expected a structure such as design.Static() or design.PID()"
-        )
     for name, number in (("starts", starts), ("evaluations", evaluations), ("processes", processes)):
         counts = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
         if not counts and not (name == "processes" and number is None):
@@ -198,11 +196,11 @@ def structured(
     found = best_found(problem, points, limits, processes, report, least)
     tried = 0
     if isinstance(structure, StateSpaceOrder) and not any(one is not None and one.stable for one in found):
-        further, tried = _of_orders(structure, task, units, whole, seed)
+        further, tried = _of_orders(structure, task, units, whole, seed, limits)
         found += best_found(problem, further, limits, processes, report, least)
     ended = [one for one in found if one is not None]
     spent = tried + sum(one.evaluations for one in ended)
-    cut = len(ended) < len(points) or any(one.late for one in ended) or any(one.cut for one in bounds)
+    cut = len(ended) < len(found) or any(one.late for one in ended) or any(one.cut for one in bounds)
     best = min(ended, key=lambda one: one.rank, default=None)
     if best is None or best.rank[0] > 0.0:
         raise _none_found(best, len(ended), spent, cut, structure, parts, given, requirements)
@@ -328,14 +326,14 @@ def _points(
 
 
 def _of_orders(
-    structure: StateSpaceOrder, task: _Task, units: Units, whole: Parametrised | None, seed: int
+    structure: StateSpaceOrder, task: _Task, units: Units, whole: Parametrised | None, seed: int, limits: Limits
 ) -> tuple[list[FloatArray], int]:
     """Return a start with enough decay, or the nearest, from companion forms and lower orders; evaluations spent."""
     if any(structure.given) or not 1 <= structure.states <= _MOST_STATES:
         return [], 0
-    known = Orders(task.plants, task.decay, units, np.random.default_rng(seed))
+    known = Orders(task.plants, task.decay, units, np.random.default_rng(seed), limits)
     best = known.best(structure.states, structure.strictly_proper)
-    return [best.M if whole is None else whole.nearest(best.M)], best.evaluations
+    return [best.M if whole is None else whole.nearest(best.M)], known.spent
 
 
 def _infimum(gamma: float, at_limit: bool, bound: float, unit: float) -> str:
