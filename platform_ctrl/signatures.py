@@ -30,6 +30,8 @@ R = TypeVar("R")
 
 # Characters of a given value that a message shows.
 LONGEST = 60
+# Their numbers are looked at every time.
+_OF_NUMBERS = (float, np.ndarray, list, tuple)
 # No whole number beyond what compiled code and random generators take.
 LARGEST = 2**63
 
@@ -52,6 +54,8 @@ class Kind(NamedTuple):
     words: str
     holds: Callable[[Any], bool]
     items: Any = None
+    # Classes whose instances are all of this kind, where that is so: found as they come.
+    classes: set[type] | None = None
 
 
 def check_arguments(function: Callable[P, R]) -> Callable[P, R]:
@@ -78,13 +82,24 @@ def _checked(function: Callable[P, R], nan: bool) -> Callable[P, R]:
     @functools.wraps(function)
     def checking(*args: P.args, **kwargs: P.kwargs) -> R:
         expected, others = kinds()
-        for name, given in (*zip(names, args, strict=False), *kwargs.items()):
+        for name, given in zip(names, args, strict=False):
             kind = expected.get(name, others)
-            if kind is not None and not (kind.holds(given) and (nan or not _nan(given))):
-                raise ArgumentError(_refusal(name, kind, given))
+            if kind is not None and not (kind.classes and type(given) in kind.classes):
+                _judge(name, kind, given, nan)
+        for name, given in kwargs.items():
+            kind = expected.get(name, others)
+            if kind is not None and not (kind.classes and type(given) in kind.classes):
+                _judge(name, kind, given, nan)
         return function(*args, **kwargs)
 
     return checking
+
+
+def _judge(name: str, kind: Kind, given: object, nan: bool) -> None:
+    if not (kind.holds(given) and (nan or not _nan(given))):
+        raise ArgumentError(_refusal(name, kind, given))
+    if kind.classes is not None and not isinstance(given, _OF_NUMBERS):
+        kind.classes.add(type(given))
 
 
 def check_fields(cls: type, fields: Mapping[str, Any], given: object) -> None:
@@ -206,7 +221,8 @@ def _kind(annotation: object, names: _Names) -> Kind | None:
     if isinstance(annotation, type):
         name = annotation.__name__
         words: str = annotation.__dict__.get("words", f"an {name}" if name[0] in "AEIOU" else f"a {name}")
-        return Kind(words + _SOURCES.get(name, ""), lambda given: isinstance(given, annotation))
+        words += _SOURCES.get(name, "")
+        return Kind(words, lambda given: isinstance(given, annotation), classes=set())
     return None
 
 
@@ -253,13 +269,13 @@ def _nan(given: object) -> bool:
 
 
 _PLAIN: dict[Any, Kind] = {
-    None: Kind("None", lambda given: given is None),
-    types.NoneType: Kind("None", lambda given: given is None),
+    None: Kind("None", lambda given: given is None, classes=set()),
+    types.NoneType: Kind("None", lambda given: given is None, classes=set()),
     _Numbers: Kind("real numbers", functools.partial(_like, "biufc")),
     float: Kind("a number", _number),
     int: Kind("a whole number", _whole),
-    str: Kind("a string", lambda given: isinstance(given, str)),
-    bool: Kind("True or False", lambda given: isinstance(given, bool | np.bool_)),
+    str: Kind("a string", lambda given: isinstance(given, str), classes=set()),
+    bool: Kind("True or False", lambda given: isinstance(given, bool | np.bool_), classes=set()),
 }
 _ANY_ARRAY = Kind("an array", lambda given: isinstance(given, np.ndarray))
 _ARRAYS: dict[str, Kind] = {
@@ -283,7 +299,8 @@ def _union(kinds: Sequence[Kind | None]) -> Kind | None:
     holds = [kind.holds for kind in known]
     words = [word for kind in known for word in (("True", "False") if kind is _PLAIN[bool] else (kind.words,))]
     items = next((kind.items for kind in known if kind.items is not None), None)
-    return Kind(_either(words), lambda given: any(hold(given) for hold in holds), items)
+    classes: set[type] | None = set() if all(kind.classes is not None for kind in known) else None
+    return Kind(_either(words), lambda given: any(hold(given) for hold in holds), items, classes)
 
 
 def _mapping(key: Kind | None = None, item: Kind | None = None) -> Kind:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.frozen import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)
@@ -208,3 +209,18 @@ def test_bandwidth_from_responses_agrees_with_the_exact_one() -> None:
     S = np.moveaxis(analysis.gang(plant, controller, w).S_output, -1, 0)
     stacked = analysis.bandwidth_of_response(w, np.stack([S, S]))
     np.testing.assert_allclose(stacked, exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("p", "m"), [(1, 1), (1, 4), (2, 2), (3, 3), (4, 2), (2, 5), (8, 8), (8, 20)])
+def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
+    rng = np.random.default_rng(10 * p + m)
+    H = rng.normal(size=(21, p, m)) + 1j * rng.normal(size=(21, p, m))
+    H *= 10.0 ** rng.uniform(-280.0, 280.0, (21, 1, 1))
+    # Zero, all of them alike, one alone, columns next to parallel, and of widely different lengths.
+    H[0], H[1], H[2], H[3] = 0.0, np.eye(p, m), 1.0, 1.0 + 1e-9 * rng.normal(size=(p, m))
+    H[4] = 10.0 ** -np.arange(0.0, 12.0 * m, 12.0)
+    sizes = largest_gains(H)
+    assert sizes == pytest.approx(np.linalg.norm(H, 2, axis=(-2, -1)), rel=1e-14)
+    H[7, 0, -1], H[9, -1, 0] = math.nan, complex(0.0, -math.inf)
+    assert np.flatnonzero(np.isinf(largest_gains(H))).tolist() == [7, 9]
+    assert largest_gains(H)[8] == sizes[8]

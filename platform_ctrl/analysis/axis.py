@@ -7,18 +7,14 @@ out once: norms and margins ask many times.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.response import LARGE, AxisResponse, frequency_response_arrays
+from platform_ctrl.analysis.response import AxisResponse, frequency_response_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-
-if TYPE_CHECKING:
-    from platform_ctrl.analysis.phase_bound import Small
 
 # Inputs or outputs up to which singular values are compiled ones.
 PORTS = 8
@@ -67,12 +63,6 @@ class FrequencyAxis:
             out[infinite] = self.system.D
         out.imag[(frequency == 0.0) | (frequency == self.edge)] = 0.0
         return out
-
-    def small(self) -> Small | None:
-        """Return the system as the compiled search takes it; None if it has too many states or ports, or none."""
-        if self._along is None or len(self.system.A) >= LARGE or min(self.system.D.shape) > PORTS:
-            return None
-        return self._along.small(self.edge)
 
     def gains(self, frequency: FloatArray, tolerated: float | None = None, least: float = 0.0) -> FloatArray:
         """Return the largest singular value at each frequency, (N,); inf where the response is not finite."""

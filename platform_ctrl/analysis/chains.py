@@ -60,7 +60,7 @@ def chains(A: FloatArray, B: FloatArray, C: FloatArray) -> Chains:
     size = p + 1 + n
     out = Chains(np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1))
     work = memory(size * size + n)
-    _reduce(A, B, C, work[:-n], work[-n:], *out[:3])
+    reduce(A, B, C, work[:-n], work[-n:], *out[:3])
     return out
 
 
@@ -100,7 +100,7 @@ def _mixture(C: FloatArray, norms: FloatArray) -> FloatArray:
 
 
 @compiled
-def _reduce(
+def reduce(
     A: FloatArray,
     B: FloatArray,
     C: FloatArray,
@@ -110,6 +110,7 @@ def _reduce(
     lasts: NDArray[np.int64],
     norms: FloatArray,
 ) -> None:
+    """Write the chains of few states into `rows`, `lasts` and `norms`; M and v are memory."""
     (n, m), p = B.shape, C.shape[0]
     size, square = p + 1 + n, 0.0
     for i in range(p):

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
-from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
+from platform_ctrl.analysis.axis import PORTS, FrequencyAxis, largest_gains
 from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
-from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays
+from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays, plain
 from platform_ctrl.arguments import not_negative, positive
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -110,6 +110,12 @@ def hinf_norm_arrays(
 
 def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[float, float]:
     A, B, C, D, dt = system
+    if _is_small(system):
+        from platform_ctrl.analysis.phase_bound import norm_of_few
+
+        found, norm, frequency = norm_of_few(system, tolerance, allow_unstable)
+        if found:
+            return norm, frequency
     axis = FrequencyAxis(system)
     s, on_boundary = boundary_poles(axis.system.A, dt) if len(A) else (np.zeros(0, complex), np.zeros(0, np.bool_))
     unstable = (s.real > 0.0) & ~on_boundary
@@ -126,6 +132,11 @@ def _norm(system: StateArrays, tolerance: float, allow_unstable: bool) -> tuple[
     if np.any(on_boundary):
         return math.inf, float(np.abs(s[on_boundary].imag).min())
     return peak_gain(axis, s, tolerance)
+
+
+def _is_small(system: StateArrays) -> bool:
+    """Return whether the compiled search takes a system: some states, inputs and outputs, but few."""
+    return 0 < len(system.A) < LARGE and 0 < min(system.D.shape) <= PORTS
 
 
 def peak_gain(
@@ -147,12 +158,12 @@ def peak_gain(
     # Compiled, or taken from numba's cache, with the first call.
     from platform_ctrl.analysis import phase_bound
 
-    phase = phase_bound.all_pass(s, axis.system.dt)
-    small = axis.small()
-    if small is not None:
-        found, best, frequency = phase_bound.peak(small, s[np.isfinite(s)], phase.centre, phase.width, tolerance)
+    A, B, C, D, dt = axis.system
+    if _is_small(axis.system):
+        found, best, frequency = phase_bound.peak(plain(A), plain(B), plain(C), plain(D), dt, s, tolerance)
         if found:
             return best, frequency
+    phase = phase_bound.all_pass(s, dt)
     w = np.concatenate([[0.0, axis.edge], resonances(s, few=len(s) >= LARGE), [] if known is None else [known[1]]])
     w = np.unique(w[w <= axis.edge])
     best, frequency, sizes = 0.0, 0.0, _looked(axis, w, 0.0)

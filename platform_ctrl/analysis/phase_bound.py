@@ -16,19 +16,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dgebal, dgeev
 
-from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.gain_kernel import largest_singular_values
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.boundary import DOUBTFUL, EPSILON
+from platform_ctrl.analysis.chains import reduce
+from platform_ctrl.analysis.gain_kernel import largest_of_columns
 from platform_ctrl.analysis.resolvent import quick
+from platform_ctrl.analysis.response import TOLERATED, plain
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import compiled
+from platform_ctrl.lanes import LANES, compiled, internal
 
 # Poles are known to a few digits at least: phases are granted this factor.
 GRANTED = 1.05
 # Ratio of neighbouring distances from a peak.
 STEP = 2.5
 # Frequencies of a climb, steps at most, and how much nearer the next ones are where the gain bends and where not.
-FAN, CLIMBS, BENT, STRAIGHT = 15, 12, 0.07, 0.5
+FAN, CLIMBS, BENT, STRAIGHT = 16, 12, 0.06, 0.5
 # Frequencies at which the gain may be looked at before eigenvalues of a Hamiltonian matrix take less.
 MOST, MOST_PER_POLE = 500, 40
 
@@ -87,15 +91,18 @@ def around(w: float, centre: FloatArray, width: FloatArray, dt: float, tolerance
     at, least, slope = _mapped(w, dt), 0.5 * math.sqrt(8.0 * tolerance), 0.0
     for i in range(len(centre)):
         slope += 2.0 * width[i] * (1.0 if at == math.inf else 1.0 / ((at - centre[i]) ** 2 + width[i] ** 2))
-    count = math.ceil(math.log(1.5 / least) / math.log(STEP))
-    out = np.empty(2 * count)
-    for k in range(count):
+    steps, count = math.ceil(math.log(1.5 / least) / math.log(STEP)), 0
+    out = np.empty(2 * steps)
+    for k in range(steps):
         distance = least * STEP**k
-        out[2 * k] = slope / distance if at == math.inf else at + distance / slope
-        out[2 * k + 1] = out[2 * k] if at == math.inf else at - distance / slope
-    for k in range(2 * count):
-        out[k] = max(0.0, out[k] if dt == 0.0 else 2.0 / dt * math.atan(out[k]))
-    return out
+        above = slope / distance if at == math.inf else at + distance / slope
+        out[count] = above if dt == 0.0 else 2.0 / dt * math.atan(above)
+        count += 1
+        if at < math.inf and at > distance / slope:
+            below = at - distance / slope
+            out[count] = below if dt == 0.0 else 2.0 / dt * math.atan(below)
+            count += 1
+    return out[:count]
 
 
 @compiled
@@ -131,7 +138,7 @@ def middles(w: FloatArray, chosen: NDArray[np.int64], edge: float) -> FloatArray
     return out
 
 
-class Small(NamedTuple):
+class Few(NamedTuple):
     """A system of few states as the compiled search takes it.
 
     Attributes
@@ -144,8 +151,6 @@ class Small(NamedTuple):
         Memory for `resolvent.quick`.
     size, dt, edge
         1 + p + n; sample period, s; end of the axis, rad/s.
-    tolerated
-        Error of an entry of the response, relative to the largest gain where that is more than itself.
     """
 
     rows: FloatArray
@@ -156,43 +161,139 @@ class Small(NamedTuple):
     size: int
     dt: float
     edge: float
-    tolerated: float
+
+
+def norm_of_few(system: StateArrays, tolerance: float, unstable: bool) -> tuple[bool, float, float]:
+    """Return whether the H-infinity norm of a system with few states was found, the norm and its frequency.
+
+    It is not found next to the stability boundary, where digits are short, or of an unstable system unless `unstable`.
+    """
+    A, B, C, D = plain(system.A), plain(system.B), plain(system.C), plain(system.D)
+    # The routines themselves: what is around them takes longer than a small matrix.
+    first, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    further = dgebal(_bordered(A, B, C, scale), scale=1, permute=0)[3]
+    real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)
+    if failed:
+        return False, 0.0, 0.0
+    return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable)
+
+
+@compiled
+def _bordered(A: FloatArray, B: FloatArray, C: FloatArray, scale: FloatArray) -> FloatArray:
+    """Return [A B; C 0] in scaled states, B and C as large as A."""
+    (n, m), p = B.shape, C.shape[0]
+    out = np.zeros((n + m + p, n + m + p))
+    for i in range(n):
+        out[i, :n] = A[i] * scale / scale[i]
+        out[i, n : n + m] = B[i] / scale[i]
+    for i in range(p):
+        out[n + m + i, :n] = C[i] * scale
+    size = math.sqrt(np.sum(out[:n, :n] ** 2))
+    driven, seen = math.sqrt(np.sum(out[:n, n:] ** 2)), math.sqrt(np.sum(out[n:, :n] ** 2))
+    out[:n, n:] *= (size if size > 0.0 else 1.0) / (driven if driven > 0.0 else 1.0)
+    out[n:, :n] *= (size if size > 0.0 else 1.0) / (seen if seen > 0.0 else 1.0)
+    return out
+
+
+@compiled
+def _norm(
+    system: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    dt: float,
+    scales: tuple[FloatArray, FloatArray],
+    poles: tuple[FloatArray, FloatArray],
+    tolerance: float,
+    unstable: bool,
+) -> tuple[bool, float, float]:
+    """Return what `norm_of_few` does, of states in units that are the product of both `scales`."""
+    (A, B, C, D), (real, imaginary) = system, poles
+    n = len(A)
+    total = scales[0] * scales[1][:n]
+    A, B, C = A * total / total.reshape(n, 1), B / total.reshape(n, 1), C * total
+    doubtful_below, s = DOUBTFUL * EPSILON * math.sqrt(np.sum(A * A)), np.empty(n, dtype=np.complex128)
+    for k in range(n):
+        s[k] = complex(real[k], imaginary[k])
+        distance = 1.0 - abs(s[k]) if dt > 0.0 else -real[k]
+        # Not a number is doubtful too.
+        if not abs(distance) > doubtful_below or (distance < 0.0 and not unstable):
+            return False, 0.0, 0.0
+        if dt > 0.0:
+            s[k] = _logarithm(s[k]) / dt
+    return peak(A, B, C, D, dt, s, tolerance)
+
+
+@compiled
+def _logarithm(z: complex) -> complex:
+    if z == 0.0:
+        return complex(-math.inf, 0.0)
+    square = (z.real - 1.0) * (z.real + 1.0) + z.imag * z.imag
+    # No digits are lost next to z = 1.
+    growth = 0.5 * math.log1p(square) if abs(z - 1.0) < 0.5 else math.log(abs(z))
+    return complex(growth, math.atan2(z.imag, z.real))
 
 
 @compiled
 def peak(
-    small: Small, s: ComplexArray, centre: FloatArray, width: FloatArray, tolerance: float
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, s: ComplexArray, tolerance: float
 ) -> tuple[bool, float, float]:
-    """Return whether the largest gain was found with all digits, the gain and its frequency; s are finite poles."""
-    w = _first_look(s, small.edge)
-    sizes, fine = _gains(small, w, 0.0)
-    phi = phases(w, centre, width, small.dt)
+    """Return whether the largest gain was found with all digits, the gain and its frequency.
+
+    The system is balanced, of few states, inputs or outputs; s are its continuous(-equivalent) poles.
+    """
+    few = _prepared(A, B, C, D, dt)
+    finite, centre, width = s[np.isfinite(s)], np.zeros(len(s)), np.ones(len(s))
+    for k in range(len(s)):
+        pole = s[k]
+        if dt > 0.0:
+            pole = np.tanh(0.5 * dt * pole) if abs(pole) < math.inf else complex(-1.0, 0.0)
+        centre[k], width[k] = pole.imag, abs(pole.real)
+    w = _first_look(finite, few.edge)
+    sizes, fine = _gains(few, w, 0.0)
+    phi = phases(w, centre, width, dt)
     best, frequency = 0.0, 0.0
     while fine:
         k = int(np.argmax(sizes))
-        if sizes[k] == math.inf or len(w) > MOST + MOST_PER_POLE * len(centre):
+        if sizes[k] == math.inf or len(w) > MOST + MOST_PER_POLE * len(s):
             break
         if sizes[k] > best * (1.0 + 0.1 * tolerance):
-            best, frequency, fine = _climbed(small, s, sizes[k], w[k], 0.01 * tolerance)
-            new = np.minimum(np.append(around(frequency, centre, width, small.dt, tolerance), frequency), small.edge)
+            best, frequency, fine = _climbed(few, finite, sizes[k], w[k], 0.01 * tolerance)
+            new = np.append(around(frequency, centre, width, dt, tolerance), frequency)
         else:
             chosen = doubtful(w, sizes, best * (1.0 + tolerance), phi) if best > 0.0 else np.empty(0, dtype=np.int64)
             if len(chosen) == 0:
                 return True, best, frequency
-            new = middles(w, chosen, small.edge)
+            new = middles(w, chosen, few.edge)
             for i in range(len(new)):
                 if not w[chosen[i]] < new[i] < w[chosen[i] + 1]:
                     return False, best, frequency
-        more, certain = _gains(small, new, best)
+        more, certain = _gains(few, new, best)
         fine = fine and certain
         w, sizes = np.append(w, new), np.append(sizes, more)
-        phi = np.append(phi, phases(new, centre, width, small.dt))
+        phi = np.append(phi, phases(new, centre, width, dt))
         order = np.argsort(w)
         w, sizes, phi = w[order], sizes[order], phi[order]
     return False, best, frequency
 
 
-@compiled
+@internal
+def _prepared(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Few:
+    """Return the chains of the system, or of the transposed one: a recurrence for each input takes less, or output."""
+    if D.shape[0] < D.shape[1]:
+        first, driven, seen, direct = A.T.copy(), C.T.copy(), B.T.copy(), D.T.copy()
+    else:
+        first, driven, seen, direct = A.copy(), B, C, D
+    n, (p, m) = len(first), direct.shape
+    if dt > 0.0:
+        # z - 1 is what the response is evaluated for.
+        for i in range(n):
+            first[i, i] -= 1.0
+    size = p + 1 + n
+    rows, lasts, norms = np.empty((m + 1) * size * size), np.empty(m + 1, dtype=np.int64), np.empty(p + 1)
+    reduce(first, driven, seen, np.empty((size * size, LANES)), np.empty((n, LANES)), rows, lasts, norms)
+    work = np.zeros((4 * (size + p * m + 1) + 2 * (m + 1), LANES))
+    return Few(rows, lasts, norms, direct, work, size, dt, math.inf if dt == 0.0 else math.pi / dt)
+
+
+@internal
 def _first_look(s: ComplexArray, edge: float) -> FloatArray:
     """Return sorted frequencies about the poles of the upper half-plane, and the ends of the axis."""
     out, count = np.empty(2 + 8 * len(s)), 2
@@ -200,17 +301,18 @@ def _first_look(s: ComplexArray, edge: float) -> FloatArray:
     for pole in s:
         if pole.imag >= 0.0:
             rate, damping = abs(pole), abs(pole.real)
-            for k in range(5):
-                out[count + k] = abs(pole.imag + 0.75 * (k - 2) * damping)
-            out[count + 5], out[count + 6], out[count + 7] = rate, 2.0 * rate, 0.5 * rate
-            count += 8
+            for k in range(3 if pole.imag == 0.0 else 0, 5):
+                out[count] = abs(pole.imag + 0.75 * (k - 2) * damping)
+                count += 1
+            out[count], out[count + 1], out[count + 2] = rate, 2.0 * rate, 0.5 * rate
+            count += 3
     return np.sort(np.minimum(out[:count], edge))
 
 
-@compiled
-def _gains(small: Small, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
+@internal
+def _gains(few: Few, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
     """Return the largest singular value at each frequency, and whether they are right."""
-    (p, m), N, dt = small.D.shape, len(w), small.dt
+    (p, m), N, dt = few.D.shape, len(w), few.dt
     z = np.zeros(N, dtype=np.complex128)
     for k in range(N):
         if w[k] == math.inf:
@@ -221,52 +323,54 @@ def _gains(small: Small, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
             tangent = math.tan(0.5 * dt * w[k])
             imaginary = 2.0 * tangent / (1.0 + tangent * tangent)
             z[k] = complex(-tangent * imaginary, imaginary)
-    H, poor = np.empty((p * m, N), dtype=np.complex128), np.empty(N, dtype=np.int64)
-    rows, lasts, norms, D, size, work = small.rows, small.lasts, small.norms, small.D, small.size, small.work
-    count = quick(z, rows, lasts, norms, D, H, size, m, 1, small.tolerated, best, poor, work)
-    matrices, out = np.empty((N, p, m), dtype=np.complex128), np.empty(N)
+    H, poor, out = np.empty((p * m, N), dtype=np.complex128), np.empty(N, dtype=np.int64), np.empty(N)
+    rows, lasts, norms, D, size, work = few.rows, few.lasts, few.norms, few.D, few.size, few.work
+    count = quick(z, rows, lasts, norms, D, H, size, m, 1, TOLERATED, best, poor, work)
     for k in range(N):
-        for i in range(p):
-            for j in range(m):
-                entry = H[i * m + j, k]
-                real = w[k] == 0.0 or w[k] == small.edge
-                matrices[k, i, j] = D[i, j] if w[k] == math.inf else complex(entry.real, 0.0) if real else entry
-    largest_singular_values(matrices, out)
+        if w[k] == 0.0 or w[k] == few.edge:
+            for i in range(p * m):
+                H[i, k] = D[i // m, i % m] if w[k] == math.inf else H[i, k].real
+    largest_of_columns(H, p, m, out)
     if count > 0:
         best = max(best, out.max())
-        count = quick(z, rows, lasts, norms, D, H, size, m, 1, small.tolerated, best, poor, work)
+        count = quick(z, rows, lasts, norms, D, H, size, m, 1, TOLERATED, best, poor, work)
     for k in poor[:count]:
         if w[k] != math.inf:
             return out, False
     return out, True
 
 
-@compiled
-def _climbed(small: Small, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float, bool]:
+@internal
+def _climbed(few: Few, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float, bool]:
     """Return the local maximum near `frequency`, by fans of frequencies that contract, and whether it is right."""
     if frequency == 0.0 or frequency == math.inf:
         return best, frequency, True
-    width = frequency
+    width, last = frequency, False
     for pole in s:
         width = min(width, abs(pole - complex(0.0, frequency)))
     centre = frequency
     for _ in range(CLIMBS):
-        fan = np.minimum(np.abs(centre + width * np.linspace(-1.0, 1.0, FAN)), small.edge)
-        sizes, fine = _gains(small, fan, best)
+        fan = np.full(1, centre) if last else np.abs(centre + width * np.linspace(-1.0, 1.0, FAN))
+        sizes, fine = _gains(few, np.minimum(fan, few.edge), best)
         if not fine:
             return best, frequency, False
         i = int(np.argmax(sizes))
         if sizes[i] > best:
-            best, frequency = sizes[i], fan[i]
-        low, high = sizes[max(i - 1, 0)], sizes[min(i + 1, FAN - 1)]
-        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
-        if best - min(low, high, sizes[i]) <= slack * best or width < 1e-15 * frequency:
+            best, frequency = sizes[i], min(fan[i], few.edge)
+        if last:
             break
-        centre = frequency
+        low, high = sizes[max(i - 1, 0)], sizes[min(i + 1, FAN - 1)]
+        fall = best - min(low, high, sizes[i])
+        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
+        if fall <= slack * best or width < 1e-15 * frequency:
+            break
+        centre = fan[i]
         bend = low + high - 2.0 * sizes[i]
         if bend < 0.0 and 0 < i < FAN - 1:
             centre += 0.25 * (low - high) / bend * (fan[i + 1] - fan[i - 1])
             width *= BENT
+            # The top of the parabola through three points misses by about the square of how much they fall.
+            last = fall * fall <= 0.1 * slack * best * best
         else:
             width *= STRAIGHT
     return best, frequency, True

@@ -24,12 +24,11 @@ if TYPE_CHECKING:
 
     from platform_ctrl.analysis.chains import Chains
     from platform_ctrl.analysis.hessenberg import HessenbergRefinement
-    from platform_ctrl.analysis.phase_bound import Small
     from platform_ctrl.analysis.refinement import Band, Refinement
 
 
 # Error of the quick recurrence above which something better takes its place: what is found is then right to 1e-9.
-_TOLERATED = 2.5e-10
+TOLERATED = 2.5e-10
 # The same for curves and grids: next to what is between their points it is nothing.
 ON_A_GRID = 1e-6
 # States from which on LAPACK reduces faster, and a narrow band is looked for before anything else.
@@ -114,7 +113,7 @@ def frequency_response_arrays(
     D: FloatArray,
     dt: float,
     frequency: FloatArray,
-    tolerated: float = _TOLERATED,
+    tolerated: float = TOLERATED,
 ) -> ComplexArray:
     """Return C (z - A)^-1 B + D, complex (..., N, p, m), at `frequency` rad/s for dt = 0 or dt > 0.
 
@@ -156,7 +155,7 @@ def _whole(
     D: FloatArray,
     dt: float,
     w: FloatArray,
-    tolerated: float = _TOLERATED,
+    tolerated: float = TOLERATED,
 ) -> ComplexArray:
     """Return the response as (..., p, m, N)."""
     z, beyond = _on_axis(w, dt)
@@ -255,7 +254,7 @@ def _responses(
     D: FloatArray,
     z: ComplexArray,
     z_lacks: Callable[[NDArray[np.int64]], ComplexArray] | None = None,
-    tolerated: float = _TOLERATED,
+    tolerated: float = TOLERATED,
 ) -> ComplexArray:
     """Return the response at z as (..., p, m, N)."""
     n, m, p, N = A.shape[-1], B.shape[-1], C.shape[-2], z.shape[0]
@@ -274,7 +273,7 @@ def _responses(
     return H
 
 
-def _plain(array: FloatArray) -> FloatArray:
+def plain(array: FloatArray) -> FloatArray:
     """Return an array as numba has compiled for it: it does so anew for what is read-only or lies otherwise."""
     flags = array.flags
     return array if flags.c_contiguous and flags.writeable else np.array(array, order="C")
@@ -297,7 +296,7 @@ class AxisResponse:
     As `frequency_response`.
     """
 
-    def __init__(self, system: StateArrays, tolerated: float = _TOLERATED, balanced: bool = False) -> None:
+    def __init__(self, system: StateArrays, tolerated: float = TOLERATED, balanced: bool = False) -> None:
         A, B, C, D, self._dt = system
         lacks = None
         if self._dt > 0.0:
@@ -312,10 +311,6 @@ class AxisResponse:
         `tolerated` may be another this time; an entry below `least` need be no more accurate than that one.
         """
         return self._resolvent.at(*_on_axis(frequency, self._dt), tolerated, least).transpose(2, 0, 1)
-
-    def small(self, edge: float) -> Small:
-        """Return the system as the compiled search of its largest gain takes it."""
-        return self._resolvent.small(self._dt, edge)
 
 
 class Resolvent:
@@ -338,7 +333,7 @@ class Resolvent:
         C: FloatArray,
         D: FloatArray | None = None,
         lacks: FloatArray | None = None,
-        tolerated: float = _TOLERATED,
+        tolerated: float = TOLERATED,
     ) -> None:
         D = np.zeros((C.shape[0], B.shape[1])) if D is None else D
         self._tolerated = tolerated
@@ -346,8 +341,8 @@ class Resolvent:
         self._turned = C.shape[0] < B.shape[1]
         if self._turned:
             A, B, C, D = A.T, C.T, B.T, D.T
-        self._A, self._B, self._C, self._D = (_plain(item) for item in (A, B, C, D))
-        self._lacks = np.zeros(len(A)) if lacks is None else _plain(lacks)
+        self._A, self._B, self._C, self._D = (plain(item) for item in (A, B, C, D))
+        self._lacks = np.zeros(len(A)) if lacks is None else plain(lacks)
 
     @cached_property
     def _band(self) -> Band:
@@ -410,16 +405,6 @@ class Resolvent:
         if short.size:
             found[:, :, short] = self._refinement.at(z[short], lacks[short])
         return found
-
-    def small(self, dt: float, edge: float) -> Small:
-        """Return the system, or the transposed one, as the compiled search of the largest gain takes it."""
-        from platform_ctrl.analysis.phase_bound import Small
-        from platform_ctrl.analysis.resolvent import workspace
-
-        (p, m), n = self._D.shape, len(self._A)
-        size = p + 1 + n
-        work = workspace(size, m, p)
-        return Small(*self._chains[:3], self._D, work, size, dt, edge, self._tolerated)
 
     def add(self, H: ComplexArray, z: ComplexArray) -> None:
         """Add the response at z (N,) to H (p, m N)."""
