@@ -28,9 +28,10 @@ _POLL = 0.1
 # that have not ended then either; the rest is for the polish of the best. What a descent stands at says little about
 # where it ends: on AC12 the best of twelve was last but one for half of its way.
 _FIRST, _ON, _LAST = 0.4, 0.35, 0.1
-# How many of the best descend once more, one of how many starts at least, and how many are polished, each with so many
-# evaluations at least.
-_LEAST, _HALF, _POLISHED, _WORTH_POLISH = 4, 3, 12, 600
+# How many of the best descend once more, one of how many starts at least, and how many are polished.
+_LEAST, _HALF, _POLISHED = 4, 3, 12
+# Evaluations below which neither a descent goes on nor a polish begins: fewer starts do then.
+_WORTH_ON, _WORTH_POLISH = 400, 600
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
 # Values that differ by no more are one minimum, relative, before the polish and after it.
@@ -79,22 +80,23 @@ def best_found(
         return found
     if plain:
         count = max(_LEAST, -(-len(points) // _HALF))
-        part([k for n, k in enumerate(ranked) if n < count or not _of(found, k).finished], share(_FIRST + _ON), False)
+        going = [k for n, k in enumerate(ranked) if n < count or not _of(found, k).finished]
+        part(going[: max(1, share(_FIRST + _ON) // _WORTH_ON)], share(_FIRST + _ON), False)
         going = [k for k in _ranked(found)[:_LEAST] if not _of(found, k).finished]
         part(going, share(_FIRST + _ON + _LAST), False)
         ranked = _ranked(found)
     chosen = _distinct(found, ranked, plain)[:_POLISHED]
-    if plain:
-        chosen = chosen[: max(1, left // _WORTH_POLISH)]
     # Charts find ways to infinite gain that a descent has left: the best start is polished from where it began, too.
     # Whatever did better is done with the others.
-    jobs = [chosen[0], *chosen] if plain and chosen else chosen
+    room = max(1, left // _WORTH_POLISH) if plain else len(chosen)
+    twice = plain and room > _LEAST
+    jobs = [*chosen[:twice], *chosen][:room]
     level: list[tuple[float, float]] = []
     for n, k in enumerate(jobs):
         if plain and _settled(found, level, least):
             break
         known = found[k]
-        afresh = plain and known is not None and (n == 1 or (n > 1 and level[1] < level[0]))
+        afresh = twice and known is not None and (n == 1 or (n > 1 and level[1] < level[0]))
         if afresh:
             found[k] = None
         part([k], left // (len(jobs) - n), True)
