@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import LONGEST, short
+from platform_ctrl.signatures import LARGEST, LONGEST, short
 
 
 def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
@@ -143,7 +143,7 @@ def not_negative(name: str, given: ArrayLike, size: int) -> FloatArray:
 
 
 def whole(name: str, given: object, least: int, most: int | None = None) -> int:
-    """Return a whole number from `least` to `most`; None: there is no largest.
+    """Return a whole number from `least` to `most`; None: what 64 bits hold.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def whole(name: str, given: object, least: int, most: int | None = None) -> int:
         It is something else, or lies outside.
     """
     number = int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else None
-    if number is None or number < least or (most is not None and number > most):
+    if number is None or not least <= number <= (LARGEST - 1 if most is None else most):
         expected = f">= {least}" if most is None else f"from {least} to {most}"
         raise ArgumentError(f"{name}: given {short(given)}; expected a whole number {expected}")
     return number

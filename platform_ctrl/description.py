@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.frozen import FloatArray, read_only, value
+from platform_ctrl.frozen import FloatArray, input_value, read_only
 from platform_ctrl.signatures import check_arguments, short
 
 RotorControl = Literal["regulated", "free", "servo"]
@@ -22,7 +22,7 @@ ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
 FORCE_NAMES = ("f1", "f2", "f3")
 
 
-@value
+@input_value
 class Gimbal:
     """A body that turns about one axis fixed in its parent.
 
@@ -57,7 +57,7 @@ class Gimbal:
     restitution: float = 0.0
 
 
-@value
+@input_value
 class Rotor:
     """A rotor that spins in a carrier.
 
@@ -105,7 +105,7 @@ class Rotor:
         return self.angular_momentum / self.axial_inertia
 
 
-@value
+@input_value
 class Torquer:
     """A motor that turns a gimbal against its parent, or the root against inertial space.
 
@@ -143,7 +143,7 @@ class Torquer:
         return self.name if self.root_axis is None else ROOT_TORQUE_NAMES[self.root_axis - 1]
 
 
-@value
+@input_value
 class PickOff:
     """A sensor of a gimbal's angle.
 
@@ -193,7 +193,7 @@ class PickOff:
         return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
 
 
-@value
+@input_value
 class RateSensor:
     """A sensor of a rate: of the root about one of its axes, or of a gimbal against its parent.
 
@@ -241,7 +241,7 @@ class RateSensor:
         return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
 
 
-@value
+@input_value
 class Platform:
     """A root body that carries a tree of gimbals with rotors.
 

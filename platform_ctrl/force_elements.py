@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value
 from platform_ctrl.signatures import check_arguments
 
 
-@value
+@input_value
 class Spring:
     """A spring between a gimbal and its parent: Q = −stiffness (q − rest).
 
@@ -34,7 +34,7 @@ class Spring:
     rest: float = 0.0
 
 
-@value
+@input_value
 class Friction:
     """Friction in a gimbal's bearing: Q = −viscous q̇ − dry(q̇) tanh(q̇ / coulomb_rate).
 
@@ -114,7 +114,7 @@ class Friction:
         return max(rising, falling)
 
 
-@value
+@input_value
 class Cage:
     """A mechanical cage that is closed: it holds a gimbal by a stiff, damped contact on both sides of an angle.
 
@@ -144,7 +144,7 @@ class Cage:
     angle: float = 0.0
 
 
-@value
+@input_value
 class Unbalance:
     """A body whose centre of mass does not lie at the fixed point: the specific force f turns it by −(m r) × f.
 
@@ -166,7 +166,7 @@ class Unbalance:
     moment: FloatArray
 
 
-@value
+@input_value
 class Erection:
     """An erecting device: it senses the direction of specific force and torques a gimbal.
 

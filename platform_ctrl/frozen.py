@@ -11,6 +11,8 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.signatures import check_fields
+
 FloatArray = NDArray[np.float64]
 
 T = TypeVar("T")
@@ -147,11 +149,11 @@ def _cut(line: str) -> str:
 
 
 def replaced(item: T, changes: Mapping[str, Any]) -> T:
-    """Return a value with other items under the names of fields: `dataclasses.replace`, faster."""
+    """Return a value with other items under the names of fields: `dataclasses.replace`, faster, kinds unjudged."""
     new = object.__new__(type(item))
     for name in item.__dataclass_fields__:  # type: ignore[attr-defined]  # of `value`, which makes a dataclass
         object.__setattr__(new, name, changes[name] if name in changes else getattr(item, name))
-    new.__post_init__()  # type: ignore[attr-defined]
+    new._settled()  # type: ignore[attr-defined]
     return new
 
 
@@ -167,7 +169,22 @@ def value(cls: type[T]) -> type[T]:
     if "__repr__" not in cls.__dict__:
         cls.__repr__ = _summary  # type: ignore[method-assign]
     made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
+    made._settled = made.__post_init__  # type: ignore[attr-defined]
     made.__setstate__ = _set_state  # type: ignore[attr-defined]
     made.__getstate__ = _get_state  # type: ignore[method-assign]
     made.__deepcopy__ = _deep_copy  # type: ignore[attr-defined]
+    return made
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def input_value(cls: type[T]) -> type[T]:
+    """Make `cls` a `value` that users make: it refuses a field of another kind than annotated (`ArgumentError`)."""
+    made = value(cls)
+    rest = made.__post_init__  # type: ignore[attr-defined]
+
+    def judged(self: Any) -> None:
+        check_fields(self)
+        rest(self)
+
+    made.__post_init__ = judged  # type: ignore[attr-defined]
     return made

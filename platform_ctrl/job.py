@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from platform_ctrl.description import OMEGA_NAMES, Platform
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value
 from platform_ctrl.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.scenario import Mode as Mode
 from platform_ctrl.signatures import check_arguments
@@ -20,7 +20,7 @@ LoopKind = Literal["caging", "stabilisation"]
 Points = Literal["sobol", "latin-hypercube", "random"]
 
 
-@value
+@input_value
 class Spread:
     """How far the parameters lie from their nominal values.
 
@@ -41,7 +41,7 @@ class Spread:
     samples: int = 0
 
 
-@value
+@input_value
 class Faults:
     """What may fail, one part at a time; None where nothing does.
 
@@ -61,7 +61,7 @@ class Faults:
     weak_torquer: float | None = None
 
 
-@value
+@input_value
 class Sampling:
     """Sample period, and how long the computer takes.
 
@@ -81,7 +81,7 @@ class Sampling:
     delay: float
 
 
-@value
+@input_value
 class DesignSpec:
     """One way to design a loop.
 
@@ -110,7 +110,7 @@ class DesignSpec:
     structure: Structure | None = None
 
 
-@value
+@input_value
 class LoopLimits:
     """What a loop has to reach; None where nothing is asked.
 
@@ -173,7 +173,7 @@ class LoopLimits:
     damping_faults: float | None = None
 
 
-@value
+@input_value
 class LoopSpec:
     """A loop to be designed.
 
@@ -202,7 +202,7 @@ class LoopSpec:
     soft: LoopLimits = field(default_factory=LoopLimits)
 
 
-@value
+@input_value
 class CoupledLimits:
     """What the coupled system has to reach; None where nothing is asked.
 
@@ -222,7 +222,7 @@ class CoupledLimits:
     coupling_cost: float | None = None
 
 
-@value
+@input_value
 class Manoeuvre:
     """A run of the non-linear plant.
 
@@ -271,7 +271,7 @@ class Manoeuvre:
     limits: dict[str, float]
 
 
-@value
+@input_value
 class CampaignManoeuvre:
     """A manoeuvre of a campaign.
 
@@ -291,7 +291,7 @@ class CampaignManoeuvre:
     weight: float = 1.0
 
 
-@value
+@input_value
 class CampaignFault:
     """A fault of the job that happens in some runs.
 
@@ -311,7 +311,7 @@ class CampaignFault:
     probability: float
 
 
-@value
+@input_value
 class Campaign:
     """Many runs that differ.
 
@@ -342,7 +342,7 @@ class Campaign:
     faults: tuple[CampaignFault, ...] = ()
 
 
-@value
+@input_value
 class Job:
     """A job file: the plant, what it has to stand, the loops and the checks.
 

@@ -21,7 +21,7 @@ from platform_ctrl.analysis.plant_set import Group, PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.arguments import one_of, positive
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value, value
 from platform_ctrl.job import LoopLimits
 from platform_ctrl.signatures import check_arguments, check_kinds
 
@@ -134,7 +134,7 @@ class CheckResult:
         return distance / abs(self.limit)
 
 
-@value
+@input_value
 class Requirement:
     """A bound on one figure.
 
@@ -246,7 +246,7 @@ class Requirement:
 STABLE = Requirement(name="slowest decay", limit=0.05, unit="1/s", sense="at least")
 
 
-@value
+@input_value
 class LoopRequirement(Requirement):
     """A bound on a figure of one loop, of the nominal plant or of several plants of a set; see `requirement`.
 

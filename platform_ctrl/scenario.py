@@ -124,7 +124,7 @@ class TimeTable:
         ArgumentError
             An argument of another kind than annotated.
         """
-        times = np.clip(np.asarray(t, dtype=np.float64), self.t[0], self.t[-1])
+        times = np.clip(real_numbers("TimeTable.at: t", t), self.t[0], self.t[-1])
         if len(self.t) == 1:
             return self.scale * np.broadcast_to(self.values[0], (*times.shape, 3))
         piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)

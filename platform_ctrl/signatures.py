@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import builtins
 import collections.abc
+import dataclasses
 import functools
 import inspect
 import math
@@ -102,26 +103,27 @@ def _judge(name: str, kind: Kind, given: object, nan: bool) -> None:
         kind.classes.add(type(given))
 
 
-def check_fields(cls: type, fields: Mapping[str, Any], given: object) -> None:
-    """Judge the fields of a dataclass, by name and annotation.
+def check_fields(given: Any) -> None:
+    """Judge the fields of a dataclass against their annotations.
 
     Raises
     ------
     ArgumentError
-        A field is of another kind than annotated.
+        A field is of another kind than annotated, or NaN.
     """
-    for name, kind in _field_kinds(cls, tuple(fields.items())).items():
+    cls: Any = type(given)
+    for name, kind in _field_kinds(cls).items():
         item = getattr(given, name)
-        if not kind.holds(item):
+        if not kind.holds(item) or _nan(item):
             raise ArgumentError(f"{cls.__name__}: {_refusal(name, kind, item)}")
 
 
 @functools.cache
-def _field_kinds(cls: type, fields: tuple[tuple[str, Any], ...]) -> dict[str, Kind]:
+def _field_kinds(cls: Any) -> dict[str, Kind]:
     found: dict[str, Kind] = {}
-    for name, annotation in fields:
-        home = next(base for base in cls.__mro__ if name in inspect.get_annotations(base))
-        found |= _kinds({name: annotation}, home.__module__)
+    for field in dataclasses.fields(cls):
+        home = next(base for base in cls.__mro__ if field.name in inspect.get_annotations(base))
+        found |= _kinds({field.name: field.type}, home.__module__)
     return found
 
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import field
 from typing import Literal
 
-from platform_ctrl.frozen import value
+from platform_ctrl.frozen import input_value, value
 from platform_ctrl.signatures import check_arguments
 
 Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
@@ -25,7 +25,7 @@ DISTRIBUTION_NUMBERS: dict[Distribution, tuple[str, ...]] = {
 CENTRES = frozenset({"mean", "median", "peak"})
 
 
-@value
+@input_value
 class Vary:
     """A parameter that differs from run to run.
 

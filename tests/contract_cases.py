@@ -611,7 +611,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "requirements.LoopRequirement.check_closed_loop": lambda: requirement("damping", 0.1),
     "requirements.LoopRequirement.check_controller": lambda: requirement("controller gain", 0.1),
     "requirements.Requirement": lambda: Requirement(name="angle", limit=0.1, unit="rad", sense="at most"),
-    "scenario.Fault": lambda: simulation.Fault(name="lost", kind="torquer", part="Q9", at=0.1, share=0.5),
+    "scenario.Fault": lambda: simulation.Fault(name="lost", kind="torquer weak", part="Q9", at=0.1, share=0.5),
     "scenario.FaultKeys": lambda: scenario_module.FaultKeys(part="torquer", needed=("share",)),
     "scenario.HalfCosine": lambda: simulation.HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.1),
     "scenario.Scenario": scenario,

@@ -11,7 +11,7 @@ from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arra
 from platform_ctrl.analysis.feedback import series_arrays
 from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value
 from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Weight: TypeAlias = "float | FloatArray | control.StateSpace | None"
 
 
-@value
+@input_value
 class Channel:
     """From some inputs of a closed loop to some of its outputs, weighted: ``W_out G W_in``.
 

@@ -23,7 +23,7 @@ from platform_ctrl.analysis.mu_peak import SLACK, MuPeak, search_grid
 from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.rational import LinearSystem, StateSystem, linear_arrays
-from platform_ctrl.arguments import number, positive
+from platform_ctrl.arguments import number, positive, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.signatures import check_arguments
@@ -439,7 +439,7 @@ def disk_phase(gain: ArrayLike, alpha: float, skew: float = 0.0) -> FloatArray:
     >>> analysis.disk_phase([0.6, 1.0, 1.3, 1.7], 0.5).round(3)  # 1.7 is too much by itself
     array([0.  , 0.49, 0.42,  nan])
     """
-    gain, alpha = np.asarray(gain, dtype=np.float64), min(alpha, 1e9)
+    gain, alpha = real_numbers("disk_phase: gain", gain), min(alpha, 1e9)
     a, b = 0.5 * alpha * (1.0 - skew), 0.5 * alpha * (1.0 + skew)
     # |f - 1| < |a + b f| leaves 2 gain (1 + a b) cos(phase) > need.
     need, weight = gain**2 * (1.0 - b**2) + 1.0 - a**2, 2.0 * gain * (1.0 + a * b)

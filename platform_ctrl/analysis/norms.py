@@ -22,7 +22,7 @@ from platform_ctrl.analysis.boundary import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays, plain
-from platform_ctrl.arguments import not_negative, positive
+from platform_ctrl.arguments import not_negative, positive, within
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.signatures import check_arguments
@@ -102,7 +102,7 @@ def hinf_norm_arrays(
     As `hinf_norm`.
     """
     A, B, C, D, dt = system_arrays("hinf_norm_arrays", A, B, C, D, dt)
-    tolerance = positive("hinf_norm_arrays: tolerance", tolerance)
+    tolerance = within("hinf_norm_arrays: tolerance", positive("hinf_norm_arrays: tolerance", tolerance), 0.0, 1.0)
     if not (A.ndim == B.ndim == C.ndim == D.ndim == 2):
         raise ArgumentError("hinf_norm_arrays: A, B, C, D must be matrices of one system, got a stack of several")
     return _norm(StateArrays(A, B, C, D, dt), tolerance, True)

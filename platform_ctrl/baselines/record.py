@@ -12,7 +12,7 @@ from platform_ctrl.arguments import positive
 from platform_ctrl.baselines.figures import COST, Figure, figures_of
 from platform_ctrl.check import JobResult
 from platform_ctrl.check.proofs import PROVED
-from platform_ctrl.frozen import value
+from platform_ctrl.frozen import input_value, value
 from platform_ctrl.requirements import Sense
 from platform_ctrl.signatures import check_arguments
 
@@ -20,7 +20,7 @@ from platform_ctrl.signatures import check_arguments
 _ROUNDING = 1e-6
 
 
-@value
+@input_value
 class Tolerance:
     """How much worse a figure may become: the larger of a share of the accepted value and a plain number.
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.arguments import real_numbers
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.signatures import check_arguments, short
 
 # Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
 RESOLUTION = 1e-3
@@ -58,7 +59,7 @@ class Distribution:
         ArgumentError
             Not numbers.
         """
-        values = np.atleast_1d(real_numbers("Distribution.add: figures", figures))
+        values = real_numbers("Distribution.add: figures", figures).reshape(-1)
         if not values.size:
             return
         values = np.where(np.isfinite(values), values, np.inf)
@@ -125,8 +126,10 @@ class Distribution:
         Raises
         ------
         ArgumentError
-            An argument of another kind than annotated.
+            The edges are not an increasing vector of numbers.
         """
+        if edges.ndim != 1 or np.any(np.diff(edges) < 0.0):
+            raise ArgumentError(f"edges: given {short(edges)}; expected an increasing vector of numbers")
         filled = np.flatnonzero(self.counts)
         middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)
         counted, _ = np.histogram(middles, bins=edges, weights=self.counts[filled].astype(np.float64))

@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import state_arrays
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
 from platform_ctrl.analysis.sampled import held_input, sampled_arrays, with_lag
-from platform_ctrl.arguments import known_name, positive
+from platform_ctrl.arguments import known_name, not_negative, positive, real_numbers
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -183,7 +183,7 @@ def limited_loop(
         raise ArgumentError("limited_loop: the plant has a direct term; expected angles behind inertias")
     rise = positive("limited_loop: rise", rise)
     rho = 4.0 * math.pi / rise if corner is None else positive("limited_loop: corner", corner)
-    lags = np.broadcast_to(np.zeros(m) if lag is None else np.asarray(lag, dtype=np.float64), (m,))
+    lags = not_negative("limited_loop: lag", 0.0 if lag is None else lag, m)
     A, B, C, _ = with_lag(P.A, P.B[:, u], P.C[y], np.zeros((p, m)), lags)
     n = len(A)
     moved = np.zeros((n, 1))
@@ -249,7 +249,7 @@ def limited_loop(
 
 
 def _each(name: str, given: ArrayLike, count: int) -> FloatArray:
-    array = np.asarray(given, dtype=np.float64)
+    array = real_numbers(f"limited_loop: {name}", given)
     if array.shape not in ((), (count,)) or not np.all(array > 0.0):
-        raise ArgumentError(f"limited_loop: {name} = {given!r}; expected one positive number, or {count}")
+        raise ArgumentError(f"limited_loop: {name} = {short(given)}; expected one positive number, or {count}")
     return np.full(count, array)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.sampled import sampled, with_lag
-from platform_ctrl.arguments import positive
+from platform_ctrl.arguments import positive, real_numbers
 from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError
@@ -231,7 +231,7 @@ def complex_response(system: ComplexSystem, frequency: ArrayLike) -> ComplexArra
     ----------
     See docs/complex-coordinates.md.
     """
-    w = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+    w = np.atleast_1d(real_numbers("complex_response: frequency", frequency))
     if w.ndim != 1 or not np.all(np.isfinite(w)):
         raise ArgumentError(f"complex_response: frequency has shape {w.shape}; expected a vector of finite numbers")
     return transfer(system, np.asarray(1j * w, dtype=np.complex128))

@@ -27,6 +27,7 @@ from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError
 from platform_ctrl.frozen import value
 from platform_ctrl.linearisation import LinearModel, expect_model
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as model_state_space
 from platform_ctrl.state_space import whole_subsystems
 
@@ -84,6 +85,7 @@ class CrossoverDesign:
         return margin_certificates(state_arrays(acting, "plant"), state_arrays(self.controller, "controller"))
 
 
+@check_arguments
 def from_crossover_and_margin(
     model: LinearModel,
     gimbals: Sequence[str],
@@ -221,12 +223,8 @@ def _pair(
 ) -> tuple[control.StateSpace, Channels, float]:
     """The sampled plant of one gyro, its channel, and its nutation frequency in rad/s."""
     rows = whole_subsystems(model, gimbals)
-    channel = channels(model, rows)
-    if len(rows) != 2 or len(channel.momenta) != 1:
-        raise ArgumentError(
-            f"gimbals: given {tuple(gimbals)}, {len(channel.momenta)} gyroscopic pairs; expected both gimbals of one "
-            f"gyro"
-        )
+    if len(rows) != 2 or len((channel := channels(model, rows)).momenta) != 1:
+        raise ArgumentError(f"gimbals: given {tuple(gimbals)}; expected both gimbals of one gyro, which are coupled")
     names = [model.gimbal_names[k] for k in rows]
     torquers = [model.platform.torquer_on(name) for name in names]
     angles = [model.platform.pickoff_on(name).name for name in names]

@@ -31,6 +31,8 @@ ERROR = 1e-5
 SEMIDEFINITE = 1e-10
 # A weight of the inputs whose least eigenvalue, of a unit diagonal, is below this is singular: rounding.
 SINGULAR = 1e-15
+# No weight is larger: products of two are numbers still.
+_LARGEST = 1e150
 
 
 class Weights(NamedTuple):
@@ -84,6 +86,9 @@ def judged_weights(
     Q = real_array(f"{where}: {first}", given[0], (n, n))
     R = real_array(f"{where}: {second}", given[1], (m, m))
     N = real_array(f"{where}: {between}", given[2], (n, m), 0.0)
+    for name, matrix in ((first, Q), (second, R), (between, N)):
+        if np.any(np.abs(matrix) > _LARGEST):
+            raise ArgumentError(f"{where}: {name} has a number beyond {_LARGEST:g}; expected smaller ones: scale them")
     for name, matrix in ((first, Q), (second, R)):
         if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-12 * float(np.abs(matrix).max(initial=0.0))):
             raise ArgumentError(f"{where}: {name} is not symmetric; expected a symmetric matrix")

@@ -178,7 +178,12 @@ def sampled_hinf(
     def solved(level: float, inner: float) -> Synthesis:
         return hinf(_named(P, plant, level), nmeas, ncon, method=method, backoff=inner, time_limit=time_limit)
 
-    bound, least = _least_level(P, plant, lambda level: solved(level, 0.05))
+    try:
+        bound, least = _least_level(P, plant, lambda level: solved(level, 0.05))
+    except PeriodExceedsLevel:
+        raise ArgumentError(
+            f"sampled_hinf: given a period of {plant.period:g} s, within which P overflows; expected a shorter one"
+        ) from None
     level = (1.0 + backoff) * least
     room = 1.0 / _reached(solved(level, 0.05)) - 1.0
     if not room > 0.0:

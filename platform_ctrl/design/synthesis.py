@@ -37,7 +37,7 @@ from platform_ctrl.design.partition import (
 )
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
-from platform_ctrl.frozen import value
+from platform_ctrl.frozen import input_value, value
 from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ CURE = "give a larger backoff, the other method, or weights with less spread bet
 DIRECT_ROUNDING = 1e-9
 
 
-@value
+@input_value
 class Claim:
     """One norm of the closed loop that a route promises.
 

@@ -16,7 +16,7 @@ from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.export.linear_system import LinearSystem, linear_system, signal_units
 from platform_ctrl.export.responses import response_data
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value
 from platform_ctrl.job import Faults, Job, Spread
 from platform_ctrl.linearisation import linearise
 from platform_ctrl.report.loop_responses import following_grid
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _POINTS, _LOWEST = 300, 1e-4
 
 
-@value
+@input_value
 class ResponseTable:
     """A frequency response of a job, and what it is.
 

@@ -496,7 +496,7 @@ def _placed(block: MatrixPolynomial, i: int, j: int) -> MatrixPolynomial:
 
 
 def _now(signal: Signal, t: float) -> ArrayLike:
-    return signal(t) if callable(signal) else signal
+    return signal(t) if callable(signal) and not hasattr(signal, "ninputs") else signal  # a system is no signal
 
 
 def _limits(name: str, given: ArrayLike | None) -> FloatArray:
@@ -507,10 +507,10 @@ def _limits(name: str, given: ArrayLike | None) -> FloatArray:
 
 
 def _points(points: int | Sequence[int] | NDArray[np.integer[Any]]) -> list[int]:
-    try:
-        given = list(points)  # type: ignore[arg-type]
-    except TypeError:
-        # A number, or an array that is one.
+    given: list[Any]
+    if isinstance(points, Sequence) or (isinstance(points, np.ndarray) and points.ndim > 0):
+        given = list(points)
+    else:  # a number, or an array that is one
         given = [points.item() if isinstance(points, np.ndarray) else points] * 6
     if len(given) == 3:
         given += [1] * 3

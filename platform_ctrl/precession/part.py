@@ -13,6 +13,9 @@ from platform_ctrl.precession.choice import Choice
 from platform_ctrl.precession.reduction import ComplexArray, Reduction, Scaled, distance
 from platform_ctrl.signatures import check_arguments
 
+# Highest frequency, rad/s: its square is a number still.
+_HIGHEST = 1e150
+
 
 @value
 class PrecessionPart:
@@ -171,8 +174,8 @@ class PrecessionPart:
         """
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
-        if np.any(omega <= 0.0):
-            raise ArgumentError(f"frequency: given {omega.min():g}; expected numbers > 0, rad/s")
+        if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
+            raise ArgumentError(f"frequency: given {omega.min():g} to {omega.max():g}; expected > 0 to 1e150, rad/s")
         return distance(*self._reduction(momentum_states), omega, each_direction)
 
     def _reduction(self, momentum_states: bool) -> tuple[Scaled, Reduction]:

@@ -12,6 +12,7 @@ from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.arguments import positive
 from platform_ctrl.check.coupled import CoupledCheck, measuring
 from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
@@ -169,7 +170,7 @@ def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figu
     handles = axes.plot(f, lower, **line_style(0))
     handles += axes.plot(f, upper, **line_style(1))
     frequency_axes(axes, f[0], f[-1])
-    floor = min(margin.lower, limit or np.inf)
+    floor = min(margin.lower, np.inf if limit is None else positive("limit", limit))
     axes.set_ylim(10.0 ** np.floor(np.log10(0.7 * floor)) if floor < 0.15 else 0.1, 10.0)
     labels = ["guaranteed", "some perturbation of this size destabilises"]
     if limit is not None:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.arguments import positive
 from platform_ctrl.job import LoopSpec
 from platform_ctrl.report.limit_lines import damping_lines, fastest_pole_line
 from platform_ctrl.report.loop_figures import design_names
@@ -74,7 +75,7 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
             )
             handles += drawn if axes is wide else []
     _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
-    extent = 1.7 * nutation
+    extent = 1.7 * positive("nutation", nutation)
     _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
     wide.set_title("all poles up to the Nyquist frequency")
     close.set_title("closer to the origin")
@@ -134,7 +135,7 @@ def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period:
             )
             handles += drawn if axes is wide else []
     _s_plane(wide, -1.1 * nyquist, 0.12 * nyquist, 1.02 * nyquist, spec, period, named=False)
-    extent = 1.7 * nutation
+    extent = 1.7 * positive("nutation", nutation)
     _s_plane(close, -1.2 * extent, 0.18 * extent, extent, spec, period, named=True)
     _label_gains(close, locus, marks, extent)
     legend_above(figure, handles, [f"{locus.gains[k]:g} × gain" for k in marks])

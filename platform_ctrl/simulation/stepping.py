@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array, whole
+from platform_ctrl.arguments import real_array, real_numbers, whole
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.scenario import Scenario
@@ -305,7 +305,7 @@ class Stepper:
         """
         n, slots = len(self._gimbal_torque), len(self._memory)
         head = _HEAD + n
-        numbers = np.asarray(snapshot, dtype=np.float64)
+        numbers = real_numbers("snapshot", snapshot)
         if numbers.shape != (head + slots + self._row.shape[1],):
             raise ArgumentError(f"snapshot: given shape {numbers.shape}; expected that of this run")
         self.sample, self.going = int(numbers[0]), bool(numbers[1])

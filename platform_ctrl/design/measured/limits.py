@@ -31,6 +31,8 @@ from platform_ctrl.signatures import short
 Bound = float | Callable[[FloatArray], FloatArray]
 
 CENTRES = {"sensitivity_peak": 0.0, "complementary_peak": 1.0, "disk_margin": 0.5}
+# Finite limits lie below this: their squares are numbers still.
+_LARGEST = 1e100
 # Those that compare P S.
 OF_ANGLE = ("angle_per_torque", "resonance_damping")
 
@@ -84,14 +86,13 @@ def _bound(name: str, asked: Bound, frequency: FloatArray) -> FloatArray:
             f"measured_pid: {name} is {short(asked)}; expected a number, or a function of frequencies in rad/s that "
             f"returns as many"
         ) from None
-    least, most = (1.0 if name in ("sensitivity_peak", "complementary_peak") else 0.0), np.inf
-    if name == "disk_margin":
-        most = 2.0
-    if name == "resonance_damping":
-        most = 1.0
-    if not np.all((m > least) & (m < most) | (m == np.inf) & (most == np.inf)):
-        range_of = f"> {least:g}" if most == np.inf else f"between {least:g} and {most:g}"
+    least = 1.0 if name in ("sensitivity_peak", "complementary_peak") else 0.0
+    most = {"disk_margin": 2.0, "resonance_damping": 1.0}.get(name, _LARGEST)
+    if not np.all((m > least) & (m < most) | (m == np.inf) & (most == _LARGEST)):
+        range_of = f"> {least:g}" if most == _LARGEST else f"between {least:g} and {most:g}"
         raise ArgumentError(f"measured_pid: {name} = {short(asked)}; expected numbers {range_of}")
+    if name == "sensitivity_peak" and not np.isfinite(m).any():
+        raise ArgumentError(f"measured_pid: {name} is infinite; expected a limit: it is what keeps the loop stable")
     return np.asarray(1.0 / m if name == "disk_margin" else m)
 
 

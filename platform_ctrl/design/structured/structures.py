@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.design.structured.sloped import Sloped, SlopedBlock, constant, in_series
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.frozen import FloatArray, input_value, value
 
 Mask = NDArray[np.bool_]
 
@@ -204,7 +204,7 @@ def _filled(mask: Mask, p: FloatArray, first: int, total: int) -> Sloped:
     return out
 
 
-@value
+@input_value
 class Static(Structure):
     """A matrix of gains, u = K y, with parameters k11, k12, ...
 
@@ -274,7 +274,7 @@ class Static(Structure):
         )
 
 
-@value
+@input_value
 class StateSpaceOrder(Structure):
     """A controller of fixed order with free matrices: an observer of that order, or any other dynamics.
 
@@ -391,7 +391,7 @@ class StateSpaceOrder(Structure):
         return self.states
 
 
-@value
+@input_value
 class PID(Structure):
     """Proportional, integral and derivative gains between all or some axes, behind a low-pass on every measurement.
 
@@ -636,7 +636,7 @@ def _with_zero(A: Sloped, B: Sloped, C: Sloped, z: float, place: int) -> tuple[S
     return Sloped(at, slope), Sloped(CB.at / z, direct)
 
 
-@value
+@input_value
 class Lead(Structure):
     """(s/zero + 1)/(s/pole + 1) on every signal; parameters zero1, pole1, ... with the block's name before them.
 
@@ -719,7 +719,7 @@ class Lead(Structure):
         return SlopedBlock(A, B, C, D)
 
 
-@value
+@input_value
 class Notch(Structure):
     """(s² + 2 depth width f s + f²)/(s² + 2 width f s + f²) on every signal.
 
@@ -800,7 +800,7 @@ class Notch(Structure):
         return SlopedBlock(A, B, C, D)
 
 
-@value
+@input_value
 class Series(Structure):
     """Structures one after another; the first ones keep the number of signals, the last one makes u.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.arguments import whole as whole_number
 from platform_ctrl.design.partition import Partition, Realisation, closed_loop, in_w_plane, out_of_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.structured.bound import Bound, full_order
@@ -138,9 +139,9 @@ def structured(
     """
     given = _plants(plants)
     for name, number in (("starts", starts), ("evaluations", evaluations), ("processes", processes)):
-        counts = isinstance(number, int | np.integer) and not isinstance(number, bool) and number >= 1
-        if not counts and not (name == "processes" and number is None):
-            raise ArgumentError(f"structured: {name} = {number!r}; expected a whole number from 1 on")
+        if number is not None or name != "processes":
+            whole_number(f"structured: {name}", number, 1)
+    whole_number("structured: seed", seed, 0)
     seconds = np.inf if time_limit is None else time_limit
     require_time_limit("structured", seconds)
     began = time.monotonic()

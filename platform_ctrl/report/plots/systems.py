@@ -159,11 +159,9 @@ def _labels(name: str, systems: Sequence[Any], labels: Sequence[str] | None) -> 
         return [drawable(text.strip()) for text in known]
     if isinstance(labels, str):
         labels = [labels]
-    try:
-        texts = list(labels)
-    except TypeError:
-        texts = [None]  # type: ignore[list-item]  # judged next
-    if not all(isinstance(text, str) for text in texts):
+    several = isinstance(labels, Sequence) or (isinstance(labels, np.ndarray) and labels.ndim > 0)
+    texts = list(labels) if several else []
+    if not several or not all(isinstance(text, str) for text in texts):
         raise ArgumentError(f"{name}: labels: given {short(labels)}; expected strings")
     if len(texts) != len(systems):
         raise ArgumentError(f"{name}: labels: given {len(texts)}; expected {len(systems)}, one for each system")
