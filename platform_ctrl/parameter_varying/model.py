@@ -496,7 +496,9 @@ def _placed(block: MatrixPolynomial, i: int, j: int) -> MatrixPolynomial:
 
 
 def _now(signal: Signal, t: float) -> ArrayLike:
-    return signal(t) if callable(signal) and not hasattr(signal, "ninputs") else signal  # a system is no signal
+    if hasattr(signal, "ninputs"):
+        raise ArgumentError(f"rhs: given {short(signal)} as a signal; expected numbers or a function of time")
+    return signal(t) if callable(signal) else signal
 
 
 def _limits(name: str, given: ArrayLike | None) -> FloatArray:

@@ -175,7 +175,8 @@ class PrecessionPart:
         omega = np.atleast_1d(np.asarray(frequency))
         omega = real_array("frequency", omega, (omega.size,))
         if np.any(omega <= 0.0) or np.any(omega > _HIGHEST):
-            raise ArgumentError(f"frequency: given {omega.min():g} to {omega.max():g}; expected > 0 to 1e150, rad/s")
+            ends = f"{omega.min():g} to {omega.max():g}"
+            raise ArgumentError(f"frequency: given {ends}; expected numbers > 0 up to {_HIGHEST:g}, rad/s")
         return distance(*self._reduction(momentum_states), omega, each_direction)
 
     def _reduction(self, momentum_states: bool) -> tuple[Scaled, Reduction]:
