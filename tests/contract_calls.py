@@ -29,8 +29,8 @@ from contract_cases import FUNCTIONS, INSTANCES, METHODS, STRUCTURES, model, one
 from platform_ctrl.errors import PlatformCtrlError
 from public_modules import methods, public
 
-# CPU time that a call may take, s, and memory that a process may have, bytes.
-SECONDS, MEMORY = 20, 12 << 30
+# CPU time that a call may take, s, what it compiles included, and memory that a process may have, bytes.
+SECONDS, MEMORY = 100, 12 << 30
 
 
 class Case(NamedTuple):
