@@ -81,8 +81,6 @@ def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequiremen
     ArgumentError
         A requirement of another kind, a soft one that is no norm, a bound of the wrong sense, or unknown signals.
     """
-    if isinstance(requirements, LoopRequirement):
-        raise ArgumentError(f"{where}: given one requirement; expected a list of them")
     if not requirements:
         raise ArgumentError(f"{where}: no requirements; expected at least one, of kind {_kinds()}")
     norms: list[LoopRequirement] = []
