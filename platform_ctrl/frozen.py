@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import copyreg
 import dataclasses
@@ -182,7 +183,15 @@ def input_value(cls: type[T]) -> type[T]:
     made = value(cls)
     rest = made.__post_init__  # type: ignore[attr-defined]
 
+    arrays = [field.name for field in dataclasses.fields(made) if field.type in ("FloatArray", FloatArray)]  # type: ignore[arg-type]
+
     def judged(self: Any) -> None:
+        for name in arrays:
+            item = getattr(self, name)
+            if isinstance(item, list | tuple):
+                # What is no array of numbers is left for the check to refuse.
+                with contextlib.suppress(TypeError, ValueError):
+                    object.__setattr__(self, name, read_only(item))
         check_fields(self)
         rest(self)
 

@@ -180,8 +180,9 @@ def with_key(data: dict[str, Any], place: Place, mishap: str) -> str:
         case "inside":
             table[key] = {key: table[key]}
         case "again":
-            line = f"{key} = {value(table[key])}\n"
-            return written(changed).replace(line, line * 2, 1)
+            # Not within the line of a longer key.
+            line = f"\n{key} = {value(table[key])}"
+            return written(changed).replace(f"{line}\n", f"{line * 2}\n", 1)
     return written(changed)
 
 

@@ -92,8 +92,7 @@ def write_fmu(
     Raises
     ------
     ArgumentError
-        There are no controllers, or they do not fit the plant; the manoeuvre is none of the job's; the seed is 2⁶³ or
-        more.
+        There are no controllers, or they do not fit the plant; the manoeuvre is none of the job's.
     InputError
         PythonFMU3 is not installed, `result` cannot be read, or the file cannot be written there.
 
@@ -106,8 +105,6 @@ def write_fmu(
     builder = _builder()
     if not controllers:
         raise ArgumentError("controllers: none given; expected one at least")
-    if job.seed >= 2**63:
-        raise ArgumentError(f"job: seed is {job.seed}; expected one below 2**63, which FMI's whole numbers reach")
     modes: tuple[Mode, ...] = ("caged", "stabilised")
     for mode in modes:
         merged(job.platform, acting(controllers, job.platform, mode), job.sampling.period, mode)
