@@ -79,12 +79,11 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
         ) from None
     if dt is True:
         raise ArgumentError(f"{where}: the system is discrete without a sample period (dt=True); give dt in s")
-    # By rows: how an array lies in memory would change the last digits of what is made of it.
     out = StateArrays(
-        np.asarray(A, dtype=np.float64, order="C"),
-        np.asarray(B, dtype=np.float64, order="C"),
-        np.asarray(C, dtype=np.float64, order="C"),
-        np.asarray(D, dtype=np.float64, order="C"),
+        np.asarray(A, dtype=np.float64),
+        np.asarray(B, dtype=np.float64),
+        np.asarray(C, dtype=np.float64),
+        np.asarray(D, dtype=np.float64),
         0.0 if dt is None else float(dt),
     )
     for name, item in zip("ABCD", out[:4], strict=True):
