@@ -79,6 +79,9 @@ def _whole(item: Any) -> bool:
 
 def _taken(kind: str) -> Callable[[Any], bool]:
     """Return what a type in a page's table takes at most; a rule beyond the type may refuse more."""
+    if kind.endswith(", or two"):
+        one = _taken(kind.removesuffix(", or two"))
+        return lambda item: one(item) or (isinstance(item, list) and len(item) == 2 and all(map(one, item)))
     kind = re.split("; |, N m", kind)[0].replace("numbers > 0", "number > 0")
     if words := re.findall(r'`"([^"]+)"`', kind):
         return lambda item: item in words and isinstance(item, str)
@@ -96,7 +99,6 @@ def _taken(kind: str) -> Callable[[Any], bool]:
         ("1, 2 or 3", lambda item: _whole(item) and item in (1, 2, 3)),
         ("above 0, up to 1", lambda item: _number(item) and 0 < item <= 1),
         ("number > ", lambda item: _number(item) and (item > 0 or not kind.startswith("number > 0"))),
-        ("number ≥ 0", lambda item: _number(item) and item >= 0),
         ("number, not 0", lambda item: _number(item) and item != 0),
         ("number ≠ 0", lambda item: _number(item) and item != 0),
         ("number ≥ 0", lambda item: _number(item) and item >= 0),

@@ -186,7 +186,9 @@ if "no cache" not in sys.argv:
 with ThreadPoolExecutor(4) as pool:
     for call in calls:
         one = call()
-        print(sum(np.array_equal(one, other) for other in pool.map(lambda _: call(), range(8))), end=" ")
+        # To a few last digits only: those of BLAS depend on where arrays lie in memory.
+        agree = (np.allclose(one, other, rtol=1e-9, atol=1e-12) for other in pool.map(lambda _: call(), range(8)))
+        print(sum(agree), end=" ")
 """
 
 
