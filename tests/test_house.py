@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
@@ -58,21 +57,8 @@ def test_every_public_name_is_there_and_listed(name: str) -> None:
     assert name in dir(pc)
 
 
-def test_type_checkers_see_the_same_names_as_the_running_program() -> None:
-    tree = ast.parse(Path(pc.__file__).read_text(encoding="utf-8"))
-    [guarded] = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    seen = {
-        alias.name: (node.module or "").removeprefix("platform_ctrl").lstrip(".")
-        for node in guarded.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert seen == pc._HOME | dict.fromkeys(pc._SUBMODULES, "")
-    assert sorted(seen) == pc.__all__
-
-
 def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'lineariser'"):
+    with pytest.raises(AttributeError, match="attribute lineariser"):
         pc.lineariser  # noqa: B018
     assert not hasattr(pc, "lineariser")
 

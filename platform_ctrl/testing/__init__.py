@@ -5,20 +5,6 @@ With the package installed pytest loads `platform_ctrl.testing.plugin` by itself
 ``--platform-plots``. Nothing heavy is loaded before a test asks for a job. See docs/regression-tests.md.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from platform_ctrl.testing.assertions import assert_baseline, assert_requirements
-
-__all__ = ["assert_baseline", "assert_requirements"]
-
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.assertions"), name)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
