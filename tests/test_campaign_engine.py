@@ -25,9 +25,9 @@ from campaign_flights import JOB, flown_here, flown_quickly, planned, rows, undi
 from platform_ctrl.campaign import workers
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
 from platform_ctrl.campaign.flight import inputs_of
-from platform_ctrl.campaign.lock import locked
 from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.campaign.store import locked
 from platform_ctrl.errors import ArgumentError, InputError, SimulationError
 from platform_ctrl.reading import platform_source, read_job
 

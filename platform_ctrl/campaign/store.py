@@ -21,12 +21,11 @@ import numpy as np
 
 from platform_ctrl.campaign.columns import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.identity import Identity
-from platform_ctrl.campaign.lock import locked
 from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_FLOWN, PASSED, RUN, arrow
 from platform_ctrl.errors import InputError
 from platform_ctrl.writing import write_whole
 
-RECORD, TABLE, PARTS = "campaign.json", "campaign.parquet", "campaign.parts"
+RECORD, TABLE, PARTS, LOCK = "campaign.json", "campaign.parquet", "campaign.parts", ".campaign.lock"
 SCHEMA = 1
 # Rows that are written to the table at a time, and held in memory while it is made.
 ROWS = 1 << 14
@@ -263,6 +262,32 @@ def opened(
         if store.gaps or not (folder / RECORD).exists():
             write_record(folder, record)
         yield store
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the campaign's folder: a lock of the operating system, released when the process ends, however it ends.
+
+    Raises
+    ------
+    InputError
+        Another process holds it, or it cannot be written to.
+    """
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise InputError(
+            f"{folder}: another process is at work on the campaign there; wait for it, or name another folder with -o"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def read_record(folder: Path) -> Record | None:
