@@ -12,7 +12,7 @@ from platform_ctrl.arguments import known_name
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.frozen import FloatArray, input_value, read_only
-from platform_ctrl.signatures import check_arguments, short
+from platform_ctrl.signatures import check_arguments
 
 RotorControl = Literal["regulated", "free", "servo"]
 
@@ -457,27 +457,6 @@ def is_rate(signal: str) -> bool:
     Own definition.
     """
     return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
-
-
-def expect_platform(given: object) -> None:
-    """Judge an argument that has to be a platform.
-
-    Parameters
-    ----------
-    given
-        What a caller passed as a platform.
-
-    Raises
-    ------
-    ArgumentError
-        It is something else, for example its name.
-
-    References
-    ----------
-    Own definition.
-    """
-    if not isinstance(given, Platform):
-        raise ArgumentError(f"platform: given {short(given)}; expected a Platform, for example from read_platform")
 
 
 def _sampled_noise(rms: float, bandwidth_hz: float, period: float) -> float:

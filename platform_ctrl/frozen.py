@@ -183,7 +183,8 @@ def input_value(cls: type[T]) -> type[T]:
     made = value(cls)
     rest = made.__post_init__  # type: ignore[attr-defined]
 
-    arrays = [field.name for field in dataclasses.fields(made) if field.type in ("FloatArray", FloatArray)]  # type: ignore[arg-type]
+    kinds = ("FloatArray", "FloatArray | None", FloatArray)
+    arrays = [field.name for field in dataclasses.fields(made) if field.type in kinds]  # type: ignore[arg-type]
 
     def judged(self: Any) -> None:
         for name in arrays:

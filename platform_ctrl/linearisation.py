@@ -23,7 +23,6 @@ from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.forces import element_forces, force_slopes
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
-from platform_ctrl.signatures import short
 
 Terms = Literal["exact", "paper"]
 
@@ -210,28 +209,6 @@ def linearise(
         M_force=slopes.force[:3],
         M_angle=slopes.angle[:3],
     )
-
-
-def expect_model(given: object) -> None:
-    """Judge an argument that has to be a linear model.
-
-    Parameters
-    ----------
-    given
-        What a caller passed as a linear model.
-
-    Raises
-    ------
-    ArgumentError
-        It is something else, for example a platform.
-
-    References
-    ----------
-    Own definition.
-    """
-    if not isinstance(given, LinearModel):
-        what = f"platform {given.name!r}" if isinstance(given, Platform) else short(given)
-        raise ArgumentError(f"model: given {what}; expected a LinearModel, from linearise(platform)")
 
 
 def _spin_stiffness(platform: Platform, at: Kinematics, rate: FloatArray) -> FloatArray:

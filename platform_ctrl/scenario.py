@@ -9,10 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_numbers
-from platform_ctrl.description import Platform, expect_platform
-from platform_ctrl.frozen import FloatArray, read_only, value
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.arguments import number, positive, real_array, real_numbers, whole, within
+from platform_ctrl.description import Platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.frozen import FloatArray, input_value, read_only, value
+from platform_ctrl.signatures import check_arguments, short
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
@@ -32,9 +33,13 @@ FaultKind = Literal[
 ]
 # What a fault happens to: a rotor, a torquer, a pick-off or rate sensor by its signal, a gimbal; None: the controllers.
 PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
+# Numbers of a fault that divide, or would stand still at zero.
+POSITIVE = ("time_constant", "frequency_hz")
+# Sinusoids that a vibration may be the sum of.
+MOST_LINES = 10_000
 
 
-@value
+@input_value
 class HalfCosine:
     """A platform rate that rises to `rate` about a root axis along half a cosine, is held, and falls back.
 
@@ -57,8 +62,15 @@ class HalfCosine:
     rise: float
     hold: float
 
+    def __post_init__(self) -> None:
+        """Judge the axis and the times."""
+        whole("HalfCosine: axis", self.axis, 1, 3)
+        number("HalfCosine: rate", self.rate)
+        positive("HalfCosine: rise", self.rise, zero=True)
+        positive("HalfCosine: hold", self.hold, zero=True)
 
-@value
+
+@input_value
 class TimeTable:
     """Three numbers over time, given at points; before the first and after the last point they stay as there.
 
@@ -84,9 +96,15 @@ class TimeTable:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Keep what was given as arrays."""
-        for name in ("t", "values"):
-            object.__setattr__(self, name, read_only(real_numbers(name, getattr(self, name))))
+        """Judge the points, and keep them where nobody writes."""
+        points = np.size(self.t)
+        for name, shape in (("t", (points,)), ("values", (points, 3))):
+            given = real_array(f"TimeTable: {name}", getattr(self, name), shape)
+            object.__setattr__(self, name, read_only(given))
+        if points < (2 if self.smooth else 1) or np.any(np.diff(self.t) <= 0.0):
+            least = "two times or more" if self.smooth else "times"
+            raise ArgumentError(f"TimeTable: t is {short(self.t.tolist())}; expected {least} that increase, s")
+        number("TimeTable: scale", self.scale)
 
     @property
     def pieces(self) -> FloatArray:
@@ -132,7 +150,7 @@ class TimeTable:
         return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
 
 
-@value
+@input_value
 class Vibration:
     """Random vibration of the base about or along a root axis, with a one-sided power spectral density.
 
@@ -164,9 +182,22 @@ class Vibration:
     lines: int = 64
 
     def __post_init__(self) -> None:
-        """Keep what was given as arrays."""
+        """Judge the density, and keep it where nobody writes."""
+        whole("Vibration: axis", self.axis, 1, 3)
+        whole("Vibration: lines", self.lines, 1, MOST_LINES)
+        points = np.size(self.frequencies_hz)
         for name in ("frequencies_hz", "densities"):
-            object.__setattr__(self, name, read_only(real_numbers(name, getattr(self, name))))
+            given = real_array(f"Vibration: {name}", getattr(self, name), (points,))
+            object.__setattr__(self, name, read_only(given))
+        f, densities = self.frequencies_hz, self.densities
+        if points < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
+            raise ArgumentError(
+                f"Vibration: frequencies_hz is {short(f.tolist())}; expected two or more that increase, > 0"
+            )
+        if densities.any() and densities.min() <= 0.0:
+            raise ArgumentError(
+                f"Vibration: densities is {short(densities.tolist())}; expected numbers > 0, or all of them 0"
+            )
 
     @property
     def amplitudes(self) -> tuple[FloatArray, FloatArray]:
@@ -180,7 +211,7 @@ class Vibration:
         return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
 
 
-@value
+@input_value
 class Fault:
     """A part that fails at a given time.
 
@@ -229,6 +260,23 @@ class Fault:
     probability: float = 1.0
     impulse: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Judge the times, and the numbers that its kind has."""
+        positive(f"fault {self.name!r}: at", self.at, zero=True)
+        if not self.until > self.at:
+            raise ArgumentError(
+                f"fault {self.name!r}: until is {self.until!r}; expected a time after at = {self.at:.6g} s"
+            )
+        keys = FAULT_KEYS[self.kind]
+        for key in (*keys.needed, *keys.optional):
+            given, called = getattr(self, key), f"fault {self.name!r}: {key}"
+            if key in POSITIVE:
+                positive(called, given)
+            elif key == "probability":
+                within(called, given, 0.0, 1.0)
+            elif key != "until":
+                number(called, given)
+
 
 @value
 class FaultKeys:
@@ -267,7 +315,7 @@ FAULT_KEYS: dict[FaultKind, FaultKeys] = {
 }
 
 
-@value
+@input_value
 class Scenario:
     """One run: the plant as it is in this run, how it begins, what moves it, what fails, and what it is judged by.
 
@@ -331,10 +379,9 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Fill in the angles and rates that were left out."""
-        expect_platform(self.platform)
         n = len(self.platform.gimbals)
         for name in ("q", "rate", "torque", "Omega", "attitude", "spin"):
             if getattr(self, name) is not None:
-                given = real_numbers(name, getattr(self, name))
+                given = getattr(self, name)
                 left_out = name in ("q", "rate") and not given.size
                 object.__setattr__(self, name, read_only(np.zeros(n) if left_out else given))

@@ -19,7 +19,7 @@ from platform_ctrl.arguments import distinct, known_names
 from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, portable
-from platform_ctrl.linearisation import LinearModel, expect_model
+from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
 from platform_ctrl.mechanics.kinematics import cross_matrix
 from platform_ctrl.mechanics.regularity import inverse_inertia
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import control
 
 
+@check_arguments
 def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     """Return the groups of gimbals whose equations are coupled while Omega stays constant, in the file's order.
 
@@ -61,7 +62,6 @@ def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
     >>> pc.subsystems(pc.linearise(pc.read_platform("three_gyro_platform")))
     (('4', '5', '7'), ('9', '10'))
     """
-    expect_model(model)
     return subsystems_of_all([model])
 
 
@@ -79,14 +79,19 @@ def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], .
     tuple of tuples
         Names of the gimbals of each group.
 
-    Notes
-    -----
-    The arguments are not judged.
+    Raises
+    ------
+    ArgumentError
+        There are none, or not all of them are of the same gimbals.
 
     References
     ----------
     As `subsystems`.
     """
+    names = {model.gimbal_names for model in models}
+    if len(names) != 1:
+        given = "; ".join(", ".join(gimbals) for gimbals in sorted(names)) or "none"
+        raise ArgumentError(f"models: given models of the gimbals {given}; expected one or more, of the same gimbals")
     coupled = np.any([_coupled(model) for model in models], axis=0)
     return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
 
@@ -150,7 +155,6 @@ def state_space(
     >>> pc.state_space(model, gimbals=("9", "10")).input_labels
     ['Q9', 'Q10', 'Omega1', 'Omega2', 'Omega3']
     """
-    expect_model(model)
     if root not in ("prescribed", "free"):
         raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
     if root == "free":
@@ -235,7 +239,6 @@ def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[
     ----------
     As `subsystems`.
     """
-    expect_model(model)
     if gimbals is None:
         return list(range(len(model.gimbal_names)))
     chosen = set(known_names("gimbals", gimbals, model.gimbal_names))

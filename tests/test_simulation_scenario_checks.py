@@ -17,74 +17,108 @@ def scenario(**other) -> Scenario:
     return Scenario(**(given | other))
 
 
-def fault(kind: str, part: str | None, **numbers) -> dict:
-    return {"faults": (Fault(**({"name": "it", "kind": kind, "part": part, "at": 0.0} | numbers)),)}
+def profile(**other) -> HalfCosine:
+    return HalfCosine(**({"axis": 1, "rate": 1.0, "rise": 0.1, "hold": 0.0} | other))
 
 
-def vibration(**other) -> dict:
+def fault(kind: str, part: str | None, **numbers) -> Fault:
+    return Fault(**({"name": "it", "kind": kind, "part": part, "at": 0.0} | numbers))
+
+
+def vibration(**other) -> Vibration:
     given = {"kind": "rate", "axis": 1, "frequencies_hz": np.array([1.0, 9.0]), "densities": np.array([1.0, 1.0])}
-    return {"vibrations": (Vibration(**(given | other)),)}
+    return Vibration(**(given | other))
 
 
 def table(t, values, **other) -> TimeTable:
     return TimeTable(t=np.array(t), values=np.array(values), **other)
 
 
+MALFORMED = {
+    "a mode": (lambda: scenario(mode="free"), "Scenario: mode: given 'free'; expected 'caged' or 'stabilised'"),
+    "a seed": (lambda: scenario(seed=1.5), "Scenario: seed: given 1.5; expected a whole number"),
+    "rates": (lambda: scenario(rate=[np.nan] * 5), "Scenario: rate: given a number that is not finite"),
+    "spins in words": (lambda: scenario(spin=["fast"]), "Scenario: spin: given .'fast'.; expected an array"),
+    "a profile's axis": (lambda: profile(axis=4), "HalfCosine: axis: given 4; expected a whole number from 1 to 3"),
+    "a profile's rate": (lambda: profile(rate=np.inf), "HalfCosine: rate: given inf; expected a finite number"),
+    "a profile's rise": (lambda: profile(rise=-1.0), "HalfCosine: rise: given -1.0; expected a finite number >= 0"),
+    "a table's rows": (
+        lambda: table([0.0, 1.0], np.zeros((3, 3))),
+        r"TimeTable: values: given shape \(3, 3\); expected \(2, 3\)",
+    ),
+    "a table's times": (
+        lambda: table([1.0, 0.0], np.zeros((2, 3))),
+        r"TimeTable: t is \[1.0, 0.0\]; expected times that increase",
+    ),
+    "one point of a spline": (
+        lambda: table([0.0], np.zeros((1, 3)), smooth=True),
+        "TimeTable: t is .*; expected two times or more",
+    ),
+    "a vibration's axis": (lambda: vibration(axis=5), "Vibration: axis: given 5; expected a whole number from 1 to 3"),
+    "a vibration's kind": (
+        lambda: vibration(kind="angle"),
+        "Vibration: kind: given 'angle'; expected 'rate' or 'force'",
+    ),
+    "a vibration from 0 Hz": (
+        lambda: vibration(frequencies_hz=np.array([0.0, 9.0])),
+        "expected two or more that increase, > 0",
+    ),
+    "a density of 0": (lambda: vibration(densities=np.array([0.0, 1.0])), "expected numbers > 0, or all of them 0"),
+    "lines": (lambda: vibration(lines=0), "Vibration: lines: given 0; expected a whole number from 1 to 10000"),
+    "faults": (
+        lambda: scenario(faults=fault("torquer dead", "Q9")),
+        "faults: given a Fault; expected a sequence, each a Fault",
+    ),
+    "a fault's kind": (
+        lambda: fault("broken", "Q9"),
+        "Fault: kind: given 'broken'; expected 'rotor run-down'",
+    ),
+    "a fault's end": (
+        lambda: fault("torquer dead", "Q9", at=1.0, until=0.5),
+        "fault 'it': until is 0.5; expected a time after at = 1 s",
+    ),
+    "a time constant": (
+        lambda: fault("rotor run-down", "11"),
+        "time_constant: given 0.0; expected a finite number > 0",
+    ),
+    "a probability": (
+        lambda: fault("controller overrun", None, probability=1.5),
+        "fault 'it': probability must be a number from 0 to 1, got 1.5",
+    ),
+    "an end": (lambda: fault("torquer dead", "Q9", until="late"), "Fault: until: given 'late'; expected a number"),
+    "a rate": (lambda: fault("pick-off drift", "alpha9", rate="fast"), "Fault: rate: given 'fast'; expected a number"),
+    "a share": (lambda: fault("torquer weak", "Q9", share=np.nan), "Fault: share: given nan; expected a number"),
+}
+
+
+@pytest.mark.parametrize(("malformed", "message"), MALFORMED.values(), ids=MALFORMED.keys())
+def test_what_makes_no_sense_by_itself_is_refused_when_it_is_made(malformed, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message) as caught:
+        malformed()
+    assert str(caught.value).isprintable()
+
+
 REFUSED = {
     "angles": ({"q": [0.0]}, r"q: given shape \(1,\); expected \(5,\)"),
     "an angle beyond a stop": ({"q": [1.0, 0, 0, 0, 0]}, "q: alpha4 starts at 1 rad; expected it between its stops"),
-    "rates": ({"rate": [np.nan] * 5}, "rate: given a number that is not finite"),
+    "rates": ({"rate": [np.inf] * 5}, "rate: given a number that is not finite"),
     "Omega": ({"mode": "stabilised", "Omega": [0.1]}, r"Omega: given shape \(1,\); expected \(3,\)"),
     "a prescribed Omega": ({"Omega": [0.1, 0.0, 0.0]}, "Omega: given in mode 'caged', where Omega is prescribed"),
     "spins": ({"spin": [1.0]}, r"spin: given shape \(1,\); expected \(0,\)"),
     "attitude": ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude: given a norm of 1.41421; expected unit quaternions"),
-    "mode": ({"mode": "free"}, "mode: given 'free'; expected 'caged' or 'stabilised'"),
     "duration": ({"duration": -1.0}, "duration: given -1.0; expected a finite number >= 0"),
     "delay": ({"delay": np.inf}, "delay: given inf; expected a finite number >= 0"),
-    "seed": ({"seed": 1.5}, "seed: given 1.5; expected a whole number"),
     "run": ({"run": -1}, "run: given -1; expected a whole number"),
     "torque": ({"torque": [0.1, 0.0, 0.0]}, "torque: given in mode 'caged'"),
     "profile": (
-        {"mode": "stabilised", "profile": HalfCosine(axis=1, rate=1.0, rise=0.1, hold=0.0)},
+        {"mode": "stabilised", "profile": profile()},
         "profile: given in mode 'stabilised', where the root is free; expected torque or torque_table",
     ),
-    "a profile's axis": (
-        {"profile": HalfCosine(axis=4, rate=1.0, rise=0.1, hold=0.0)},
-        "axis is 4; expected 1, 2 or 3",
+    "a vibration's mode": ({"mode": "stabilised", "vibrations": (vibration(),)}, "of kind 'rate' in mode 'stabilised'"),
+    "a fault's part": (
+        {"faults": (fault("torquer dead", "Q3"),)},
+        "fault 'it': given torquer 'Q3'; expected one of Q4",
     ),
-    "a table's rows": (
-        {"Omega_table": table([0.0, 1.0], np.zeros((3, 3)))},
-        r"Omega_table: values: given shape \(3, 3\); expected \(2, 3\)",
-    ),
-    "a table's times": (
-        {"Omega_table": table([1.0, 0.0], np.zeros((2, 3)))},
-        r"Omega_table: t is \[1.0, 0.0\]; expected times that increase",
-    ),
-    "one point of a spline": (
-        {"mode": "stabilised", "torque_table": table([0.0], np.zeros((1, 3)), smooth=True)},
-        "torque_table: t is .*; expected two times or more",
-    ),
-    "a vibration's axis": (vibration(axis=5), "vibration: axis is 5; expected 1, 2 or 3"),
-    "a vibration's kind": (vibration(kind="angle"), "vibration: kind: given 'angle'; expected 'rate' or 'force'"),
-    "a vibration's mode": ({"mode": "stabilised", **vibration()}, "of kind 'rate' in mode 'stabilised'"),
-    "a vibration from 0 Hz": (
-        vibration(frequencies_hz=np.array([0.0, 9.0])),
-        "expected two or more that increase, > 0",
-    ),
-    "a density of 0": (vibration(densities=np.array([0.0, 1.0])), "expected numbers > 0, or all of them 0"),
-    "lines": (vibration(lines=0), "vibration: lines: given 0; expected a whole number from 1 to 10000"),
-    "faults": (
-        {"faults": Fault(name="it", kind="torquer dead", part="Q9", at=0.0)},
-        "faults: given a Fault; expected a tuple",
-    ),
-    "a fault's kind": (fault("broken", "Q9"), "fault 'it': kind: given 'broken'; expected 'rotor run-down'"),
-    "a fault's part": (fault("torquer dead", "Q3"), "fault 'it': given torquer 'Q3'; expected one of Q4"),
-    "a fault's end": (fault("torquer dead", "Q9", at=1.0, until=0.5), "until is 0.5; expected a time after at = 1 s"),
-    "a time constant": (fault("rotor run-down", "11"), "time_constant: given 0.0; expected a finite number > 0"),
-    "a probability": (fault("controller overrun", None, probability=1.5), "expected a number from 0 to 1"),
-    "an end": (fault("torquer dead", "Q9", until="late"), "until is 'late'; expected a time after at = 0 s"),
-    "a rate": (fault("pick-off drift", "alpha9", rate="fast"), "rate is 'fast'; expected a finite number"),
-    "a share": (fault("torquer weak", "Q9", share=np.nan), "share is nan; expected a finite number"),
 }
 
 

@@ -26,7 +26,7 @@ from platform_ctrl.description import OMEGA_NAMES
 from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import LinearModel, expect_model
+from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as model_state_space
 from platform_ctrl.state_space import whole_subsystems
@@ -154,7 +154,6 @@ def complex_plant(
     ----------
     See docs/complex-coordinates.md.
     """
-    expect_model(model)
     rows = whole_subsystems(model, gimbals)
     if len(rows) != 2:
         raise ArgumentError(f"complex_plant: given {len(rows)} gimbals; expected the two of one gyro")

@@ -26,7 +26,7 @@ from platform_ctrl.design.classical import classical_controller, starting_values
 from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError
 from platform_ctrl.frozen import value
-from platform_ctrl.linearisation import LinearModel, expect_model
+from platform_ctrl.linearisation import LinearModel
 from platform_ctrl.signatures import check_arguments
 from platform_ctrl.state_space import state_space as model_state_space
 from platform_ctrl.state_space import whole_subsystems
@@ -138,7 +138,6 @@ def from_crossover_and_margin(
 
     P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
     """
-    expect_model(model)
     wanted = _wanted(disk_margin, phase_margin_deg)
     given = {"crossover_hz": positive("crossover_hz", crossover_hz), **options}
     if twice := sorted({"damping_hz", "damping2_hz"} & set(options)):

@@ -23,7 +23,7 @@ import numpy as np
 
 from platform_ctrl.design.assumptions import DIRECT
 from platform_ctrl.design.partition import Partition, in_w_plane
-from platform_ctrl.design.riccati import stabilising
+from platform_ctrl.design.riccati import Equation, by_pencil, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
@@ -345,24 +345,14 @@ def _at(side: Side, t: float) -> tuple[Level | None, FloatArray]:
     # Backwards in time: what leads to ξ from rest is what leaves it.
     left = -A + B @ into[:, n:]
     found = stabilising(np.block([[left, -B @ into[:, :n]], [N @ into[:, n:] - Q, -left.T]]))
-    X = _balanced(-A, -B, Q, R, N) if found.X is None and found.distance > DISTANCE else found.X
+    X = found.X
+    if X is None and found.distance > DISTANCE and R.size:
+        # X is large in some directions and small in others.
+        X = by_pencil(Equation(-A, -B, Q, R, N, discrete=False))
     if X is None:
         near = np.abs(found.eigenvalues.real) <= 1e-5 * max(np.abs(found.eigenvalues).max(initial=0.0), 1.0)
         return None, np.unique(np.abs(found.eigenvalues.imag[near]))
     return Level(X, into[:, :n] @ X - into[:, n:]), np.zeros(0)
-
-
-def _balanced(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray) -> FloatArray | None:
-    """Solution by SciPy's balanced pencil, where X is large in some directions and small in others."""
-    from scipy.linalg import solve_continuous_are
-
-    if not R.size:
-        return None
-    try:
-        X = np.asarray(solve_continuous_are(A, B, Q, R, s=N))
-        return X if np.all(np.isfinite(X)) else None
-    except (np.linalg.LinAlgError, ValueError):
-        return None
 
 
 def _least_level(sides: tuple[Side, Side], near: float) -> float:

@@ -145,26 +145,32 @@ def riccati_solution(
 
 def _starts(equation: Equation) -> Iterator[FloatArray]:
     """Go through what the two methods find, each at its time."""
-    from scipy.linalg import solve_continuous_are, solve_discrete_are
-
-    A, B, Q, R, N, discrete = equation
-    if not discrete:
+    if not equation.discrete:
         try:
             X = stabilising(_hamiltonian(equation), axis=0.0).X
         except np.linalg.LinAlgError:
             X = None
         if X is not None:
             yield X
-    solve = solve_discrete_are if discrete else solve_continuous_are
     for balanced in (True, False):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                X = np.asarray(solve(A, B, Q, R, s=N, balanced=balanced), dtype=np.float64)
-            except (np.linalg.LinAlgError, ValueError, ArithmeticError):
-                continue
-        if np.all(np.isfinite(X)):
-            yield 0.5 * (X + X.T)
+        X = by_pencil(equation, balanced)
+        if X is not None:
+            yield X
+
+
+def by_pencil(equation: Equation, balanced: bool = True) -> FloatArray | None:
+    """Return the solution by SciPy's ordered QZ form of the extended pencil, or None."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+    A, B, Q, R, N, discrete = equation
+    solve = solve_discrete_are if discrete else solve_continuous_are
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            X = np.asarray(solve(A, B, Q, R, s=N, balanced=balanced), dtype=np.float64)
+        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+            return None
+    return 0.5 * (X + X.T) if np.all(np.isfinite(X)) else None
 
 
 def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:

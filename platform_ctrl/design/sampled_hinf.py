@@ -42,6 +42,9 @@ _ACCURACY = 1e-3
 _ROUNDS = 40
 # What the recomputed norm may exceed the backed-off level by.
 _TOLERANCE = 0.01
+# Delayed controls at most, each a state of the lifted plant: about five syntheses of a hundred Schur forms, of twice as
+# many states, take seconds for these and minutes for some times as many.
+MOST_DELAYED = 100
 _CURE = "give a larger backoff, the other method, or weights with less spread between slow and fast poles"
 
 
@@ -130,7 +133,8 @@ def sampled_hinf(
     nmeas, ncon
         Number of measurements y and of controls u: the last outputs and the last inputs.
     period, delay
-        Sample period, and delay from the sample to the hold's step, s; any number >= 0.
+        Sample period, and delay from the sample to the hold's step, s; any number >= 0 with which at most 100 controls
+        wait for their time.
     method
         Route of the discrete synthesis, as in `design.hinf`.
     backoff
@@ -173,6 +177,14 @@ def sampled_hinf(
     if nz < 1 or nw < 1:
         raise ArgumentError(
             f"sampled_hinf: P has {nw} disturbances w and {nz} outputs z; expected one of each at least"
+        )
+
+    delayed = plant.reach * ncon
+    if delayed > MOST_DELAYED:
+        raise ArgumentError(
+            f"sampled_hinf: delay = {delay:.4g} s keeps {delayed} controls of a period of {period:.4g} s waiting, each "
+            f"a state, and the time of a synthesis grows with their cube; expected at most {MOST_DELAYED}: give a "
+            "longer period or a shorter delay"
         )
 
     def solved(level: float, inner: float) -> Synthesis:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.description import Platform, expect_platform
+from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.signatures import check_arguments
@@ -60,6 +60,7 @@ class Topology:
     regulated: NDArray[np.bool_]
 
 
+@check_arguments
 def topology(platform: Platform) -> Topology:
     """Return the tree of a platform as arrays (kept for the platforms used last).
 
@@ -82,7 +83,6 @@ def topology(platform: Platform) -> Topology:
     ----------
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
-    expect_platform(platform)
     return _topology(platform)
 
 

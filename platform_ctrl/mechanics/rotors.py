@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Gimbal, Platform, RotorControl, expect_platform
+from platform_ctrl.description import Gimbal, Platform, RotorControl
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.matrices import directions
+from platform_ctrl.signatures import check_arguments
 
 
 @value
@@ -147,6 +148,7 @@ def _with_rotors(platform: Platform, control: RotorControl, momenta: FloatArray)
     return dataclasses.replace(platform, rotors=rotors)
 
 
+@check_arguments
 def with_rotors_as_gimbals(platform: Platform) -> Platform:
     """Return the platform with every rotor a body of its own: one more gimbal that turns about the spin axis.
 
@@ -173,7 +175,6 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
     ----------
     See docs/theory.md.
     """
-    expect_platform(platform)
     added = []
     for rotor in platform.rotors:
         name, angle = f"rotor {rotor.name}", f"phi {rotor.name}"

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.job import LoopSpec
 from platform_ctrl.report.limit_lines import (
@@ -33,7 +34,7 @@ from platform_ctrl.report.style import (
     line_style,
     panels,
 )
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.signatures import check_arguments, short
 
 # With more designs than this only the closed one shows all its singular values.
 _ALL_LINES = 2
@@ -131,6 +132,7 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     ----------
     K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
     """
+    require_each_channel(responses, torques)
     names = design_names(responses)
     figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
     f = responses.frequency * HZ
@@ -248,6 +250,21 @@ def _open_and_closed(
     top = 10.0 * max((float(np.nanmax(curve)) for curve in closed), default=float(np.nanmax(opened)))
     gain_limits(axes, [*closed, opened], low=1e-5 * top, high=top)
     return handles
+
+
+def require_each_channel(responses: LoopResponses, torques: tuple[str, ...]) -> None:
+    """Judge the names of the loop's torques.
+
+    Raises
+    ------
+    ArgumentError
+        They are fewer or more than the loop has channels.
+    """
+    for one in responses.designs:
+        if len(one.channels) != len(torques):
+            raise ArgumentError(
+                f"torques: given {short(torques)}; expected the names of the loop's {len(one.channels)} torques"
+            )
 
 
 def design_names(responses: LoopResponses) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform, expect_platform
+from platform_ctrl.description import Platform
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.scenario import HalfCosine, Mode, Scenario
@@ -185,7 +185,6 @@ def simulate(
 
     See docs/simulation.md.
     """
-    expect_platform(platform)
     n = len(platform.gimbals)
     period = positive("period", period)
     delay = positive("delay", delay, zero=True)

@@ -6,6 +6,7 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.signatures import check_arguments, short
 from platform_ctrl.symbolic.options import FORMS, HIGHEST_ORDER, TERMS, Form, Terms
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def equations(platform: Platform, form: Literal["sympy"], order: int | None = ..
 def equations(
     platform: Platform, form: Literal["json"], order: int | None = ..., terms: Terms = ...
 ) -> dict[str, Any]: ...
+@check_arguments
 def equations(
     platform: Platform,
     form: Form = "text",
@@ -63,10 +65,7 @@ def equations(
     See docs/the-paper.md.
     """
     from platform_ctrl.arguments import one_of
-    from platform_ctrl.description import expect_platform
-    from platform_ctrl.signatures import short
 
-    expect_platform(platform)
     one_of("form", form, FORMS)
     one_of("terms", terms, TERMS)
     if order is not None:

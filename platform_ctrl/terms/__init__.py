@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform, expect_platform
+from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.coupling import connected
 from platform_ctrl.parameter_varying.polynomial import monomial_values
+from platform_ctrl.signatures import check_arguments
 from platform_ctrl.terms.labels import coordinate, product
 from platform_ctrl.terms.labels import rates as rate_names
 from platform_ctrl.terms.parts import Part, parts
@@ -26,6 +27,7 @@ __all__ = ["Kind", "Term", "TermTable", "terms"]
 _SLOWEST = 0.01
 
 
+@check_arguments
 def terms(
     platform: Platform,
     Omega: ArrayLike,
@@ -91,7 +93,6 @@ def terms(
     >>> ranked.of("9")[0].label
     'L11 Ω1'
     """
-    expect_platform(platform)
     n = len(platform.gimbals)
     frequency = positive("frequency", frequency)
     rate = real_array("Omega", Omega, (3,))

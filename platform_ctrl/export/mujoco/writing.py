@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 
 from platform_ctrl.arguments import one_of, positive
-from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer, expect_platform
+from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.export.mujoco.bodies import Placed, children, placed, rotor_mass, rotors_on
 from platform_ctrl.export.mujoco.shapes import (
@@ -69,7 +69,6 @@ def write_mjcf(
     ----------
     See docs/export.md.
     """
-    expect_platform(platform)
     one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
     step = positive("write_mjcf: step", step)
     _judge_names(platform)

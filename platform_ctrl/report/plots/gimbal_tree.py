@@ -10,7 +10,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from platform_ctrl.description import Platform, expect_platform
+from platform_ctrl.description import Platform
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.axes_bodies import camera
 from platform_ctrl.report.plots.systems import drawable
@@ -29,6 +29,7 @@ from platform_ctrl.report.plots.tree_cards import (
 )
 from platform_ctrl.report.style import INK, MUTED, standalone
 from platform_ctrl.report.svg_pieces import text_width
+from platform_ctrl.signatures import check_arguments
 
 _BESIDE, _BELOW = 14.0, 24.0  # between cards
 _MARGIN, _HEAD, _ENTRY = 10.0, 30.0, 15.0
@@ -56,6 +57,7 @@ class _Node(NamedTuple):
 
 
 @standalone
+@check_arguments
 def gimbal_tree(platform: Platform) -> Figure:
     """Schematic of the bodies of a platform: what turns in what, about which axis, and what acts and measures there.
 
@@ -83,7 +85,6 @@ def gimbal_tree(platform: Platform) -> Figure:
     ----------
     See docs/plant-file.md.
     """
-    expect_platform(platform)
     root = _Node(root_card(platform), _carried(platform, platform.root_name, 1))
     rows = camera(platform)
     entries = _entries(platform, root)

@@ -14,7 +14,7 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
 from platform_ctrl.arguments import known_names, positive, real_numbers
-from platform_ctrl.description import Platform, expect_platform
+from platform_ctrl.description import Platform
 from platform_ctrl.design.plants import changed
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.frozen import FloatArray, value
@@ -166,7 +166,6 @@ def with_rotors_at_rest(platform: Platform, rotors: Sequence[str] | None) -> tup
     ArgumentError
         A name that does not exist, or none of the rotors spins.
     """
-    expect_platform(platform)
     names = [rotor.name for rotor in platform.rotors]
     chosen = names if rotors is None else [names[k] for k in known_names("rotors", rotors, names)]
     turning = [r.name for r in platform.rotors if r.name in chosen and r.angular_momentum != 0.0]

@@ -24,6 +24,7 @@ from platform_ctrl.report.plots.planes import s_plane, z_plane
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone
+from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -84,6 +85,7 @@ def root_locus(
 
 
 @standalone
+@check_arguments
 def root_locus_over_spin(
     platform: Platform,
     gimbals: Sequence[str] | None,

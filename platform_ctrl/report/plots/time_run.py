@@ -10,18 +10,19 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.arguments import known_name, positive
 from platform_ctrl.check import Run
-from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform, Torquer, expect_platform
+from platform_ctrl.description import ROOT_TORQUE_NAMES, Platform, Torquer
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.run_figures import trajectory_figure
 from platform_ctrl.report.style import standalone
-from platform_ctrl.signatures import short
+from platform_ctrl.signatures import check_arguments, short
 from platform_ctrl.simulation import Trajectory
 
 _LIMITS = ("angle", "attitude", "torque_share")
 
 
 @standalone
+@check_arguments
 def time_run(
     run: Run | Trajectory, platform: Platform | None = None, *, limits: Mapping[str, float] | None = None
 ) -> Figure:
@@ -72,7 +73,6 @@ def time_run(
         torquers = [Torquer(name=name, **_place(name)) for name in names]
         series = _series(recorded)
     else:
-        expect_platform(platform)
         torquers = list(platform.torquers)
         series = signal_series(platform)
         own = tuple(torquer.name for torquer in torquers)
