@@ -148,20 +148,22 @@ def _solved(
     total = total_2 = zero = 0.0 * point[0]
     newest = zero + 1.0, zero, zero + 1.0, zero
     _put(x, 4 * last, newest)
-    # Two rows at a time: their sums over what they have in common are taken at once.
-    for first in range(last, p, -2):
-        sums, above = _two_sums(rows, (top + first) * size, size, first + 1, last, x)
-        for r in range(first, max(first - 2, p), -1):
+    # Four rows at a time: their sums over the columns that they share are taken at once.
+    for first in range(last, p, -4):
+        a, b, c, d = _four_sums(rows, top, size, p, first, last, x)
+        for r in range(first, max(first - 4, p), -1):
             square, square_2 = _squares(newest)
             total, total_2 = total + square, total_2 + square_2
-            before, newest = newest, _next(rows, (top + r) * size + r - 1, point, newest, sums)
+            before, newest = newest, _next(rows, (top + r) * size + r - 1, point, newest, a)
             _put(x, 4 * r - 4, newest)
             if large < math.inf:
                 factor, factor_2 = _shrink(x, 4 * r - 4, 4 * last, large), _shrink(x, 4 * r - 2, 4 * last, large)
                 total, total_2 = total * factor * factor, total_2 * factor_2 * factor_2
                 newest, before = _scaled(newest, factor, factor_2), _scaled(before, factor, factor_2)
-                above = _scaled(above, factor, factor_2)
-            sums = _plus(above, load(rows, (top + first - 1) * size + first, 0), before)
+                b, c, d = _scaled(b, factor, factor_2), _scaled(c, factor, factor_2), _scaled(d, factor, factor_2)
+            a = _plus(b, load(rows, (top + max(r - 1, p)) * size + r, 0), before)
+            b = _plus(c, load(rows, (top + max(r - 2, p)) * size + r, 0), before)
+            c = _plus(d, load(rows, (top + max(r - 3, p)) * size + r, 0), before)
     fine = _finish(x, 4 * p, length, total, newest[0], newest[1])
     return _finish(x, 4 * p + 2, length + 1, total_2, newest[2], newest[3]) and fine
 
@@ -213,15 +215,20 @@ def _sums(rows: FloatArray, row: int, first: int, last: int, x: FloatArray) -> F
 
 
 @inlined
-def _two_sums(rows: FloatArray, row: int, size: int, first: int, last: int, x: FloatArray) -> tuple[Four, Four]:
-    """Return `_sums` of a row and of the one above it."""
+def _four_sums(
+    rows: FloatArray, top: int, size: int, p: int, first: int, last: int, x: FloatArray
+) -> tuple[Four, Four, Four, Four]:
+    """Return `_sums` of the columns right of `first`, of that row and of the three above it, none above row p."""
     zero = 0.0 * load(x, 4 * last, None)
-    sums = above = zero, zero, zero, zero
-    for k in range(last, first - 1, -1):
+    a = b = c = d = zero, zero, zero, zero
+    row_b, row_c, row_d = max(first - 1, p), max(first - 2, p), max(first - 3, p)
+    for k in range(last, first, -1):
         numbers = _four(x, 4 * k)
-        sums = _plus(sums, load(rows, row + k, 0), numbers)
-        above = _plus(above, load(rows, row - size + k, 0), numbers)
-    return sums, above
+        a = _plus(a, load(rows, (top + first) * size + k, 0), numbers)
+        b = _plus(b, load(rows, (top + row_b) * size + k, 0), numbers)
+        c = _plus(c, load(rows, (top + row_c) * size + k, 0), numbers)
+        d = _plus(d, load(rows, (top + row_d) * size + k, 0), numbers)
+    return a, b, c, d
 
 
 @inlined
