@@ -248,8 +248,7 @@ class PageServer:
                 await asyncio.sleep(_LOOK)
         finally:
             server.stop()
-            for client in list(self.application._clients):
-                client._socket.close(1001)
+            self.application.close_pages()
             await listening.close_all_connections()
 
     def _filled(self, document: Any) -> None:

@@ -153,6 +153,11 @@ class PageApplication(BokehTornado):
             session.request_expiration()
             self.io_loop.add_callback(self._cleanup_sessions)
 
+    def close_pages(self) -> None:
+        """Tell every page that the server goes away."""
+        for connection in list(self._clients):
+            connection._socket.close(1001)
+
     def _room(self) -> bool:
         """Whether there is room for one more page; the oldest that nobody looks at makes way.
 

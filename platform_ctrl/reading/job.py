@@ -153,7 +153,7 @@ def _loop(table: LoopTable) -> LoopSpec:
             DesignSpec(
                 name=design.name,
                 method=design.method,
-                options=dict(design.__pydantic_extra__),
+                options=dict(design.model_extra or {}),
                 tune=design.tune,
                 structure=design.structure,
             )

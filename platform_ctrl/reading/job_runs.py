@@ -35,7 +35,7 @@ def manoeuvre(table: ManoeuvreTable) -> Manoeuvre:
         torque_table=None if table.torque_table is None else _time_table(table.torque_table),
         vibrations=tuple(_vibration(one) for one in table.vibration),
         faults=table.faults,
-        initial=dict(table.initial.__pydantic_extra__),
+        initial=dict(table.initial.model_extra or {}),
         limits=table.limits.model_dump(exclude_none=True),
     )
 
