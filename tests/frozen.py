@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -124,7 +125,7 @@ def flat(value: Any, path: str = "") -> Flat:
 
 def differences(before: Flat, after: Flat, part: Part, strict: bool = False) -> Iterator[str]:
     """What differs, a line each."""
-    for path in before.keys() | after.keys():
+    for path in before | after:
         rel, floor = part.tolerance(path, strict)
         if rel == math.inf:
             continue
@@ -224,8 +225,8 @@ def folder() -> Iterator[Path]:
 
 
 def help_texts() -> dict[str, Any]:
-    os.environ |= {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}
-    return {"platform-ctrl": run("--help")[1]} | {name: run(name, "--help")[1] for name in COMMANDS}
+    with patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1", "TERM": "dumb"}):
+        return {"platform-ctrl": run("--help")[1]} | {name: run(name, "--help")[1] for name in COMMANDS}
 
 
 def equations() -> dict[str, Any]:
@@ -257,7 +258,14 @@ def mechanics() -> dict[str, Any]:
             "free root": system(pc.state_space(model, root="free")),
             "rollout": {key: np.asarray(getattr(moved, key)) for key in ("q", "velocity", "attitude")},
         }
-    return out
+    platform = pc.read_platform("three_gyro_platform")
+    slow = pc.precession(pc.linearise(platform), gimbals=("9", "10"))
+    varying = pc.parameter_varying(platform).state_space([0.1, 0.2, -0.1])
+    return out | {
+        "terms": pc.terms(platform, Omega=(1, 1, 1), rates=[0.01] * 5).text(),
+        "precession": system(slow.state_space()),
+        "parameter varying": system(varying),
+    }
 
 
 def system(sys: control.StateSpace) -> dict[str, Any]:
@@ -348,8 +356,10 @@ def saved_controllers() -> dict[str, Any]:
     """Controllers of the shipped job: what check, simulate, campaign and export are given. Only --write makes them."""
     with folder():
         found = answer("design", "job.toml", "-o", "out")["json"]
-    kept_keys = ("name", "design", "method", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
-    return {"schema": 1, "controllers": [{key: one[key] for key in kept_keys} for one in found["controllers"]]}
+    keys = ("name", "design", "method", "dt", "A", "B", "C", "D", "inputs", "outputs", "delay")
+    found = {"schema": 1, "controllers": [{key: one[key] for key in keys} for one in found["controllers"]]}
+    out: dict[str, Any] = json.loads(json.dumps(found), parse_float=lambda text: rounded(float(text)))
+    return out
 
 
 def export() -> dict[str, Any]:
@@ -492,7 +502,7 @@ def main() -> int:
             keep(name, values)
             found = []
         else:
-            found = sorted(differences(kept(name), values, part, asked.strict))
+            found = list(differences(kept(name), values, part, asked.strict))
         print(f"{name}: {len(values)} values, {len(found)} differ, {time.process_time() - began:.1f} s", flush=True)
         for line in found:
             print(f"  {line}")
