@@ -1,11 +1,11 @@
-"""Responses of systems of many states without structure, refined: what `resolvent` leaves over of those.
+"""Refined responses of systems of many states without structure, at the points where `resolvent` is not accurate.
 
-An orthogonal change of states makes A a Hessenberg matrix once. At each point z I - H is then eliminated from behind,
-by columns: two of them are at work, which needs no memory for factors and takes all inputs at once (G. Henry, The
-shifted Hessenberg system solve computation, Cornell Theory Center report CTC94TR163, 1994). Residuals come from the
-states as they are given, in twice the digits, as products of matrices that are free of rounding: of parts of A and of
-the solutions so short that nothing is rounded in a sum of their products (Ozaki, Ogita, Oishi and Rump, Numerical
-Algorithms 59, 2012). So the refined solution is that of the very numbers of A.
+A is reduced to Hessenberg form H once, by an orthogonal change of states. At each point z I - H is then eliminated by
+columns, the last one first: only two columns are stored, no factors, and all inputs are solved at once (G. Henry, The
+shifted Hessenberg system solve computation, Cornell Theory Center report CTC94TR163, 1994). Residuals are computed in
+the original states and in double-double precision, by matrix products without rounding errors: A and the solutions are
+split into parts of so few bits that sums of their products are exact (Ozaki, Ogita, Oishi and Rump, Numerical
+Algorithms 59, 2012). The refined solution is therefore that of A as given.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from platform_ctrl.lanes import LANES, Number, choose, compiled, greater, inline
 CHUNK = 16 * LANES
 # Corrections at most.
 STEPS = 4
-# Share of a solution that its correction may have: where it has more, the digits of A decide, and no refinement helps.
+# Largest ratio of correction to solution: above it the system is singular to working precision; refinement cannot help.
 CONTRACTING = 0.1
-# Share of what is tolerated that may still be missing; the entry, or this times the largest one at that point.
+# Share of the tolerance that the next correction may have; errors are relative to the entry, or to FLOOR times the
+# largest entry at that point.
 ENOUGH, FLOOR = 0.04, 1e-3
-# Share of the first correction that rounding of its residual can be; the same of what it adds to an entry, which may
-# happen to be little.
+# Rounding error of the first correction relative to it, and of its contribution to an entry, relative to that one.
 ROUNDED, ROUNDED_ENTRY = 2.0**-18, 2.0**-12
 
 
@@ -41,7 +41,7 @@ class HessenbergRefinement:
     A, B, C, D
         Arrays of one system with two states or more, inputs and outputs.
     lacks : (n,)
-        What the diagonal of A has beyond its doubles.
+        Low-order part of the diagonal of A in double-double precision.
     H, Q : (n, n)
         Hessenberg form and orthogonal change of states: A = Q H Q'.
     """
@@ -62,7 +62,7 @@ class HessenbergRefinement:
         # In the states of the Hessenberg form.
         self._driven, self._seen = self._Q.T @ B, C @ self._Q
         self._weights = np.linalg.norm(C, axis=1)
-        # Two numbers of so many bits: n products of them in a sum that has room for all of their digits.
+        # A sum of n products of two numbers of so many bits is exact in a double.
         self._bits = (52 - math.ceil(math.log2(n))) // 2
         self._top, self._rest = _parted(np.vstack([A, C]), self._bits, axis=1)
         self._middle, self._end = _parted(self._rest, self._bits - 1, axis=1)
@@ -70,10 +70,11 @@ class HessenbergRefinement:
     def at(
         self, z: ComplexArray, beyond: ComplexArray, tolerated: float, least: float
     ) -> tuple[ComplexArray, NDArray[np.int64]]:
-        """Return the response at z (N,), (m, p, N), and at which points more is wrong than is `tolerated`.
+        """Return the response at z (N,), (m, p, N), and the points at which the error may exceed `tolerated`.
 
-        `beyond` is what z has beyond its doubles. Inf at a pole z = 0. Not accurate is an entry that is next to nothing
-        beside the solution it comes from. What the digits of A leave open is not told.
+        `beyond` is the low-order part of z in double-double precision. The response is inf at a pole z = 0. Entries
+        that are much smaller than the solution they are formed from may be inaccurate. Errors due to the finite
+        precision of A itself are not reported.
         """
         N, (p, m) = len(z), self._D.shape
         found, short = np.empty((m, p, N), dtype=np.complex128), np.empty(N, dtype=np.bool_)
@@ -93,9 +94,9 @@ class HessenbergRefinement:
         N = -(-count // LANES) * LANES
         points = np.empty((4, N))
         points[:, :count] = z.real, z.imag, beyond.real, beyond.imag
-        # The last point fills what is left of a register.
+        # Unused lanes repeat the last point.
         points[:, count:] = points[:, count - 1 : count]
-        # In all of these: states (or outputs), real and imaginary parts, inputs, points.
+        # Axes of these arrays: states (or outputs), real and imaginary part, inputs, points.
         change = np.zeros((n, 2, m, N))
         change[:, 0] = self._driven[:, :, None]
         low, residual = np.zeros_like(change), np.empty_like(change)
@@ -130,7 +131,7 @@ class HessenbergRefinement:
         return found[:, :, :count].swapaxes(0, 1), short[:count]
 
     def _product(self, x: FloatArray, low: FloatArray, precise: bool) -> tuple[FloatArray, FloatArray]:
-        """Return A and C times x + low in twice the digits, or in a part more if it has to be `precise`."""
+        """Return A and C times x + low in double-double precision; with one part more if `precise`."""
         top, rest = _parted(x, self._bits, axis=0)
         product = _times(self._top, top)
         if not precise:
@@ -143,7 +144,7 @@ class HessenbergRefinement:
         return product, more
 
     def _at_rest(self, z: ComplexArray, beyond: ComplexArray, found: ComplexArray) -> None:
-        """Write inf where z = 0 is a pole: A is singular digit by digit."""
+        """Write inf where z = 0 is a pole: elimination finds A exactly singular."""
         from scipy.linalg.lapack import dgetrf
 
         rest = np.flatnonzero((z == 0.0) & (beyond == 0.0))
@@ -156,7 +157,7 @@ class HessenbergRefinement:
         _eliminated(self._columns, _lanes(points), _lanes(numbers), memory(2 * n * (m + 1)), memory(3 * n))
 
     def _entries(self, product: FloatArray, low: FloatArray, change: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the entries (p, m, N) with what the correction adds to them, and that; `product` and `low` are C x."""
+        """Return the corrected entries (p, m, N) and their correction; `product` and `low` are C x."""
         added = _times(self._seen, change)
         total, more = _exact_sums(product[:, 0], self._D[:, :, None])
         out: ComplexArray = total + (low[:, 0] + more + added[:, 0]) + 1j * (product[:, 1] + (low[:, 1] + added[:, 1]))
@@ -164,7 +165,7 @@ class HessenbergRefinement:
 
 
 def _lanes(array: FloatArray) -> FloatArray:
-    """Return an array (..., N) as a memory whose slots are registers of points."""
+    """Return an array (..., N) as a memory (slots, LANES)."""
     return array.reshape(-1, LANES)
 
 
@@ -175,22 +176,22 @@ def _times(matrix: FloatArray, numbers: FloatArray) -> FloatArray:
 
 
 def _size(numbers: FloatArray) -> FloatArray:
-    """Return lengths of vectors of states, (m, N)."""
+    """Return Euclidean norms over the states, (m, N)."""
     out: FloatArray = np.sqrt(np.einsum("ikjt,ikjt->jt", numbers, numbers))
     return out
 
 
 def _parted(numbers: FloatArray, bits: int, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Return so many leading bits of numbers, counted from the largest one along an axis, and the rest, exactly."""
+    """Split numbers exactly into leading bits, counted from the largest one along an axis, and the rest."""
     largest = np.abs(numbers).max(axis=axis, keepdims=True)
-    # Added and taken away again, this rounds to what is left of its own digits.
+    # Adding and subtracting this rounds to the leading bits.
     pad = np.ldexp(0.75, np.frexp(largest)[1] + 54 - bits)
     top = (numbers + pad) - pad
     return top, numbers - top
 
 
 def _exact_sums(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a + b as numbers and what they lack (Knuth)."""
+    """Return a + b rounded, and its rounding error (Knuth)."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
@@ -207,7 +208,7 @@ def _residuals(
     lacks: FloatArray,
     residual: FloatArray,
 ) -> None:
-    """Put B - (z I - A) x into `residual`, from A x in twice the digits; z (4, N) with what it lacks."""
+    """Put B - (z I - A) x into `residual`, from A x in double-double precision; z (4, N) with its low-order part."""
     (n, m), blocks = B.shape, len(z) // 4
     for i in range(n):
         for j in range(m):
@@ -281,7 +282,7 @@ def _eliminated(columns: FloatArray, z: FloatArray, x: FloatArray, work: FloatAr
 def _step(
     column: FloatArray, k: int, n: int, m: int, zr: Number, zi: Number, work: FloatArray, steps: FloatArray
 ) -> None:
-    """Eliminate row k: from the column at work, in the first slots, and column k - 1; solve for one unknown."""
+    """Eliminate row k of the current column, in the first slots, and of column k - 1; solve for one unknown."""
     zero = 0.0 * zr
     ar, ai, c = load(work, 2 * k, None), load(work, 2 * k + 1, None), zero - column[k]
     swapped = greater(c, -c) > greater(ar, -ar) + greater(ai, -ai)
@@ -291,7 +292,7 @@ def _step(
     store(steps, 3 * k, None, lr)
     store(steps, 3 * k + 1, None, li)
     store(steps, 3 * k + 2, None, choose(swapped, zero + 1.0, zero))
-    # In the other column z stands in row k - 1 alone.
+    # Column k - 1 contains z in row k - 1 only.
     column_z = k - 1
     for j in range(m):
         slot = 2 * (n + j * n + k)
@@ -315,7 +316,7 @@ def _step(
 
 @inlined
 def _inverse(re: Number, im: Number) -> tuple[Number, Number]:
-    """Return 1/(re + j im); squares might be out of range."""
+    """Return 1/(re + j im) without squares that could overflow."""
     size = greater(re, -re) + greater(im, -im)
     a, b = re / size, im / size
     size = re * a + im * b

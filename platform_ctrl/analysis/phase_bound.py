@@ -1,12 +1,12 @@
-"""How high a gain can rise between frequencies at which it is known, and its largest value by that, compiled.
+"""Upper bound of a gain between frequencies at which it is known, and a compiled peak search that uses it.
 
 On the frequency axis every entry u* H v of a response is a rational function with the poles of the system. Along the
 phase of the all-pass function that has the same n poles, phi = sum 2 atan((w - Im p)/|Re p|), its square |u* H v|^2
-is as steep as a cosine at most: where it is the share cos^2(alpha/2) of its largest value, |d alpha/d phi| <= 1
+is at most as steep as a cosine: where it is cos^2(alpha/2) times its largest value, |d alpha/d phi| <= 1
 (inequality of Bernstein and Szegö for rational functions: P. Borwein, T. Erdélyi, Polynomials and Polynomial
-Inequalities, 1995, sec. 7.1). So where the largest gain lies between two frequencies, the gains there are not far below
-it, in phase. If a level is exceeded, then between the two where the largest gain lies this holds for the level all
-the more: where it holds nowhere, nothing exceeds the level. That takes no eigenvalues of a Hamiltonian matrix.
+Inequalities, 1995, sec. 7.1). If the largest gain lies between two frequencies, this limits how far the gains at these
+can be below it, given their distance in phase. If the largest gain exceeds a level, the same limit holds for the level.
+Where it holds between no two neighbours, no gain exceeds the level. No eigenvalues of a Hamiltonian matrix are needed.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from platform_ctrl.analysis.response import TOLERATED, plain
 from platform_ctrl.frozen import FloatArray
 from platform_ctrl.lanes import LANES, compiled, internal
 
-# Poles are known to a few digits at least: phases are granted this factor.
+# Safety factor on phases, for errors of the poles.
 GRANTED = 1.05
 # Ratio of neighbouring distances from a peak.
 STEP = 2.5
-# Frequencies of a climb, steps at most, and how much nearer the next ones are where the gain bends and where not.
+# Local search: frequencies a step, steps at most, and contraction of the interval where the gain is concave and where
+# it is not.
 FAN, CLIMBS, BENT, STRAIGHT = 16, 12, 0.06, 0.5
-# Frequencies at which the gain may be looked at before eigenvalues of a Hamiltonian matrix take less.
+# Evaluations of the gain from which on eigenvalues of a Hamiltonian matrix take less time.
 MOST, MOST_PER_POLE = 500, 40
 
 
@@ -61,7 +62,7 @@ def all_pass(s: ComplexArray, dt: float) -> AllPass:
         finite = np.isfinite(s)
         poles[finite] = np.tanh(0.5 * dt * s[finite])
         s = poles
-    # On which side of the axis a pole stands does not matter to a gain.
+    # The gain does not depend on the side of the axis on which a pole lies.
     return AllPass(np.ascontiguousarray(s.imag), np.abs(s.real), dt)
 
 
@@ -75,7 +76,7 @@ def _mapped(w: float, dt: float) -> float:
 
 @compiled
 def phases(w: FloatArray, centre: FloatArray, width: FloatArray, dt: float) -> FloatArray:
-    """Return the phase, rad, at frequencies (N,), rad/s; infinite ones are the end of the axis."""
+    """Return the phase, rad, at frequencies (N,), rad/s, which may be infinite."""
     out = np.empty(len(w))
     for k in range(len(w)):
         at, total = _mapped(w[k], dt), 0.0
@@ -87,7 +88,7 @@ def phases(w: FloatArray, centre: FloatArray, width: FloatArray, dt: float) -> F
 
 @compiled
 def around(w: float, centre: FloatArray, width: FloatArray, dt: float, tolerance: float) -> FloatArray:
-    """Return frequencies on both sides of a peak at w, from where its gain differs by `tolerance` of itself on."""
+    """Return frequencies on both sides of a peak at w, outwards from where the gain is lower by `tolerance`."""
     at, least, slope = _mapped(w, dt), 0.5 * math.sqrt(8.0 * tolerance), 0.0
     for i in range(len(centre)):
         slope += 2.0 * width[i] * (1.0 if at == math.inf else 1.0 / ((at - centre[i]) ** 2 + width[i] ** 2))
@@ -107,9 +108,9 @@ def around(w: float, centre: FloatArray, width: FloatArray, dt: float, tolerance
 
 @compiled
 def doubtful(w: FloatArray, gain: FloatArray, level: float, phi: FloatArray) -> NDArray[np.int64]:
-    """Return between which sorted frequencies, k and k + 1, the largest gain may lie if it exceeds `level`.
+    """Return the indices k of intervals from w[k] to w[k + 1] in which the largest gain may lie if it exceeds `level`.
 
-    Between others the gain may exceed it too, but not be the largest. `phi` are the phases there.
+    In other intervals the gain may exceed it too, but is not the largest. `phi` are the phases at w.
     """
     found, count, before = np.empty(len(w), dtype=np.int64), 0, 0.0
     for k in range(len(w)):
@@ -123,7 +124,7 @@ def doubtful(w: FloatArray, gain: FloatArray, level: float, phi: FloatArray) -> 
 
 @compiled
 def middles(w: FloatArray, chosen: NDArray[np.int64], edge: float) -> FloatArray:
-    """Return a frequency behind each of the `chosen` ones of w, between it and the next; `edge` ends the axis."""
+    """Return a frequency within each of the `chosen` intervals of w; the axis ends at `edge`."""
     out = np.empty(len(chosen))
     for k in range(len(chosen)):
         low, high = w[chosen[k]], w[chosen[k] + 1]
@@ -139,7 +140,7 @@ def middles(w: FloatArray, chosen: NDArray[np.int64], edge: float) -> FloatArray
 
 
 class Few(NamedTuple):
-    """A system of few states as the compiled search takes it.
+    """A system of few states, in the form of the compiled search.
 
     Attributes
     ----------
@@ -148,7 +149,7 @@ class Few(NamedTuple):
     D : (p, m)
         The direct term.
     work
-        Memory for `resolvent.quick`.
+        Work array of `resolvent.quick`.
     size, dt, edge
         1 + p + n; sample period, s; end of the axis, rad/s.
     """
@@ -166,10 +167,10 @@ class Few(NamedTuple):
 def norm_of_few(system: StateArrays, tolerance: float, unstable: bool) -> tuple[bool, float, float]:
     """Return whether the H-infinity norm of a system with few states was found, the norm and its frequency.
 
-    It is not found next to the stability boundary, where digits are short, or of an unstable system unless `unstable`.
+    It is not found for poles next to the stability boundary, and for unstable systems only if `unstable`.
     """
     A, B, C, D = plain(system.A), plain(system.B), plain(system.C), plain(system.D)
-    # The routines themselves: what is around them takes longer than a small matrix.
+    # LAPACK directly: SciPy's wrappers take longer than small matrices.
     first, _, _, scale, _ = dgebal(A, scale=1, permute=0)
     further = dgebal(_bordered(A, B, C, scale), scale=1, permute=0)[3]
     real, imaginary, _, _, failed = dgeev(first, compute_vl=0, compute_vr=0)
@@ -178,20 +179,31 @@ def norm_of_few(system: StateArrays, tolerance: float, unstable: bool) -> tuple[
     return _norm((A, B, C, D), system.dt, (scale, further), (real, imaginary), tolerance, unstable)
 
 
+# Loops below, not expressions of arrays: numba compiles these five times as long.
+
+
 @compiled
 def _bordered(A: FloatArray, B: FloatArray, C: FloatArray, scale: FloatArray) -> FloatArray:
     """Return [A B; C 0] in scaled states, B and C as large as A."""
     (n, m), p = B.shape, C.shape[0]
-    out = np.zeros((n + m + p, n + m + p))
+    out, squares = np.zeros((n + m + p, n + m + p)), np.zeros(3)
     for i in range(n):
-        out[i, :n] = A[i] * scale / scale[i]
-        out[i, n : n + m] = B[i] / scale[i]
-    for i in range(p):
-        out[n + m + i, :n] = C[i] * scale
-    size = math.sqrt(np.sum(out[:n, :n] ** 2))
-    driven, seen = math.sqrt(np.sum(out[:n, n:] ** 2)), math.sqrt(np.sum(out[n:, :n] ** 2))
-    out[:n, n:] *= (size if size > 0.0 else 1.0) / (driven if driven > 0.0 else 1.0)
-    out[n:, :n] *= (size if size > 0.0 else 1.0) / (seen if seen > 0.0 else 1.0)
+        for k in range(n):
+            out[i, k] = A[i, k] * scale[k] / scale[i]
+            squares[0] += out[i, k] * out[i, k]
+        for j in range(m):
+            out[i, n + j] = B[i, j] / scale[i]
+            squares[1] += out[i, n + j] * out[i, n + j]
+        for j in range(p):
+            out[n + m + j, i] = C[j, i] * scale[i]
+            squares[2] += out[n + m + j, i] * out[n + m + j, i]
+    for k in range(3):
+        squares[k] = math.sqrt(squares[k]) if squares[k] > 0.0 else 1.0
+    for i in range(n):
+        for j in range(m):
+            out[i, n + j] *= squares[0] / squares[1]
+        for j in range(p):
+            out[n + m + j, i] *= squares[0] / squares[2]
     return out
 
 
@@ -204,16 +216,27 @@ def _norm(
     tolerance: float,
     unstable: bool,
 ) -> tuple[bool, float, float]:
-    """Return what `norm_of_few` does, of states in units that are the product of both `scales`."""
+    """Return what `norm_of_few` does, with states scaled by the product of both `scales`."""
     (A, B, C, D), (real, imaginary) = system, poles
-    n = len(A)
-    total = scales[0] * scales[1][:n]
-    A, B, C = A * total / total.reshape(n, 1), B / total.reshape(n, 1), C * total
-    doubtful_below, s = DOUBTFUL * EPSILON * math.sqrt(np.sum(A * A)), np.empty(n, dtype=np.complex128)
+    A, B, C = A.copy(), B.copy(), C.copy()
+    n, square, s = len(A), 0.0, np.empty(len(A), dtype=np.complex128)
+    for i in range(n):
+        unit = scales[0][i] * scales[1][i]
+        for k in range(n):
+            A[i, k] /= unit
+            A[k, i] *= unit
+        for j in range(B.shape[1]):
+            B[i, j] /= unit
+        for j in range(len(C)):
+            C[j, i] *= unit
+    for i in range(n):
+        for k in range(n):
+            square += A[i, k] * A[i, k]
+    doubtful_below = DOUBTFUL * EPSILON * math.sqrt(square)
     for k in range(n):
         s[k] = complex(real[k], imaginary[k])
         distance = 1.0 - abs(s[k]) if dt > 0.0 else -real[k]
-        # Not a number is doubtful too.
+        # True for NaN too.
         if not abs(distance) > doubtful_below or (distance < 0.0 and not unstable):
             return False, 0.0, 0.0
         if dt > 0.0:
@@ -226,7 +249,7 @@ def _logarithm(z: complex) -> complex:
     if z == 0.0:
         return complex(-math.inf, 0.0)
     square = (z.real - 1.0) * (z.real + 1.0) + z.imag * z.imag
-    # No digits are lost next to z = 1.
+    # No cancellation next to z = 1.
     growth = 0.5 * math.log1p(square) if abs(z - 1.0) < 0.5 else math.log(abs(z))
     return complex(growth, math.atan2(z.imag, z.real))
 
@@ -235,7 +258,7 @@ def _logarithm(z: complex) -> complex:
 def peak(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float, s: ComplexArray, tolerance: float
 ) -> tuple[bool, float, float]:
-    """Return whether the largest gain was found with all digits, the gain and its frequency.
+    """Return whether the largest gain was found to `tolerance`, the gain and its frequency.
 
     The system is balanced, of few states, inputs or outputs; s are its continuous(-equivalent) poles.
     """
@@ -269,21 +292,21 @@ def peak(
         fine = fine and certain
         w, sizes = np.append(w, new), np.append(sizes, more)
         phi = np.append(phi, phases(new, centre, width, dt))
-        order = np.argsort(w)
+        order = _order(w)
         w, sizes, phi = w[order], sizes[order], phi[order]
     return False, best, frequency
 
 
 @internal
 def _prepared(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> Few:
-    """Return the chains of the system, or of the transposed one: a recurrence for each input takes less, or output."""
+    """Return the chains of the system, or of the transposed one if it has fewer outputs than inputs."""
     if D.shape[0] < D.shape[1]:
         first, driven, seen, direct = A.T.copy(), C.T.copy(), B.T.copy(), D.T.copy()
     else:
         first, driven, seen, direct = A.copy(), B, C, D
     n, (p, m) = len(first), direct.shape
     if dt > 0.0:
-        # z - 1 is what the response is evaluated for.
+        # The response is evaluated as a function of z - 1.
         for i in range(n):
             first[i, i] -= 1.0
     size = p + 1 + n
@@ -306,12 +329,28 @@ def _first_look(s: ComplexArray, edge: float) -> FloatArray:
                 count += 1
             out[count], out[count + 1], out[count + 2] = rate, 2.0 * rate, 0.5 * rate
             count += 3
-    return np.sort(np.minimum(out[:count], edge))
+    for k in range(count):
+        out[k] = min(out[k], edge)
+    out = out[:count]
+    return out[_order(out)]
+
+
+@internal
+def _order(w: FloatArray) -> NDArray[np.int64]:
+    """Return in which order numbers increase, by insertion: most of them stand in that order already."""
+    order = np.empty(len(w), dtype=np.int64)
+    for k in range(len(w)):
+        place = k
+        while place > 0 and w[order[place - 1]] > w[k]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = k
+    return order
 
 
 @internal
 def _gains(few: Few, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
-    """Return the largest singular value at each frequency, and whether they are right."""
+    """Return the largest singular value at each frequency, and whether all are accurate."""
     (p, m), N, dt = few.D.shape, len(w), few.dt
     z = np.zeros(N, dtype=np.complex128)
     for k in range(N):
@@ -342,7 +381,7 @@ def _gains(few: Few, w: FloatArray, best: float) -> tuple[FloatArray, bool]:
 
 @internal
 def _climbed(few: Few, s: ComplexArray, best: float, frequency: float, slack: float) -> tuple[float, float, bool]:
-    """Return the local maximum near `frequency`, by fans of frequencies that contract, and whether it is right."""
+    """Return the local maximum near `frequency`, from contracting sets of frequencies, and whether it is accurate."""
     if frequency == 0.0 or frequency == math.inf:
         return best, frequency, True
     width, last = frequency, False
@@ -361,7 +400,7 @@ def _climbed(few: Few, s: ComplexArray, best: float, frequency: float, slack: fl
             break
         low, high = sizes[max(i - 1, 0)], sizes[min(i + 1, FAN - 1)]
         fall = best - min(low, high, sizes[i])
-        # The top lies between the neighbours of the highest: it cannot rise much above where these are as high.
+        # The maximum lies between the neighbours of the largest value and is close to it where these are.
         if fall <= slack * best or width < 1e-15 * frequency:
             break
         centre = fan[i]
@@ -369,7 +408,7 @@ def _climbed(few: Few, s: ComplexArray, best: float, frequency: float, slack: fl
         if bend < 0.0 and 0 < i < FAN - 1:
             centre += 0.25 * (low - high) / bend * (fan[i + 1] - fan[i - 1])
             width *= BENT
-            # The top of the parabola through three points misses by about the square of how much they fall.
+            # The error of the parabola's maximum is about the square of the relative fall.
             last = fall * fall <= 0.1 * slack * best * best
         else:
             width *= STRAIGHT

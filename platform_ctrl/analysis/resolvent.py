@@ -1,17 +1,17 @@
-"""D + C (z I - A)^-1 B at many points z by a short recurrence, which says where it is not accurate.
+"""D + C (z I - A)^-1 B at many points z by a recurrence with an error bound.
 
 An orthogonal change of states turns b into beta e1 and A into Hessenberg form H. All rows but the first of
-(z I - H) x = beta e1 then give x[k-1] from x[k], x[k+1], ...: started with any last component, n²/2 multiplications by
-real numbers lead to the first row, which says how large x is (Hyman; Wilkinson, The Algebraic Eigenvalue Problem,
+(z I - H) x = beta e1 then give x[k-1] from x[k], x[k+1], ...: from an arbitrary last component, n²/2 multiplications by
+real numbers lead to the first row, which determines the scale of x (Hyman; Wilkinson, The Algebraic Eigenvalue Problem,
 ch. 7, sec. 11). Each row is solved with a small relative error in each entry of H: x belongs to a matrix that differs
-from A by rounding of |A|, whatever A's eigenvectors, and no pivot is sought.
+from A by rounding errors of size |A|, whatever A's eigenvectors. No pivoting is needed.
 
-An output c' x is then wrong by no more than |w| times this rounding times |x|, where w' = c' (z I - A)^-1; the same
-recurrence for the transposed system gives |w|, for a mixture of all outputs at once. Where that is too much (next to
-lightly damped poles, in steep roll-off, in widely spread systems) the point is left to `refinement`.
+The error of an output c' x is at most |w| times this rounding error times |x|, where w' = c' (z I - A)^-1; the same
+recurrence for the transposed system gives |w|, for a combination of all outputs at once. Points at which the bound is
+too large (near lightly damped poles, in steep roll-off, for widely spaced poles) are solved by `refinement`.
 
-Two registers of points advance side by side. A complex number of theirs takes four slots: the real parts of the first
-ones, their imaginary parts, and the same of the others.
+Two registers of points are computed together. Their complex numbers take four slots: real and imaginary parts of the
+first register, then of the second.
 """
 
 from __future__ import annotations
@@ -40,26 +40,26 @@ from platform_ctrl.lanes import (
     store_pairs,
 )
 
-# A complex number of each of two registers of points.
+# Complex numbers of two registers of points.
 Four = tuple[Number, Number, Number, Number]
-# Points that advance side by side.
+# Points computed together.
 POINTS = 2 * LANES
-# Square above which components are made smaller by SHRINK where the range of numbers did not do.
+# Components whose square exceeds LARGE are multiplied by SHRINK, in a second attempt after an overflow.
 LARGE, SHRINK = 2.0**400, 2.0**-200
-# Squares beyond which digits may have been lost: of the solution, and of the remainder that it is divided by.
+# Limits of the squares of the solution and of the divisor, beyond which overflow or underflow may have cost digits.
 LARGEST, SMALLEST = 2.0**1000, 2.0**-800
-# Rounding of the recurrence, in units of |A| + |z|.
+# Rounding error of the recurrence, relative to |A| + |z|.
 ROUNDING = 8.0 * 2.0**-53
-# An error is relative to the entry, or to this times the largest one at that point.
+# Errors are relative to the entry, or to this times the largest one at that point.
 FLOOR = 1e-3
 
 
 def respond(
     chains: Chains, D: FloatArray, z: ComplexArray, H: ComplexArray, turned: bool, tolerated: float, least: float = 0.0
 ) -> NDArray[np.int64]:
-    """Write D + C (z I - A)^-1 B into H (p, m, N), or (m, p, N) if `turned`; return where that is not good enough.
+    """Write D + C (z I - A)^-1 B into H (p, m, N), or (m, p, N) if `turned`; return the points to be refined.
 
-    There the error may be above what is `tolerated` of an entry, or of `least` where an entry is below that.
+    At these the error bound exceeds `tolerated`, relative to the entry, or to `least` if the entry is smaller.
     """
     (p, m), N = D.shape, len(z)
     size = math.isqrt(len(chains.rows) // (m + 1))
@@ -69,7 +69,7 @@ def respond(
 
 
 def workspace(size: int, inputs: int, outputs: int) -> FloatArray:
-    """Return the memory that `quick` works in."""
+    """Return the work array of `quick`."""
     return memory(4 * (size + inputs * outputs + 1) + 2 * (inputs + 1))
 
 
@@ -89,23 +89,23 @@ def quick(
     poor: NDArray[np.int64],
     work: FloatArray,
 ) -> int:
-    """Write the entry of output i and input j into row i down + j across of H; return how many points are `poor`.
+    """Write the entry of output i and input j into row i down + j across of H; return the number of `poor` points.
 
-    An entry below `least` need be no more accurate than that one.
+    Errors of entries below `least` are relative to `least`.
     """
     (p, m), N, found = D.shape, H.shape[1], 0
-    # In `work`: a solution, the entries, points, sizes of the solutions.
+    # Layout of `work`: a solution, the entries, points, norms of the solutions.
     entries = 4 * size
     at = entries + 4 * m * p
     sizes = at + 4
     for start in range(0, N, POINTS):
         for t in range(POINTS):
-            # The last point fills what is left.
+            # Unused lanes repeat the last point.
             one, slot = z[min(start + t, N - 1)], at + t // LANES * 2
             work[slot, t % LANES], work[slot + 1, t % LANES] = one.real, one.imag
         for j in range(m + 1):
             last = lasts[j]
-            # All numbers are in range mostly.
+            # Overflow is rare: the first attempt does not rescale.
             for large in (math.inf, LARGE):
                 if _solved(rows, j * size, size, p, last, at, large, work, sizes + 2 * j):
                     break
@@ -190,7 +190,7 @@ def _plus(sums: Four, factor: float, numbers: Four) -> Four:
 def _finish(x: FloatArray, slot: int, length: int, total: Number, re: Number, im: Number) -> bool:
     square = re * re + im * im
     within = (square < LARGEST) & (total < LARGEST)
-    # Lost digits are no digits.
+    # NaN marks points at which digits may have been lost.
     factor = choose(within & (square > SMALLEST), 1.0 / square, math.nan)
     store(x, slot, None, factor * re)
     store(x, slot + 1, None, -factor * im)
@@ -208,7 +208,7 @@ def _sums(rows: FloatArray, row: int, first: int, last: int, x: FloatArray) -> F
     """Return the product of the columns `first` to `last` of a row with those components of x."""
     zero = 0.0 * load(x, 4 * last, None)
     sums = zero, zero, zero, zero
-    # From behind: what came last is ready last.
+    # In descending order: the newest component, the last of the sum, is available last.
     for k in range(last, first - 1, -1):
         sums = _plus(sums, load(rows, row + k, 0), _four(x, 4 * k))
     return sums
@@ -233,7 +233,7 @@ def _four_sums(
 
 @inlined
 def _next(rows: FloatArray, diagonal: int, point: Four, newest: Four, sums: Four) -> Four:
-    """Return the component before the newest one, from a row whose entry left of the diagonal is at slot `diagonal`."""
+    """Return the component before the newest one; the row's entry left of the diagonal is at slot `diagonal`."""
     unit, own = load(rows, diagonal, 0), load(rows, diagonal + 1, 0)
     a, b, a_2, b_2 = point[0] * unit - own, point[1] * unit, point[2] * unit - own, point[3] * unit
     re, im, re_2, im_2 = newest
@@ -253,7 +253,7 @@ def _put(x: FloatArray, slot: int, numbers: Four) -> None:
 
 @internal
 def _shrink(x: FloatArray, slot: int, last: int, large: float) -> Number:
-    """Make solutions smaller whose newest component, at `slot`, is `large`; return by which factor."""
+    """Scale down solutions whose newest component, at `slot`, has a square above `large`; return the factor."""
     re, im = load(x, slot, None), load(x, slot + 1, None)
     factor = choose(re * re + im * im > large, SHRINK, 1.0)
     for k in range(slot, last + 4, 4):
@@ -264,7 +264,7 @@ def _shrink(x: FloatArray, slot: int, last: int, large: float) -> Number:
 
 @internal
 def _put_entry(work: FloatArray, entry: int, factor: int, re: Number, im: Number, direct: float) -> None:
-    """Put D plus an output of x, times the factor that x still needs, into its slots."""
+    """Put D plus an output of x, scaled by the factor of x, into its slots."""
     real, imaginary = load(work, factor, None), load(work, factor + 1, None)
     store(work, entry, None, (re * real - im * imaginary) + direct)
     store(work, entry + 1, None, re * imaginary + im * real)
@@ -280,13 +280,13 @@ def _size(numbers: FloatArray, slot: int) -> Number:
 def _missed(
     at: int, norms: FloatArray, D: FloatArray, tolerated: float, least: float, work: FloatArray, first: int, sizes: int
 ) -> Number:
-    """Return 1 for points with an entry that may be wrong by more than is tolerated, else 0."""
+    """Return 1 for points at which the error bound of an entry exceeds the tolerance, else 0."""
     p, m = D.shape
     largest = zero = 0.0 * load(work, at, None)
     for entry in range(first, first + 4 * m * p, 4):
         largest = greater(largest, _size(work, entry))
     unit = ROUNDING * (norms[p] + _size(work, at)) * load(work, sizes + 2 * m, None)
-    # Not a number is not fine.
+    # False for NaN.
     fine, entry = largest == largest, first
     for j in range(m):
         wrong = unit * load(work, sizes + 2 * j, None)
