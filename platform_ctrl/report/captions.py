@@ -10,6 +10,7 @@ from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
 from platform_ctrl.check.simulated import Run
 from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.description import Platform
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job import LoopLimits
@@ -99,8 +100,13 @@ def _goal_lines(goals: Sequence[float | None]) -> str:
     return "" if all(goal is None for goal in goals) else " Grey dash-dotted lines are goals."
 
 
-def loop_transfer(outcome: LoopOutcome) -> str:
-    """Loop transfer, controller, channel by channel."""
+def spins(platform: Platform) -> bool:
+    """Whether any rotor of a plant has momentum."""
+    return any(rotor.angular_momentum != 0.0 for rotor in platform.rotors)
+
+
+def loop_transfer(outcome: LoopOutcome, spinning: bool) -> str:
+    """Loop transfer, controller, channel by channel; `spinning`: of a plant whose rotors spin."""
     which = " (all of them for the closed design, the largest for the others)" if len(outcome.designs) > 2 else ""
     asked = outcome.spec.limits.controller_gain
     gain = f" Red area: forbidden to the controller's gain, {quantity(asked, 'N m/rad')}." if asked is not None else ""
@@ -108,7 +114,8 @@ def loop_transfer(outcome: LoopOutcome) -> str:
         f"First column: singular values of the loop transfer at the torquers{which}, and the controller's largest "
         f"gain.{gain} Others: the loop that each torquer closes while all the others stay closed. Stability margins "
         "show where the gain passes 1: the phase there should keep away from −180° and its odd multiples; modes of "
-        "the plant with little damping, such as nutation, are resonances that the phase has to pass on the safe side."
+        f"the plant with little damping{', such as nutation,' if spinning else ''} are resonances that the phase has "
+        "to pass on the safe side."
     )
 
 
@@ -131,21 +138,19 @@ def nichols(outcome: LoopOutcome) -> str:
 def disturbance(outcome: LoopOutcome, responses: LoopResponses) -> str:
     """Platform rate and torque disturbance to the angles, and platform rate to the torque."""
     closed = next(one for one in responses.designs if one.design.name == outcome.closed.name)
-    worst = 1e3 * float(np.nanmax(closed.angle_per_rate, initial=0.0))
-    limits, text = outcome.spec.limits, ""
-    if limits.Omega_rejection is not None:
-        text += " The limit on angles from Omega holds for all axes at once."
+    text = ""
+    if np.isfinite(closed.rejection):
+        text += (
+            f" With “{outcome.closed.name}” no sinusoidal platform rate, about whatever axis and held from sample to "
+            f"sample, moves them by more than {plain(1e3 * closed.rejection, 3, 'up')} mrad per rad/s."
+        )
     share = float(np.nanmax(closed.torque_share, initial=0.0))
     if share > 0.0:
         text += (
             f" The torque that a sinusoidal rate of the job's size asks for comes to at most {plain(share, 3, 'up')} "
             "of a torquer's limit (grey line: 1), at any frequency."
         )
-    return (
-        "The lower a curve, the better the gimbals are kept at zero. Grey: without a controller. "
-        f"With “{outcome.closed.name}” no sinusoidal platform rate "
-        f"moves them by more than {plain(worst, 3, 'up')} mrad per rad/s.{text}"
-    )
+    return f"The lower a curve, the better the gimbals are kept at zero. Grey: without a controller.{text}"
 
 
 def poles(outcome: LoopOutcome, plants: PlantSet) -> str:

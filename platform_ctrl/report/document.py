@@ -266,7 +266,7 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         _plate(
             figures.loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
-            captions.loop_transfer(outcome),
+            captions.loop_transfer(outcome, captions.spins(result.job.platform)),
         ),
         *_nichols_plate(responses, outcome, plants.torques),
         _plate(figures.disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
@@ -331,7 +331,7 @@ def _runs(result: JobResult) -> list[Section]:
         f"noise of seed {result.job.seed}. Dashed red lines and shaded areas are limits."
     )
     blocks: list[Block] = [Paragraph(text=words)]
-    spinning = any(rotor.angular_momentum != 0.0 for rotor in result.job.platform.rotors)
+    spinning = captions.spins(result.job.platform)
     for run in result.runs:
         name = run.manoeuvre.name
         if run.trajectory.t.size:

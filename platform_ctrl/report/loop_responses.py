@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_arrays
 from platform_ctrl.analysis.feedback import Gang, closed_loop_arrays, gang
+from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
@@ -22,6 +25,10 @@ from platform_ctrl.state_space import state_space
 _OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
 # A pole sharper than this is drawn as if it had this damping: no spike of one point, no division by zero.
 _SHARPEST = 2e-3
+# Whose peaks are drawn however narrow they are.
+_REJECTION = Own(kind="Omega rejection")
+_PEAKS = (*(Own(kind=kind) for kind in ("disk margin", "sensitivity peak", "complementary peak")), _REJECTION)
+_SHARE = Own(kind="torque limit")
 
 
 @value
@@ -46,6 +53,9 @@ class DesignResponses:
         Largest singular value of the controller.
     angle_per_rate : (3, N)
         Norm of all angles per rate about each root axis.
+    rejection
+        Largest norm of all angles per rate about any axis, held between samples, over all frequencies, rad per rad/s;
+        infinite where the loop is unstable.
     angle_per_torque : (N,)
         Largest singular value from torque disturbance to angle.
     torque_share : (N,)
@@ -65,6 +75,7 @@ class DesignResponses:
     channels: ComplexArray
     controller_gain: FloatArray
     angle_per_rate: FloatArray
+    rejection: float
     angle_per_torque: FloatArray
     torque_share: FloatArray
     poles: ComplexArray
@@ -74,7 +85,7 @@ class DesignResponses:
 
 @value
 class LoopResponses:
-    """Responses of all designs of a loop, on one grid.
+    """Responses of all designs of a loop, on one grid that has the frequencies of their peaks.
 
     Attributes
     ----------
@@ -158,7 +169,8 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     plant_poles = continuous_poles(np.linalg.eigvals(plants.A[0]), plants.period)
     every = np.concatenate([plant_poles, *(poles[id(d)][0] for d in designs)])
     low = max(min(2e-3 * plants.nutation, 0.05 * nyquist), 1e-4 * nyquist)
-    frequency = following_grid(every, low, 0.999 * nyquist)
+    exact = [LoopFigures(plants.only([0]), plants.joined(d.controller)) for d in designs]
+    frequency = _with_peaks(following_grid(every, low, 0.999 * nyquist), exact)
     from_rate = _angle_per_rate(model, outcome.spec.gimbals, frequency)
     held = (plants.A[0], plants.B_Omega[0], plants.C[0], np.zeros((len(plants.angles), 3)), plants.period)
     rate_held = frequency_response_arrays(*held, frequency)
@@ -168,13 +180,30 @@ def loop_responses(model: LinearModel, outcome: LoopOutcome) -> LoopResponses | 
     return LoopResponses(
         frequency=frequency,
         designs=tuple(
-            _design_responses(d, plants, gang(plant, d.controller, frequency), from_rate, rate_held, poles[id(d)])
-            for d in designs
+            _design_responses(
+                d,
+                plants,
+                gang(plant, d.controller, frequency),
+                from_rate,
+                rate_held,
+                poles[id(d)],
+                one.exact(_REJECTION, 0),
+            )
+            for d, one in zip(designs, exact, strict=True)
         ),
         closed=outcome.use,
         open_angle_per_rate=np.linalg.norm(from_rate, axis=1).T,
         open_angle_per_torque=_largest(open_torque),
     )
+
+
+def _with_peaks(grid: FloatArray, loops: Sequence[LoopFigures]) -> FloatArray:
+    """Add the frequencies at which the loops' gains are largest: captions and markers tell of the peaks themselves."""
+    for one in loops:
+        for asked in _PEAKS if np.isinf(one.plants.torque_limit).all() else (*_PEAKS, _SHARE):
+            one.exact(asked, 0)
+    peaks = np.concatenate([one.reached for one in loops])
+    return np.union1d(grid, peaks[(peaks > grid[0]) & (peaks < grid[-1])])
 
 
 def _design_responses(
@@ -184,6 +213,7 @@ def _design_responses(
     from_rate: ComplexArray,
     rate_held: ComplexArray,
     poles: ComplexArray,
+    rejection: float,
 ) -> DesignResponses:
     S_in, T_in = _frequency_first(responses.S_input), _frequency_first(responses.T_input)
     S_out, T_out = _frequency_first(responses.S_output), _frequency_first(responses.T_output)
@@ -206,6 +236,7 @@ def _design_responses(
         channels=channels,
         controller_gain=_largest(K),
         angle_per_rate=np.linalg.norm(S_out @ from_rate, axis=1).T,
+        rejection=rejection,
         angle_per_torque=_largest(_frequency_first(responses.angle_per_torque)),
         torque_share=np.linalg.norm(share, axis=-1).max(axis=-1, initial=0.0),
         poles=poles[0],
