@@ -26,7 +26,7 @@ from platform_ctrl.design.hinf_loop import default_options
 from platform_ctrl.design.partition import Partition, Realisation, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.scaling import autoscale
-from platform_ctrl.design.structured.bound import full_order
+from platform_ctrl.design.structured.bound import least_norm
 from platform_ctrl.design.structured.norm import ClosedLoop
 from platform_ctrl.design.structured.run import Goal, Limits, Problem
 from platform_ctrl.design.structured.side_by_side import best_found
@@ -151,9 +151,9 @@ def bfgs_rows(names: list[str], starts: int, evaluations: int) -> None:
         problem = Problem(
             plants=(P,), soft=(Goal(plants=(P,)),), hard=(), decay=0.0, units=units, order=0, structured=None
         )
-        least = full_order(P, False, np.inf).gamma
         work = evaluations or sum(spent for _, spent in ends)
-        found = best_found(problem, points, Limits(evaluations=work), 1, lambda k, outcome: None, least)
+        limits = Limits(evaluations=work, least=least_norm(P, False))
+        found = best_found(problem, points, limits, 1, lambda k, outcome: None)
         best = min((one for one in found if one is not None), key=lambda one: one.rank)
         times = between - began, time.process_time() - between
         # Both are measured afterwards: at enormous gains what a search sees of a norm can be too low.

@@ -254,17 +254,18 @@ def test_starts_side_by_side_find_the_same_as_one_after_another(monkeypatch: pyt
     from platform_ctrl.design.structured import side_by_side
 
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
-    P, nmeas, ncon = problem("AC17")
+    P, nmeas, ncon = problem("REA2")
     lines: list[str] = []
-    both = design.structured(P, nmeas, ncon, structure=design.Static(), starts=4, processes=2, progress=lines.append)
-    one = design.structured(P, nmeas, ncon, structure=design.Static(), starts=4, processes=1)
+    asked: dict[str, Any] = {"structure": design.Static(), "starts": 4, "evaluations": 3000}
+    both = design.structured(P, nmeas, ncon, **asked, processes=2, progress=lines.append)
+    one = design.structured(P, nmeas, ncon, **asked, processes=1)
     assert np.array_equal(both.controller.D, one.controller.D)
     assert [s.value for s in both.searches] == [s.value for s in one.searches]
     assert sum("start" in line for line in lines) >= 4
 
 
 def test_the_result_does_not_depend_on_how_fast_the_clock_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    P, nmeas, ncon = problem("AC17")
+    P, nmeas, ncon = problem("REA2")
     asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300, "processes": 1}
     found = design.structured(P, nmeas, ncon, **asked)
     hours = itertools.count(0.0, 3600.0)
@@ -288,13 +289,27 @@ def test_a_process_that_dies_loses_no_start(monkeypatch: pytest.MonkeyPatch) -> 
     def dies(*_: object) -> None:
         raise Ended
 
-    P, nmeas, ncon = problem("AC17")
+    P, nmeas, ncon = problem("REA2")
     asked: dict[str, Any] = {"structure": design.Static(), "starts": 3, "evaluations": 300}
     alone = design.structured(P, nmeas, ncon, processes=1, **asked)
     monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
     monkeypatch.setattr(side_by_side, "SideProcess", dies)
     found = design.structured(P, nmeas, ncon, processes=2, **asked)
     assert [s.value for s in found.searches] == [s.value for s in alone.searches]
+
+
+def test_the_search_ends_with_the_start_that_comes_to_the_full_order_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    from platform_ctrl.design.structured import side_by_side
+
+    P, nmeas, ncon = problem("AC17")
+    one = design.structured(P, nmeas, ncon, structure=design.Static(), starts=6, processes=1)
+    assert one.gamma == pytest.approx(one.gamma_optimal, rel=1e-7)
+    assert len(one.searches) < 6
+    assert one.finished
+    # What processes did beyond it does not count.
+    monkeypatch.setattr(side_by_side, "_WORTH_PROCESSES", 0.0)
+    both = design.structured(P, nmeas, ncon, structure=design.Static(), starts=6, processes=2)
+    assert [s.value for s in both.searches] == [s.value for s in one.searches]
 
 
 def test_hard_limits_are_met_and_the_soft_norm_pays_for_them() -> None:

@@ -32,7 +32,7 @@ class Bound:
     source
         How it was found.
     controllers
-        Some near it and some far from it, in the w-plane where the plant is sampled.
+        Some near it and some far from it, in the w-plane where the plant is sampled; none where none are fitted.
     cut
         Whether the time limit ended a computation.
     """
@@ -43,8 +43,21 @@ class Bound:
     cut: bool = False
 
 
-def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
-    """Return the full-order bound of a continuous (or w-plane) plant, in the H2 norm where `power`."""
+def least_norm(plant: Partition, power: bool) -> float:
+    """Return what no controller of any order undercuts with a continuous (or w-plane) plant, in H2 where `power`."""
+    return h2_lower_bound(plant) if power else hinf_lower_bound(plant)
+
+
+def full_order(plant: Partition, power: bool, time_limit: float, fitted: bool) -> Bound:
+    """Return the bound of a continuous (or w-plane) plant, with controllers where some are to be `fitted`."""
+    gamma, norm = least_norm(plant, power), "H2" if power else "H-infinity"
+    source = f"{norm} norm of any controller, by duality" if gamma > 0.0 else f"no {norm} bound above 0 shown"
+    controllers, cut = _controllers(plant, power, time_limit) if fitted else ((), False)
+    return Bound(gamma=gamma, source=source, controllers=controllers, cut=cut)
+
+
+def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tuple[Realisation, ...], bool]:
+    """Return controllers of full order, and whether the time limit ended a computation."""
     P = _system(plant)
     cut = False
     for method in ("riccati", "lmi"):
@@ -56,15 +69,8 @@ def full_order(plant: Partition, power: bool, time_limit: float) -> Bound:
             cut = cut or isinstance(error, TimeLimitError)
             continue
         more = () if power or method == "lmi" else _simpler(P, plant, None)
-        return _bound(found.gamma_optimal, power, (_realised(found), *more), cut)
-    more = () if power else _simpler(P, plant, 1e-2)
-    return _bound(h2_lower_bound(plant) if power else hinf_lower_bound(plant), power, more, cut)
-
-
-def _bound(gamma: float, power: bool, controllers: tuple[Realisation, ...], cut: bool) -> Bound:
-    norm = "H2" if power else "H-infinity"
-    source = f"{norm} norm of any controller, by duality" if gamma > 0.0 else f"no {norm} bound above 0 shown"
-    return Bound(gamma=gamma, source=source, controllers=controllers, cut=cut)
+        return (_realised(found), *more), cut
+    return () if power else _simpler(P, plant, 1e-2), cut
 
 
 def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_limit: float) -> Synthesis:

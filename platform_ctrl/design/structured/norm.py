@@ -91,21 +91,22 @@ class ClosedLoop:
 
     def __init__(self, plant: Partition, M: FloatArray) -> None:
         self.plant, self.M = plant, M
-        nu, ny = plant.D22.shape[1], plant.D22.shape[0]
+        ny, nu = plant.D22.shape
         if np.any(plant.D22):
-            self.E = np.linalg.inv(np.eye(nu) - M @ plant.D22)
-            if not np.abs(self.E).max() < 1e10:
+            E = np.linalg.inv(np.eye(nu) - M @ plant.D22)
+            if not np.abs(E).max() < 1e10:
                 raise np.linalg.LinAlgError("not well posed")
-            self.F = np.eye(ny) + plant.D22 @ self.E @ M
+            F = np.eye(ny) + plant.D22 @ E @ M
+            gain = E @ M
+            self.B2, self.C2 = plant.B2 @ E, F @ plant.C2
+            self.D12, self.D21, self.D22 = plant.D12 @ E, F @ plant.D21, plant.D22 @ E
         else:
-            self.E, self.F = np.eye(nu), np.eye(ny)
-        gain = self.E @ M
+            gain, self.B2, self.C2 = M, plant.B2, plant.C2
+            self.D12, self.D21, self.D22 = plant.D12, plant.D21, plant.D22
         self.A = plant.A + plant.B2 @ gain @ plant.C2
         self.B = plant.B1 + plant.B2 @ gain @ plant.D21
         self.C = plant.C1 + plant.D12 @ gain @ plant.C2
         self.D = plant.D11 + plant.D12 @ gain @ plant.D21
-        self.B2, self.C2 = plant.B2 @ self.E, self.F @ plant.C2
-        self.D12, self.D21, self.D22 = plant.D12 @ self.E, self.F @ plant.D21, plant.D22 @ self.E
         self._poles: ComplexArray | None = None
         self._balanced: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
@@ -134,19 +135,21 @@ class ClosedLoop:
         a, b = left[:, near].conj().T @ self.B2, self.C2 @ right[:, near] / inner
         return poles.real[near], np.real(a[:, :, None] * b.T[:, None, :])
 
+    def _shifted(self, frequency: FloatArray) -> ComplexArray:
+        """Return jωI − A, (N, n, n)."""
+        n = len(self.A)
+        out = np.empty((len(frequency), n, n), dtype=np.complex128)
+        out[:] = -self.A
+        out.reshape(len(frequency), n * n)[:, :: n + 1] += 1j * frequency[:, None]
+        return out
+
     def resolvent(self, frequency: FloatArray) -> ComplexArray:
         """Return (jωI − A)⁻¹ at finite frequencies, (N, n, n)."""
-        n = len(self.A)
-        shifted = np.broadcast_to(-self.A, (len(frequency), n, n)).astype(np.complex128)
-        shifted[:, np.arange(n), np.arange(n)] += 1j * frequency[:, None]
-        return np.asarray(np.linalg.inv(shifted))
+        return np.asarray(np.linalg.inv(self._shifted(frequency)))
 
     def gains(self, frequency: FloatArray) -> FloatArray:
         """Return the largest singular value at finite frequencies."""
-        n = len(self.A)
-        shifted = np.broadcast_to(-self.A, (len(frequency), n, n)).astype(np.complex128)
-        shifted[:, np.arange(n), np.arange(n)] += 1j * frequency[:, None]
-        T = self.C @ np.linalg.solve(shifted, np.broadcast_to(self.B, (len(frequency), *self.B.shape))) + self.D
+        T = self.C @ np.linalg.solve(self._shifted(frequency), self.B[None]) + self.D
         return np.asarray(np.linalg.svd(T, compute_uv=False)[:, 0])
 
     def top(self, memory: FloatArray, enough: float) -> tuple[float, float]:
@@ -217,7 +220,7 @@ class ClosedLoop:
         if not np.all(np.isfinite(H)):
             return np.zeros(0)
         at = np.linalg.eigvals(H)
-        return np.unique(np.abs(at.imag[np.abs(at.real) <= 1e-6 * np.abs(at)]))
+        return np.sort(at.imag[(at.imag >= 0.0) & (np.abs(at.real) <= 1e-6 * np.abs(at))])
 
     def peak_frequencies(self, window: float, memory: FloatArray) -> tuple[FloatArray, float]:
         """Return the frequencies of the local maxima above (1 − window) of the highest, and the highest.
@@ -340,14 +343,10 @@ class ClosedLoop:
         """Return T, L, R, N at one frequency, rad/s or inf."""
         if not np.isfinite(frequency):
             return tuple(m.astype(np.complex128) for m in (self.D, self.D12, self.D21, self.D22))  # type: ignore[return-value]
-        X = self.resolvent(np.array([frequency]))[0]
-        CX, XB2 = self.C @ X, X @ self.B2
-        return (
-            CX @ self.B + self.D,
-            CX @ self.B2 + self.D12,
-            self.C2 @ X @ self.B + self.D21,
-            self.C2 @ XB2 + self.D22,
-        )
+        w = self.B.shape[1]
+        X = np.linalg.solve(self._shifted(np.array([frequency]))[0], np.hstack([self.B, self.B2]))
+        Z, Y = self.C @ X, self.C2 @ X
+        return Z[:, :w] + self.D, Z[:, w:] + self.D12, Y[:, :w] + self.D21, Y[:, w:] + self.D22
 
     def peaks(self, window: float, memory: FloatArray) -> Peaks:
         """Return all singular values within (1 − window) of the norm at the frequencies of the peaks."""

@@ -40,8 +40,8 @@ class Parametrisation(Protocol):
 
 
 class _Point:
-    def __init__(self, x: FloatArray, loops: list[ClosedLoop] | None) -> None:
-        self.x, self.loops = x, loops
+    def __init__(self, key: bytes, loops: list[ClosedLoop] | None) -> None:
+        self.key, self.loops = key, loops
         # Plant, frequency and mixture of singular vectors of each piece.
         self._blocks: dict[tuple[int, float, int], tuple[FloatArray, ComplexArray, ComplexArray]] = {}
         self.seen: list[tuple[int, float, ComplexArray]] | None = None
@@ -85,8 +85,9 @@ class WorstNorm:
         return self._at(x).loops
 
     def _at(self, x: FloatArray) -> _Point:
+        key = x.tobytes()
         for point in self._points:
-            if np.array_equal(point.x, x):
+            if point.key == key:
                 self._points.remove(point)
                 self._points.insert(0, point)
                 return point
@@ -95,7 +96,7 @@ class WorstNorm:
         if np.all(np.isfinite(M)):
             with contextlib.suppress(np.linalg.LinAlgError):
                 loops = [ClosedLoop(plant, M) for plant in self.plants]
-        point = _Point(x.copy(), loops)
+        point = _Point(key, loops)
         self._points = [point, *self._points[:3]]
         return point
 
@@ -137,7 +138,7 @@ class WorstNorm:
             slope = loops[worst].slope(frequency)
         except np.linalg.LinAlgError:
             return refused
-        return best, np.einsum("ij,ijx->x", slope, self.controller.jacobian(x))
+        return best, slope.ravel() @ self.controller.jacobian(x).reshape(slope.size, -1)
 
     def stability(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the spectral abscissas with their margin; gradients of the poles near the worst of each plant."""

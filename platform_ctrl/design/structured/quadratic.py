@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from platform_ctrl.frozen import FloatArray, value
@@ -66,7 +68,6 @@ def least_maximum(
         None where the solver found no solution.
     """
     import clarabel
-    from scipy.sparse import csc_matrix
 
     n, k = len(lower), len(values)
     # Values are measured from the largest, in units of the spread that the box allows: the solver sees numbers near 1.
@@ -110,7 +111,7 @@ def least_maximum(
     settings.max_iter = 60
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
     solver = clarabel.DefaultSolver(
-        csc_matrix(np.triu(P)), q, csc_matrix(A), b, [clarabel.NonnegativeConeT(len(b))], settings
+        _sparse(np.triu(P)), q, _sparse(A), b, [clarabel.NonnegativeConeT(len(b))], settings
     )
     solution = solver.solve()
     if str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations"):
@@ -138,3 +139,12 @@ def least_maximum(
         hard_weights=hard_weights,
         wall_weights=wall_weights,
     )
+
+
+def _sparse(matrix: FloatArray) -> Any:
+    """Return a matrix by its columns; scipy's conversion of a dense one takes as long as a small program."""
+    from scipy.sparse import csc_matrix
+
+    column, row = np.nonzero(matrix.T)
+    starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
+    return csc_matrix((matrix[row, column], row, starts), shape=matrix.shape)

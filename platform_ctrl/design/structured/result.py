@@ -68,7 +68,8 @@ class StructuredDesign:
     searches
         One record for every start that had its turn, in their order.
     finished
-        Whether every start had its turn and ended by itself, not by its evaluations or by the time limit.
+        Whether every start had its turn and ended by itself, not by its evaluations or by the time limit, or one came
+        to `gamma_optimal`, less than which there is not.
     cut
         Whether the time limit ended the search: at another load of the machine the result is another one.
     infimum

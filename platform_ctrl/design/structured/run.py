@@ -27,12 +27,14 @@ _COSINES = (1e-2, 1e-4, 1e-6)
 # The same for a pattern in coordinates scaled anew, and the first trust region there.
 _ROUNDS, _WORTHWHILE, _FIRST = 6, 2e-4, 0.1
 # What an evaluation of the polish costs, in evaluations of a descent.
-POLISH_COST = 10
+POLISH_COST = 20
 # Largest entries of M, in their units, in the first part of a descent and when it goes on: where the infimum lies at
 # infinite gain a descent without limit runs there on a way of its own, and stops at a kink.
 _GAINS = (1e2, 1e4)
 # Decrease for which a descent begins afresh once more, relative.
 _AGAIN = 1e-4
+# What a norm may exceed the least of any controller by that counts as reached, relative.
+REACHED = 1e-8
 # Most iterations of a descent to stability.
 _SETTLING = 400
 # Most evaluations in one chart or scaling.
@@ -95,10 +97,13 @@ class Limits:
         their curvature and a quadratic program.
     deadline
         Time by `time.monotonic`, s.
+    least
+        Value that no controller undercuts: what reaches it, to `REACHED`, ends the search.
     """
 
     evaluations: int
     deadline: float = np.inf
+    least: float = 0.0
 
 
 @value
@@ -144,6 +149,10 @@ class Outcome:
         if self.hard > 1.0 + _TOUCHING:
             return 1.0, self.hard
         return 0.0, self.value
+
+    def reached(self, least: float, excess: float = REACHED) -> bool:
+        """Return whether nothing better can be found."""
+        return self.rank[0] == 0.0 and self.value <= least * (1.0 + excess)
 
 
 def searched(problem: Problem, start: FloatArray | Outcome, limits: Limits, polish: bool = False) -> Outcome:
@@ -222,9 +231,10 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         found = descended(rightmost, x, low, high, target=-1e-300, iterations=_SETTLING)
         found = dataclasses.replace(found, inverse=None)
     stable = loops.stable(found.x)
+    enough = limits.least * (1.0 + REACHED)
     while stable and found.finished:
-        last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse)
-        if not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
+        last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse, target=enough)
+        if found.level <= enough or not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):
             break
         found = dataclasses.replace(found, inverse=None)
     held = whole is None and bool(np.any(np.abs(found.x) >= 0.99 * gain))

@@ -31,7 +31,7 @@ _FIRST, _ON, _LAST = 0.4, 0.35, 0.1
 # How many of the best descend once more, one of how many starts at least, and how many are polished.
 _LEAST, _HALF, _POLISHED = 4, 3, 12
 # Evaluations below which neither a descent goes on nor a polish begins: fewer starts do then.
-_WORTH_ON, _WORTH_POLISH = 400, 600
+_WORTH_ON, _WORTH_POLISH = 150, 1000
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
 # Values that differ by no more are one minimum, relative, before the polish and after it.
@@ -49,22 +49,22 @@ def best_found(
     limits: Limits,
     processes: int | None,
     report: Report,
-    least: float = 0.0,
 ) -> list[Outcome | None]:
     """Return what became of every start: all descend, the best of them go on, the best of these are polished.
 
     What is found depends on the evaluations alone: not on how many processes there are, nor on the order in which they
-    end. None where the deadline was over before a start had its turn. `least` is a value that none can undercut.
+    end. None where the deadline was over before a start had its turn; those behind the first that came to
+    `limits.least` are left out.
     """
     left = limits.evaluations
     found: list[Outcome | None] = [None] * len(points)
 
     def part(chosen: Sequence[int], most: int, polish: bool) -> None:
         nonlocal left
-        own = Limits(evaluations=max(1, most // max(1, len(chosen))), deadline=limits.deadline)
+        own = dataclasses.replace(limits, evaluations=max(1, most // max(1, len(chosen))))
         before = {k: one.evaluations for k in chosen if (one := found[k]) is not None}
         begun = [found[k] or points[k] for k in chosen]
-        for k, one in zip(chosen, _side_by_side(problem, begun, own, polish, processes), strict=True):
+        for k, one in zip(chosen, _side_by_side(problem, begun, own, polish, processes), strict=False):
             if one is not None:
                 found[k] = one
                 left -= one.evaluations - before.get(k, 0)
@@ -75,6 +75,9 @@ def best_found(
 
     plain = divides(problem)
     part(range(len(points)), share(_FIRST if plain else _WHOLE), False)
+    ended = next((k for k, one in enumerate(found) if one is not None and one.reached(limits.least)), None)
+    if ended is not None:
+        return found[: ended + 1]
     ranked = _ranked(found)
     if plain and not any(_of(found, k).stable for k in ranked):
         return found
@@ -93,7 +96,7 @@ def best_found(
     jobs = [*chosen[:twice], *chosen][:room]
     level: list[tuple[float, float]] = []
     for n, k in enumerate(jobs):
-        if plain and _settled(found, level, least):
+        if plain and _settled(found, level, limits.least):
             break
         known = found[k]
         afresh = twice and known is not None and (n == 1 or (n > 1 and level[1] < level[0]))
@@ -109,11 +112,9 @@ def best_found(
 
 def _settled(found: Sequence[Outcome | None], level: Sequence[tuple[float, float]], least: float) -> bool:
     """Whether more work is idle: nothing can be less, or several polished starts came to the least value of all."""
-    best = min(_of(found, k).rank for k in _ranked(found))
-    if best[0] > 0.0:
-        return False
-    near = sum(one[0] == 0.0 and one[1] <= best[1] * (1.0 + _AGREE) for one in level)
-    return near >= _ENOUGH or best[1] <= least * (1.0 + _AGREE)
+    best = _of(found, _ranked(found)[0])
+    near = sum(one[0] == 0.0 and one[1] <= best.value * (1.0 + _AGREE) for one in level)
+    return (best.rank[0] == 0.0 and near >= _ENOUGH) or best.reached(least, _AGREE)
 
 
 def _better(one: Outcome | None, other: Outcome | None) -> Outcome | None:
@@ -154,14 +155,19 @@ def _distinct(found: Sequence[Outcome | None], ranked: Sequence[int], plain: boo
 def _side_by_side(
     problem: Problem, starts: Sequence[FloatArray | Outcome], limits: Limits, polish: bool, processes: int | None
 ) -> list[Outcome | None]:
-    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn."""
+    """Return the outcome of every start, each within `limits`; None where the deadline was over before its turn.
+
+    Those behind the first that came to `limits.least` are left out, also where they were done by then.
+    """
     count = min(processes or os.cpu_count() or 1, len(starts))
     out: list[Outcome | None] = [None] * len(starts)
     began = time.monotonic()
     k = 0
     while k < len(starts) and time.monotonic() < limits.deadline:
-        out[k] = searched(problem, starts[k], limits, polish)
+        out[k] = one = searched(problem, starts[k], limits, polish)
         k += 1
+        if one.reached(limits.least):
+            return out[:k]
         spent = time.monotonic() - began
         if count > 1 and spent / k * (len(starts) - k) > _WORTH_PROCESSES:
             break
@@ -172,7 +178,8 @@ def _side_by_side(
     for k, one in enumerate(out):
         if one is None and time.monotonic() < limits.deadline:
             out[k] = searched(problem, starts[k], limits, polish)
-    return out
+    last = next((k for k, one in enumerate(out) if one is not None and one.reached(limits.least)), len(out))
+    return out[: last + 1]
 
 
 def _in_processes(questions: Sequence[dict[str, Any]], deadline: float, count: int) -> list[Outcome | None]:

@@ -94,7 +94,8 @@ def structured(
         met; without soft ones the largest hard ratio.
     starts
         From how many points the search begins. The first ones are the structure's own values and fits to full-order
-        controllers, the others scattered.
+        controllers, the others scattered. Those behind the
+        first that comes to what no controller undercuts are left out.
     seed
         Of the scatter.
     evaluations
@@ -180,8 +181,11 @@ def structured(
         order=order,
         structured=whole,
     )
-    bounds = [full_order(goal.plants[k], goal.h2, _FOR_BOUNDS * seconds / len(flat) / len(task.soft))
-              for goal in task.soft for k in range(len(flat))]  # fmt: skip
+    # Static gains without a pattern begin at random: nothing is fitted to other controllers.
+    fitted = _FITTED if order or whole is not None else 0
+    each = _FOR_BOUNDS * seconds / _FITTED
+    asked = [(plant, goal.h2) for goal in task.soft for plant in goal.plants]
+    bounds = [full_order(plant, h2, each, k < fitted) for k, (plant, h2) in enumerate(asked)]
     points = _points(problem, flat, bounds, order, units, starts, np.random.default_rng(seed))
 
     def report(k: int, outcome: Outcome | None) -> None:
@@ -193,12 +197,12 @@ def structured(
             say(f"structured: start {k + 1} of {len(points)}: {outcome.value:.6g}")
 
     least = max((one.gamma for one in bounds if np.isfinite(one.gamma)), default=0.0)
-    limits = Limits(evaluations=evaluations, deadline=began + seconds)
-    found = best_found(problem, points, limits, processes, report, least)
+    limits = Limits(evaluations=evaluations, deadline=began + seconds, least=least)
+    found = best_found(problem, points, limits, processes, report)
     tried = 0
     if isinstance(structure, StateSpaceOrder) and not any(one is not None and one.stable for one in found):
         further, tried = _of_orders(structure, task, units, whole, seed, limits)
-        found += best_found(problem, further, limits, processes, report, least)
+        found += best_found(problem, further, limits, processes, report)
     ended = [one for one in found if one is not None]
     spent = tried + sum(one.evaluations for one in ended)
     cut = len(ended) < len(found) or any(one.late for one in ended) or any(one.cut for one in bounds)
@@ -304,7 +308,7 @@ def _points(
 ) -> list[FloatArray]:
     """Return the starting points: search coordinates, or matrices where there is no pattern."""
     whole = problem.structured
-    known = [(flat[k % len(flat)], K) for k, bound in enumerate(bounds[:_FITTED]) for K in bound.controllers]
+    known = [(flat[k % len(flat)], K) for k, bound in enumerate(bounds) for K in bound.controllers]
     if whole is not None:
         points: list[FloatArray] = [whole.start]
         fit: list[tuple[Fit | None, FloatArray]] = [*fits([p for p, _ in known], [K for _, K in known], whole)]
@@ -487,7 +491,7 @@ def _judged(
                          seconds=one.seconds, finished=one.finished)
             for one in ended
         ),
-        finished=not cut and all(one.finished for one in ended),
+        finished=not cut and (best.reached(largest.gamma) or all(one.finished for one in ended)),
         cut=cut,
         infimum=_infimum(gamma, best.at_limit, largest.gamma, unit),
         outcomes=tuple(outcomes),
