@@ -231,7 +231,8 @@ def _approached(problem: Problem, x: FloatArray, inverse: FloatArray | None, lim
         found = descended(rightmost, x, low, high, target=-1e-300, iterations=_SETTLING)
         found = dataclasses.replace(found, inverse=None)
     stable = loops.stable(found.x)
-    enough = limits.least * (1.0 + REACHED)
+    # Larger gains are followed to their limit: an infimum at infinite gain is to be seen as one.
+    enough = -np.inf if again else limits.least * (1.0 + REACHED)
     while stable and found.finished:
         last, found = found.level, descended(norm, found.x, low, high, inverse=found.inverse, target=enough)
         if found.level <= enough or not again or not (found.finished and found.level < last * (1.0 - _AGAIN)):

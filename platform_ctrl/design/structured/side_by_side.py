@@ -31,7 +31,7 @@ _FIRST, _ON, _LAST = 0.4, 0.35, 0.1
 # How many of the best descend once more, one of how many starts at least, and how many are polished.
 _LEAST, _HALF, _POLISHED = 4, 3, 12
 # Evaluations below which neither a descent goes on nor a polish begins: fewer starts do then.
-_WORTH_ON, _WORTH_POLISH = 150, 1000
+_WORTH_ON, _WORTH_POLISH = 400, 1000
 # Share of the evaluations where a search is not done in parts.
 _WHOLE = 0.7
 # Values that differ by no more are one minimum, relative, before the polish and after it.
