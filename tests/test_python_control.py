@@ -213,3 +213,11 @@ def test_systems_of_other_shapes_travel_too() -> None:
         again = pickle.loads(pickle.dumps(system))
         assert again.D.shape == system.D.shape
         assert (again.nstates, again.ninputs, again.noutputs) == (system.nstates, system.ninputs, system.noutputs)
+
+
+def test_squeeze_follows_the_configuration_of_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    system, t = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), np.linspace(0.0, 1.0, 5)
+    assert analysis.time_response(system, t, np.ones(5)).shape == (5,)
+    monkeypatch.setitem(control.config.defaults, "control.squeeze_time_response", False)
+    assert analysis.time_response(system, t, np.ones(5)).shape == (1, 5)
+    assert control.forced_response(system, t, np.ones(5)).outputs.shape == (1, 5)

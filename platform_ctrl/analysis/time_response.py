@@ -51,7 +51,8 @@ def time_response(
     initial_state : (n,), optional
         State at the first time (before its impulse), in the system's units; default zero. Not of a transfer function.
     squeeze
-        As in python-control. None: one input and one output give (N,); True: axes of length one are left out; False:
+        As in python-control. None: as ``control.squeeze_time_response`` of its configuration says, which by default
+        is None there, too: one input and one output give (N,); True: axes of length one are left out; False:
         always (p, N).
 
     Returns
@@ -88,6 +89,11 @@ def time_response(
     if not (squeeze is None or isinstance(squeeze, bool)):
         raise ArgumentError(f"time_response: squeeze: given {squeeze!r}; expected None, True or False")
     y = _outputs(StateArrays(A, B, C, D, dt), times, steps, u, x0, hold)
+    if squeeze is None:
+        # As there; a system is one of python-control's, which is loaded then.
+        import control
+
+        squeeze = control.config.defaults["control.squeeze_time_response"]
     if squeeze:
         return np.squeeze(y)
     return y[0] if squeeze is None and D.shape == (1, 1) else y
