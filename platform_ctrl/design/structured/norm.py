@@ -344,7 +344,8 @@ class ClosedLoop:
         if not np.isfinite(frequency):
             return tuple(m.astype(np.complex128) for m in (self.D, self.D12, self.D21, self.D22))  # type: ignore[return-value]
         w = self.B.shape[1]
-        X = np.linalg.solve(self._shifted(np.array([frequency]))[0], np.hstack([self.B, self.B2]))
+        shifted = self._shifted(np.array([frequency]))[0]
+        X: ComplexArray = np.asarray(np.linalg.solve(shifted, np.hstack([self.B, self.B2])), dtype=np.complex128)
         Z, Y = self.C @ X, self.C2 @ X
         return Z[:, :w] + self.D, Z[:, w:] + self.D12, Y[:, :w] + self.D21, Y[:, w:] + self.D22
 

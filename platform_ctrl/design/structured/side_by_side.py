@@ -164,9 +164,9 @@ def _side_by_side(
     began = time.monotonic()
     k = 0
     while k < len(starts) and time.monotonic() < limits.deadline:
-        out[k] = one = searched(problem, starts[k], limits, polish)
+        out[k] = now = searched(problem, starts[k], limits, polish)
         k += 1
-        if one.reached(limits.least):
+        if now.reached(limits.least):
             return out[:k]
         spent = time.monotonic() - began
         if count > 1 and spent / k * (len(starts) - k) > _WORTH_PROCESSES:
