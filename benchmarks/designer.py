@@ -20,8 +20,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402  # threads are pinned before it is loaded
 
-from platform_ctrl.designer.values import Knob, Settings  # noqa: E402
-from platform_ctrl.designer.workbench import Workbench  # noqa: E402
+from platform_ctrl.app.values import Knob, Settings  # noqa: E402
+from platform_ctrl.app.workbench import Workbench  # noqa: E402
 from platform_ctrl.errors import PlatformCtrlError  # noqa: E402
 
 LIMIT = 0.100

@@ -23,12 +23,12 @@ import control
 import numpy as np
 
 from platform_ctrl import read_platform
-from platform_ctrl.description import Platform
 from platform_ctrl.errors import SimulationError
-from platform_ctrl.scenario import HalfCosine, Scenario
+from platform_ctrl.job.scenario import HalfCosine, Scenario
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import flown, merged
 from platform_ctrl.simulation.device import expect_device
-from platform_ctrl.simulation.flight_plan import Batch, batch, prepared
+from platform_ctrl.simulation.run_plan import Batch, batch, prepared
 
 MODEL = Path(__file__).parent.parent / "models" / "three_gyro_platform.toml"
 PERIOD, STEP, DIFFERENT = 4e-4, 2e-4, 1000

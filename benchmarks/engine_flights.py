@@ -13,9 +13,9 @@ import numpy as np
 from side_by_side import Comparison, DisagreementError, Section
 
 from platform_ctrl.design import loops
-from platform_ctrl.job import Job, LoopLimits, manoeuvre_scenario
-from platform_ctrl.reading import read_job
-from platform_ctrl.scenario import Scenario
+from platform_ctrl.job.job import Job, LoopLimits, manoeuvre_scenario
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation import acting, flight, fly
 from platform_ctrl.simulation.closed_loop import Trajectory
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from side_by_side import Comparison, DisagreementError, Section
 
-from platform_ctrl.description import Platform
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics import matrices
-from platform_ctrl.reading import read_platform
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import rollout
 
 MODEL = Path(__file__).parent.parent / "models" / "three_gyro_platform.toml"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from side_by_side import Comparison, DisagreementError, Section, close
 
 from platform_ctrl import analysis
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 
 
 class WithoutSlycot(control.StateSpace):  # type: ignore[misc]

@@ -13,7 +13,7 @@ from side_by_side import Comparison, DisagreementError, Section, close
 
 from platform_ctrl import analysis
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.diagonal_mu import mu_bounds
+from platform_ctrl.analysis.mu import mu_bounds
 
 
 def stable_loop(states: int, channels: int, seed: int) -> control.StateSpace:
@@ -87,7 +87,7 @@ def disk_margins() -> Iterator[Comparison]:
 
 
 def _near(ours: Any, theirs: Mapping[str, Any]) -> str:
-    """Say by how much a norm differs; `tests/test_analysis_hinf_norm.py` proves whose is right where they do."""
+    """Say by how much a norm differs; `tests/analysis/test_hinf_norm.py` proves whose is right where they do."""
     return ", ".join(f"{abs(one / ours - 1.0):.0e}" for one in theirs.values())
 
 

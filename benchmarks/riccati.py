@@ -31,9 +31,9 @@ import mpmath
 import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design import lqr
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.frozen import FloatArray
 
 TESTS = Path(__file__).parent.parent / "tests"
 LARGE = 20  # of the continuous examples

@@ -21,21 +21,20 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.channels import channels
-from platform_ctrl.design.hinf_loop import default_options
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, partition
+from platform_ctrl.design.partition import Partition, Realisation, channels, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.riccati.hinf_loop import default_options
 from platform_ctrl.design.scaling import autoscale
-from platform_ctrl.design.structured.bound import least_norm
 from platform_ctrl.design.structured.norm import ClosedLoop
+from platform_ctrl.design.structured.result import least_norm
 from platform_ctrl.design.structured.run import Goal, Limits, Problem
 from platform_ctrl.design.structured.side_by_side import best_found
 from platform_ctrl.design.structured.structures import PID, Static
 from platform_ctrl.design.structured.synthesis import structured
 from platform_ctrl.design.weighting import WeightedPlant, signal_names, weighted_plant
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.linearisation import linearise
-from platform_ctrl.reading import read_job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.mechanics.linearisation import linearise
 
 HERE = Path(__file__).parent
 JOB = HERE.parent / "examples" / "three_gyro_platform.toml"

@@ -29,18 +29,17 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
-from platform_ctrl.design.channels import channels
-from platform_ctrl.design.h2 import h2
-from platform_ctrl.design.hinf_loop import default_options
-from platform_ctrl.design.hinf_riccati import hinf_riccati
-from platform_ctrl.design.partition import Partition, partition
+from platform_ctrl.design.partition import Partition, channels, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
+from platform_ctrl.design.riccati.h2 import h2
+from platform_ctrl.design.riccati.hinf import hinf_riccati
+from platform_ctrl.design.riccati.hinf_loop import default_options
 from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.design.weighting import weighted_plant
 from platform_ctrl.errors import PlatformCtrlError
-from platform_ctrl.linearisation import linearise
-from platform_ctrl.reading import read_job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.mechanics.linearisation import linearise
 
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
 STATES = (6, 10, 15, 20)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from platform_ctrl import read_platform
-from platform_ctrl.reading import shipped_models
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.axes_picture import axes_picture
-from platform_ctrl.writing import write_whole
 
 PICTURES = Path(__file__).parent / "pictures"
 

@@ -16,7 +16,7 @@ import tomllib
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.reading import platform_source
+from platform_ctrl.plant.source import platform_source
 
 J1z, J2, J3, M, R, G, SPEED = 0.5, 0.001, 0.01, 1.0, 2.0, 9.81, 1000.0  # published
 h, LIMIT = J3 * SPEED, 5.0

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import platform_ctrl as pc
-from platform_ctrl.reading import platform_source
+from platform_ctrl.plant.source import platform_source
 
 TORQUE = 0.1  # N m, on axis 2
 

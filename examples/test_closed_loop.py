@@ -9,15 +9,15 @@ more than the tolerance gets a red test that says which figure, and by how much,
 `pytest --update-baselines` accepts it.
 
 The fixtures are those of the package's pytest plugin. Where the package is on the path and not installed, pytest has
-to be told of it: `pytest -p platform_ctrl.testing.plugin`.
+to be told of it: `pytest -p platform_ctrl.cli.testing.plugin`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from platform_ctrl.check import JobResult
-from platform_ctrl.testing import assert_requirements
+from platform_ctrl.cli.testing import assert_requirements
+from platform_ctrl.verification import JobResult
 
 CONTROLLERS = None  # or "../out/result.json", as `platform-ctrl design` writes it
 CONTROLLER = {

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import platform_ctrl as pc
-from platform_ctrl.force_elements import Cage
+from platform_ctrl.plant.force_elements import Cage
 
 STEP = 5e-5  # s, a fortieth of a nutation or less
 PAIR, PAIR_TIME = 2e-4, 0.05  # N m on gimbal 5, and the opposite on 7; s

@@ -11,8 +11,8 @@ from __future__ import annotations
 import argparse
 
 import platform_ctrl as pc
-from platform_ctrl.design.complex_coordinates import complex_plant
-from platform_ctrl.design.complex_shaping import complex_loop
+from platform_ctrl.design.classical.complex_coordinates import complex_plant
+from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.report import figures
 
 parser = argparse.ArgumentParser(description="Two-sided Nyquist plot of gyro 9-10.")

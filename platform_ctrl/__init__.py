@@ -2,8 +2,6 @@
 
 The public names are listed in ``__init__.pyi``, once, for the type checker and for the lazy loader: ``import
 platform_ctrl`` loads none of the package's modules, and the first use of a name loads the module that defines it.
-`state_space`, `precession`, `parameter_varying` and `terms` are functions as well as the modules that define them;
-``platform_ctrl.state_space`` is always the function.
 """
 
 import lazy_loader

@@ -16,7 +16,7 @@ import pytest
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
 
-    from platform_ctrl.designer.server import Make, PageServer
+    from platform_ctrl.app.server import Make, PageServer
 
 VARIABLE = "PLATFORM_CTRL_CHROMIUM"
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -104,7 +104,7 @@ def screen(
 def served(workbench: object = None, make: Make | None = None, **more: object) -> Iterator[PageServer]:
     """Yield a server that answers, at a free port: of the designer's page, or of what `make` puts into documents."""
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
-    from platform_ctrl.designer.server import PageServer
+    from platform_ctrl.app.server import PageServer
 
     server = PageServer(workbench, make=make, **({"port": 0} | more))  # type: ignore[arg-type]
     ready = threading.Event()

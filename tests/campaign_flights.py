@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.campaign.columns import Columns, Fly, flown, kinds_of, schema_of, table_of
 from platform_ctrl.campaign.engine import Campaigned
-from platform_ctrl.campaign.flight import inputs_of
-from platform_ctrl.campaign.pieces import Pieces
 from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.campaign.single_run import Columns, Fly, flown, inputs_of, kinds_of, schema_of, table_of
+from platform_ctrl.campaign.workers import Pieces
 from platform_ctrl.errors import SimulationError
-from platform_ctrl.reading import read_job
+from platform_ctrl.job.reading import read_job
 
 TEXT = """
 schema = 1

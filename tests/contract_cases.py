@@ -18,11 +18,14 @@ import numpy as np
 import platform_ctrl as pc
 from one_gyro_job import JOB as ONE_LOOP
 from one_gyro_runs import MANOEUVRES
-from platform_ctrl import analysis, baselines, campaign, certificates, check, design, export, job, mechanics, simulation
-from platform_ctrl import scenario as scenario_module
-from platform_ctrl.parameters import parameters
-from platform_ctrl.requirements import Requirement, requirement
-from platform_ctrl.variation import ANY, Vary
+from platform_ctrl import analysis, campaign, design, export, mechanics, simulation, verification
+from platform_ctrl.analysis import certificates
+from platform_ctrl.job import job
+from platform_ctrl.job import scenario as scenario_module
+from platform_ctrl.job.parameters import parameters
+from platform_ctrl.job.requirements import Requirement, requirement
+from platform_ctrl.job.variation import ANY, Vary
+from platform_ctrl.verification import baselines
 
 PERIOD = 0.0005
 W = np.array([1.0, 10.0, 100.0])
@@ -110,8 +113,8 @@ def plants() -> analysis.PlantSet:
 
 
 @functools.cache
-def result() -> check.JobResult:
-    return check.checked(asked(), outcomes())
+def result() -> verification.JobResult:
+    return verification.checked(asked(), outcomes())
 
 
 @functools.cache
@@ -164,7 +167,7 @@ def shaped() -> design.ComplexLoop:
 
 @functools.cache
 def limited() -> design.LimitedLoop:
-    from test_design_antiwindup import loop
+    from design.test_antiwindup import loop
 
     return loop()
 

@@ -7,18 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.designer.pictures import (
-    Bode,
-    FrequencyGain,
-    Locus,
-    Margins,
-    Nichols,
-    Overlay,
-    Picture,
-    TimeResponse,
-)
-from platform_ctrl.designer.values import Settings
-from platform_ctrl.requirements import CheckResult
+from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, Overlay, Picture, TimeResponse
+from platform_ctrl.app.values import Settings
+from platform_ctrl.job.requirements import CheckResult
 
 DAMPING = 20.0
 

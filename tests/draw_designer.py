@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 from browser import chromium, screen, served
-from platform_ctrl.designer.workbench import Workbench
+from platform_ctrl.app.workbench import Workbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

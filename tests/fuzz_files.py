@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.reading import platform_source, shipped_models
+from platform_ctrl.plant.source import platform_source, shipped_models
 
 Place = tuple[str | int, ...]
 

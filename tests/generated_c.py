@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from platform_ctrl.design.channels import channels
-from platform_ctrl.design.classical import classical_controller
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.classical.caging import classical_controller
+from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import rows_of
-from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.design.structured.families import Pid
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import Job
-from platform_ctrl.linearisation import linearise
+from platform_ctrl.job.job import Job
+from platform_ctrl.mechanics.linearisation import linearise
 
 WARNINGS = [
     "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Wdouble-promotion",

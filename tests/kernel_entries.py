@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.description import Platform
-from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation.kernel.arrays import LOCKED, MOMENT, WORK
 from platform_ctrl.simulation.packing import Packed, pack
 
 
@@ -32,7 +32,7 @@ def entries() -> tuple[Any, Any]:
 
 def space(plant: Packed) -> np.ndarray:
     """Return a memory that holds the plant and what is around it."""
-    from platform_ctrl.lanes import memory
+    from platform_ctrl.mechanics.lanes import memory
 
     mem = memory(plant.at.end)
     mem[: len(plant.constants)] = plant.constants[:, None]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.design.antiwindup_loop import LimitedLoop
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.antiwindup.loop import LimitedLoop
 
 
 @dataclass(frozen=True)

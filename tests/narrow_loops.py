@@ -15,10 +15,10 @@ from scipy.optimize import differential_evolution
 from platform_ctrl.analysis import PlantSet, StateArrays
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.design.blocks import first_order, notch
+from platform_ctrl.design.partition import first_order, notch
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.reading import read_job
-from platform_ctrl.requirements import LoopRequirement
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.requirements import LoopRequirement
 
 PERIOD = 5e-4
 L, J9, J10 = 0.15, 5e-4, 2e-4

@@ -9,8 +9,8 @@ from typing import Any
 import control
 
 from one_gyro_job import JOB
-from platform_ctrl.job import Job, manoeuvre_scenario
-from platform_ctrl.reading import read_job
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.reading import read_job
 from platform_ctrl.simulation import Trajectory, acting, flight
 
 MANOEUVRES = """

@@ -18,7 +18,7 @@ class Served(Protocol):
     port: int
 
 
-def answer(server: Served, sent: bytes, patience: float = 10.0) -> bytes:
+def answer(server: Served, sent: bytes, patience: float = 60.0) -> bytes:
     """Send bytes and return what comes back until the other side ends, or nothing comes."""
     with socket.create_connection(("127.0.0.1", server.port), patience) as talk:
         talk.sendall(sent)

@@ -10,7 +10,7 @@ import pytest
 
 import platform_ctrl as pc
 
-PLUGIN = "platform_ctrl.testing.plugin"
+PLUGIN = "platform_ctrl.cli.testing.plugin"
 
 
 def installed() -> bool:

@@ -6,8 +6,8 @@ import os
 import time
 from collections.abc import Callable
 
+from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import value
 
 Say = Callable[[str], None]
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 
 
 class Example(NamedTuple):

@@ -16,10 +16,10 @@ from pydantic import BaseModel
 
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.cli import main
-from platform_ctrl.reading import job_tables
-from platform_ctrl.reading import plant as plant_tables
-from platform_ctrl.reading.job import OPTIONS
-from platform_ctrl.reading.structure import Table, keys_of
+from platform_ctrl.job import tables as job_tables
+from platform_ctrl.job.reading import OPTIONS
+from platform_ctrl.plant import reading as plant_tables
+from platform_ctrl.plant.fields import Table, keys_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -171,8 +171,8 @@ def keys(item: Any) -> set[str]:
 
 
 def test_the_result_page_names_every_key_that_is_written() -> None:
-    from platform_ctrl import check, design
-    from platform_ctrl.check.records import result_record
+    from platform_ctrl import design, verification
+    from platform_ctrl.verification.records import result_record
 
     examples = [tomllib.loads(block) for block in blocks(ROOT / "docs" / "job-file.md", "toml")]
     data = next(example for example in examples if "schema" in example)
@@ -184,7 +184,7 @@ def test_the_result_page_names_every_key_that_is_written() -> None:
     data["loop"][0]["use"] = "one"
     data["manoeuvre"][0] |= {"rise": 0.001, "hold": 0.0, "duration": 0.01}
     job = read_job(data)
-    written = keys(result_record(check.checked(job, design.loops(job))))
+    written = keys(result_record(verification.checked(job, design.loops(job))))
     text = (ROOT / "docs" / "result-file.md").read_text(encoding="utf-8")
     assert {"alternatives", "loop_by_loop", "stop_contacts"} <= written
     assert not written - set(re.findall(r"`([^`\n]+)`", text))

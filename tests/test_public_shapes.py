@@ -13,8 +13,9 @@ import pytest
 from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
-from platform_ctrl import analysis, campaign, certificates, design, mechanics, simulation
-from platform_ctrl.parameter_varying import monomial_values
+from platform_ctrl import analysis, campaign, design, mechanics, simulation
+from platform_ctrl.analysis import certificates
+from platform_ctrl.mechanics.parameter_varying import monomial_values
 
 PLATFORM = pc.read_platform("three_gyro_platform")
 MODEL = pc.linearise(PLATFORM)

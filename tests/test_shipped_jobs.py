@@ -8,9 +8,9 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import analysis, check, design
+from platform_ctrl import analysis, design, verification
 from platform_ctrl.errors import InputError
-from platform_ctrl.reading import read_job
+from platform_ctrl.job.reading import read_job
 
 MAIN = Path("examples/three_gyro_platform.toml")
 SHIPPED = sorted(Path("examples").glob("*.toml"))
@@ -21,7 +21,7 @@ def shipped(path):
     """A job designed and checked as it stands, once for all tests; and what was said while it worked."""
     said = []
     job = read_job(path)
-    return check.checked(job, design.loops(job, said.append), said.append), said
+    return verification.checked(job, design.loops(job, said.append), said.append), said
 
 
 @pytest.fixture(scope="module")

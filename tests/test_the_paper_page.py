@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "the-paper.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\| \((\d+)\) \|(.*)\|$", TEXT, re.MULTILINE)
-TEST = re.compile(r"`(tests/\w+\.py)(?:::(\w+))?`")
+TEST = re.compile(r"`(tests/[\w/]+\.py)(?:::(\w+))?`")
 row = pytest.mark.parametrize(("number", "cells"), ROWS, ids=[number for number, _ in ROWS])
 
 

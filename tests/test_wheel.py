@@ -127,5 +127,5 @@ def test_type_checkers_follow_an_editable_install(source: Path, tmp_path: Path) 
         encoding="utf-8",
     )
     told = run(sys.executable, "-m", "mypy", "--strict", "--python-executable", python, seen, cwd=tmp_path)
-    assert 'Revealed type is "platform_ctrl.linearisation.LinearModel"' in told
+    assert 'Revealed type is "platform_ctrl.mechanics.linearisation.LinearModel"' in told
     assert "-> platform_ctrl.design.synthesis.Synthesis" in told

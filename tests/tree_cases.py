@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from hypothesis import strategies as st
 
-from platform_ctrl.description import Gimbal, Platform, Rotor, Torquer
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor, Torquer
 
 
 def platform_of_case(tree):

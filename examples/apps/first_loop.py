@@ -19,9 +19,9 @@ def _():
     import numpy as np
 
     import platform_ctrl as pc
-    from platform_ctrl.reading import platform_source
+    from platform_ctrl.job.requirements import requirement
+    from platform_ctrl.plant.source import platform_source
     from platform_ctrl.report import figures
-    from platform_ctrl.requirements import requirement
 
     return control, figures, mo, np, pc, platform_source, requirement, tomllib
 

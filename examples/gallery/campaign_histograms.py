@@ -6,7 +6,7 @@ how the largest angle and the largest share of a torquer's limit are distributed
 
 import platform_ctrl as pc
 from platform_ctrl import campaign
-from platform_ctrl.campaign import flight
+from platform_ctrl.campaign import single_run
 from platform_ctrl.report import figures
 
 TURN = {"mode": "caged", "axis": 1, "rate": 1.0, "hold": 0.05, "duration": 0.3}
@@ -38,6 +38,6 @@ job = pc.read_job(
     }
 )
 plan = campaign.plan(job, [pc.design.loops(job)[0].closed.controller])
-table = flight.fly(plan, range(plan.runs))
+table = single_run.fly(plan, range(plan.runs))
 
 figure = figures.campaign_histograms(table, {one.name: one.limits for one in job.manoeuvres})

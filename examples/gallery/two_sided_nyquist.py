@@ -5,8 +5,8 @@ only the branch of positive frequencies passes through infinity at 75 Hz.
 """
 
 import platform_ctrl as pc
-from platform_ctrl.design.complex_coordinates import complex_plant
-from platform_ctrl.design.complex_shaping import complex_loop
+from platform_ctrl.design.classical.complex_coordinates import complex_plant
+from platform_ctrl.design.classical.complex_shaping import complex_loop
 from platform_ctrl.report import figures
 
 model = pc.linearise(pc.read_platform("three_gyro_platform"))

@@ -6,8 +6,8 @@ at 35 Hz instead of 40 Hz costs 12 % of the bandwidth.
 """
 
 import platform_ctrl as pc
-from platform_ctrl.baselines import accepted, compare
 from platform_ctrl.report.moved_figure import moved_figure
+from platform_ctrl.verification.baselines import accepted, compare
 
 results = []
 for crossover_hz in (40, 35):
@@ -23,7 +23,7 @@ for crossover_hz in (40, 35):
             "loop": [loop],
         }
     )
-    results.append(pc.check.checked(job, pc.design.loops(job)))
+    results.append(pc.verification.checked(job, pc.design.loops(job)))
 before, now = results
 
 figure = moved_figure(compare(now, accepted(before)), "gyro 9-10 against its baseline")

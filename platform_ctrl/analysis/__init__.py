@@ -6,15 +6,8 @@ those that take poles or responses) work on plain arrays with leading batch axes
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import (
-    StateArrays,
-    state_arrays,
-    state_space,
-)
-from platform_ctrl.analysis.bandwidth import (
-    bandwidth,
-    bandwidth_of_response,
-)
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.bandwidth import bandwidth, bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
     Gang,
@@ -22,6 +15,7 @@ from platform_ctrl.analysis.feedback import (
     closed_loop_arrays,
     gang,
     loop_transfer,
+    sensitivities,
     series_arrays,
 )
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
@@ -35,13 +29,7 @@ from platform_ctrl.analysis.margins import (
     disk_to_gain_phase,
     loop_margins,
 )
-from platform_ctrl.analysis.norms import (
-    h2_norm,
-    hinf_norm,
-    hinf_norm_arrays,
-    noise_rms,
-    noise_rms_arrays,
-)
+from platform_ctrl.analysis.norms import h2_norm, hinf_norm, hinf_norm_arrays, noise_rms, noise_rms_arrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import (
     Damping,
@@ -55,18 +43,8 @@ from platform_ctrl.analysis.poles import (
     spectral_abscissa,
     spectral_radius,
 )
-from platform_ctrl.analysis.response import (
-    frequency_response,
-    frequency_response_arrays,
-    response_arrays,
-)
-from platform_ctrl.analysis.sampled import (
-    bilinear_to_continuous,
-    bilinear_to_discrete,
-    sampled,
-    sampled_arrays,
-)
-from platform_ctrl.analysis.sensitivity import sensitivities
+from platform_ctrl.analysis.response import frequency_response, frequency_response_arrays, response_arrays
+from platform_ctrl.analysis.sampled import bilinear_to_continuous, bilinear_to_discrete, sampled, sampled_arrays
 from platform_ctrl.analysis.time_response import time_response
 
 __all__ = [

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.arguments import complex_numbers, positive, real_numbers
+from platform_ctrl.common.arguments import complex_numbers, positive, real_numbers
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, portable
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -30,10 +30,6 @@ class StateArrays(NamedTuple):
         m).
     dt
         Sample period, s; 0: continuous.
-
-    References
-    ----------
-    Textbook definition.
     """
 
     A: FloatArray
@@ -65,10 +61,6 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
     ------
     ArgumentError
         It is not a `control.StateSpace`, or its numbers are not finite; the message begins with `where`.
-
-    References
-    ----------
-    Textbook definition.
     """
     portable(system)
     try:
@@ -95,14 +87,7 @@ def state_arrays(system: control.StateSpace, where: str) -> StateArrays:
 def system_arrays(
     where: str, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, dt: float = 0.0, suffix: str = ""
 ) -> StateArrays:
-    """Return the arrays of a system, or of stacks of systems, whose shapes fit: compiled code trusts them.
-
-    Raises
-    ------
-    ArgumentError
-        Not finite real numbers, shapes that do not fit, or no sample period; `where` and the array's name with `suffix`
-        begin the message.
-    """
+    """Return the arrays of a system, or of stacks of systems, whose shapes fit: compiled code trusts them."""
     A, B, C, D = (
         np.asarray(real_numbers(f"{where}: {name}{suffix}", item))
         for name, item in zip("ABCD", (A, B, C, D), strict=True)
@@ -176,10 +161,6 @@ def state_space(
     ------
     ArgumentError
         Arrays that do not fit one another, or names that are not as many as the arrays have signals.
-
-    References
-    ----------
-    Textbook definition.
     """
     import control
 

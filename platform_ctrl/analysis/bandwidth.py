@@ -12,8 +12,8 @@ from platform_ctrl.analysis.axis import FrequencyAxis, largest
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
     import control
@@ -129,10 +129,6 @@ def bandwidth_of_response(frequency: FloatArray, S: ComplexArray) -> FloatArray:
     ------
     ArgumentError
         Frequencies that do not rise, or shapes that do not fit.
-
-    References
-    ----------
-    As `bandwidth`.
     """
     frequency = frequencies(frequency, "bandwidth_of_response")
     S = square_responses("bandwidth_of_response: S", S)

@@ -9,10 +9,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, system_arrays
 from platform_ctrl.analysis.feedback import series_arrays
-from platform_ctrl.arguments import known_name
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, input_value
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -87,13 +87,7 @@ class Channel:
 
 
 def weight_arrays(weight: Any, size: int, dt: float, where: str) -> StateArrays:
-    """Return a weight on `size` signals as arrays, with no states where it is constant.
-
-    Raises
-    ------
-    ArgumentError
-        It is no weight, or a system with another time base than `dt`.
-    """
+    """Return a weight on `size` signals as arrays, with no states where it is constant."""
     if hasattr(weight, "nstates"):
         own = state_arrays(weight, where)
         if weight.dt is not None and abs(own.dt - dt) > 1e-9 * max(own.dt, dt):

@@ -25,14 +25,15 @@ from platform_ctrl.analysis.arrays import (
     StateArrays,
     batch_shape,
     frequencies,
+    square_responses,
     state_space,
     system_arrays,
 )
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.arguments import indices, number, one_of
+from platform_ctrl.common.arguments import indices, number, one_of
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
     import control
@@ -243,10 +244,6 @@ def series_arrays(
     ------
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
-
-    References
-    ----------
-    Textbook definition.
     """
     A1, B1, C1, D1, _ = system_arrays("series_arrays", A1, B1, C1, D1, suffix="1")
     A2, B2, C2, D2, _ = system_arrays("series_arrays", A2, B2, C2, D2, suffix="2")
@@ -305,10 +302,6 @@ def closed_loop_arrays(
     ------
     ArgumentError
         Shapes that do not fit, numbers that are not finite, or I - D_K D_P is singular for one of the plants.
-
-    References
-    ----------
-    As `closed_loop`.
     """
     where = "closed_loop_arrays"
     A, B, C, D, _ = system_arrays(where, A, B, C, D)
@@ -390,3 +383,65 @@ def _matched(
             "expected the same names, or the same numbers"
         )
     return P, K, list(range(P.D.shape[1])), list(range(P.D.shape[0]))
+
+
+def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return S = (I + L)^-1 and T = I - S for given responses of the loop.
+
+    For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
+
+    Parameters
+    ----------
+    loop : complex (..., m, m)
+        L = -K P (broken at the input) or -P K (at the output), dimensionless.
+
+    Returns
+    -------
+    S, T : complex (..., m, m)
+        Dimensionless; inf in a matrix where I + L is singular or not a number.
+
+    Raises
+    ------
+    ArgumentError
+        `loop` is not square matrices of numbers.
+
+    References
+    ----------
+    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 11.
+    """
+    from platform_ctrl.analysis.kernels import invert
+
+    loop = square_responses("sensitivities: loop", loop, nan=True)
+    eye = np.eye(loop.shape[-1])
+    S = np.ascontiguousarray(eye + loop, dtype=np.complex128)
+    invert(S.reshape(-1, *S.shape[-2:]))
+    return S, eye - S
+
+
+def sensitivities_of_plants(P: ComplexArray, K: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the sensitivities at the output and at the input of many plants with one controller, y = P u, u = K y.
+
+    One inverse serves both: (I - K P)^-1 = I + K (I - P K)^-1 P.
+
+    Parameters
+    ----------
+    P : complex (..., F, p, m)
+        Responses of the plants, in their units.
+    K : complex (F, m, p)
+        Of the controller.
+
+    Returns
+    -------
+    S_output : complex (..., F, p, p)
+        (I - P K)^-1, in units of the outputs; inf where that is singular.
+    S_input : complex (..., F, m, m)
+        (I - K P)^-1, in units of the inputs.
+    """
+    from platform_ctrl.analysis.kernels import close
+
+    *batch, F, p, m = P.shape
+    # Copies: numba would compile anew for what is frozen.
+    plants = np.array(P, dtype=np.complex128, order="C").reshape(-1, F, p, m)
+    S_output, S_input = (np.empty((len(plants), F, size, size), dtype=np.complex128) for size in (p, m))
+    close(plants, np.array(K, dtype=np.complex128, order="C"), S_output, S_input)
+    return S_output.reshape(*batch, F, p, p), S_input.reshape(*batch, F, m, m)

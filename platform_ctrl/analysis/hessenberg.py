@@ -17,8 +17,19 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.refinement import exact_sum, plus_product
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import LANES, Number, choose, compiled, greater, inlined, internal, load, memory, store
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import (
+    LANES,
+    Number,
+    choose,
+    compiled,
+    greater,
+    inlined,
+    internal,
+    load,
+    memory,
+    store,
+)
 
 # Points at a time.
 CHUNK = 16 * LANES

@@ -31,9 +31,9 @@ from platform_ctrl.analysis.lifting import (
 )
 from platform_ctrl.analysis.norms import hinf_norm_arrays, stationary_covariance
 from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
-from platform_ctrl.arguments import within
+from platform_ctrl.common.arguments import within
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
-from platform_ctrl.description import is_rate
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.plant.platform import is_rate
 
 if TYPE_CHECKING:
     import control
@@ -42,10 +42,6 @@ def joined(
     ------
     ArgumentError
         A signal that nothing gives, an output that two give, or another sample period.
-
-    References
-    ----------
-    See docs/job-file.md.
     """
     states = [name for K in controllers for name in K.state_labels]
     return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, states, name="all loops")
@@ -67,11 +63,6 @@ def joined_arrays(
         Signals of the result; an output that no controller sets is zero.
     period
         Sample period of all of them, s.
-
-    Raises
-    ------
-    ArgumentError
-        Unknown input or output, an output set twice, another sample period, or matrices that are not finite.
     """
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
     states = sum(len(K.A) for K in parts)

@@ -17,9 +17,9 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_scaling
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.sampled import split_delay
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     import control
@@ -69,13 +69,7 @@ class Step(NamedTuple):
 def sampled_plant(
     P: control.StateSpace, nmeas: int, ncon: int, period: float, delay: float, where: str
 ) -> SampledPlant:
-    """Split a continuous plant at its last `nmeas` outputs and `ncon` inputs; judge the sampler's and hold's data.
-
-    Raises
-    ------
-    ArgumentError
-        In the name of `where`.
-    """
+    """Split a continuous plant at its last `nmeas` outputs and `ncon` inputs; judge the sampler's and hold's data."""
     A, B, C, D, dt = state_arrays(P, f"{where} (P)")
     if dt != 0.0:
         raise ArgumentError(
@@ -106,11 +100,6 @@ def lifted_plant(plant: SampledPlant, level: float) -> StateArrays:
     products B B' and C' C are the Gramians of the period.
 
     States: those of the plant, balanced, then the controls u[k-1], u[k-2], ... that the delay needs.
-
-    Raises
-    ------
-    PeriodExceedsLevel
-        The level lies below the norm, whatever the controller.
     """
     A, B1, B2, C1, C2, D11, D12, D22, period, _, part = plant
     n, m, p = len(A), B2.shape[1], len(C2)

@@ -12,9 +12,9 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_figures import GRIDDED, OF_CONTROLLER, Asked, Key, LoopFigures, Own, key_of
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.plant_set import BoolArray, Group, PlantSet, members
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import check_arguments
 
 _BANDWIDTH, _DISK_MARGIN, _DAMPING = Own(kind="bandwidth"), Own(kind="disk margin"), Own(kind="damping")
 
@@ -45,10 +45,6 @@ class LoopMeasures:
         frequencies of a grid.
     further
         Other figures that were asked for, of every plant (N,), or of the controller alone (1,), in SI units.
-
-    References
-    ----------
-    As `measure`.
     """
 
     bandwidth: float
@@ -140,10 +136,6 @@ def measure(plants: PlantSet, controller: StateArrays, asked: Sequence[Asked] = 
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/job-file.md.
     """
     return _measured(LoopFigures(plants, controller), asked)
 
@@ -178,10 +170,6 @@ def exact_measures(
     ------
     ArgumentError
         The controller closes an algebraic loop that cannot be solved.
-
-    References
-    ----------
-    As `measure`.
     """
     loops = LoopFigures(plants, controller) if loops is None else loops
     rough = _measured(loops, asked)

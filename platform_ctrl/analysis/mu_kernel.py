@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 

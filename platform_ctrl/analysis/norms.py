@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
-from platform_ctrl.analysis.axis import PORTS, FrequencyAxis, largest_gains
-from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.axis import PORTS, FrequencyAxis, boundary_poles, largest_gains
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays, plain
-from platform_ctrl.arguments import not_negative, positive, within
+from platform_ctrl.common.arguments import not_negative, positive, within
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import check_arguments
 
 # Where a climb looks around the best frequency, in widths.
 FAN = np.linspace(-1.0, 1.0, 15)
@@ -96,10 +95,6 @@ def hinf_norm_arrays(
     ------
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
-
-    References
-    ----------
-    As `hinf_norm`.
     """
     A, B, C, D, dt = system_arrays("hinf_norm_arrays", A, B, C, D, dt)
     tolerance = within("hinf_norm_arrays: tolerance", positive("hinf_norm_arrays: tolerance", tolerance), 0.0, 1.0)
@@ -391,10 +386,6 @@ def noise_rms_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     ------
     ArgumentError
         Shapes that do not fit, numbers that are not finite, or an `rms` below zero.
-
-    References
-    ----------
-    As `noise_rms`.
     """
     A, B, C, D, _ = system_arrays("noise_rms_arrays", A, B, C, D)
     rms = not_negative("noise_rms_arrays: rms", rms, B.shape[-1])

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
 from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
-from platform_ctrl.arguments import whole
-from platform_ctrl.description import OMEGA_NAMES
+from platform_ctrl.common.arguments import whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
     import control
@@ -59,10 +59,6 @@ class PlantSet:
         Of the plants on `frequency`, platform rate → angles, s.
     states
         Names of the n states.
-
-    References
-    ----------
-    See docs/job-file.md.
     """
 
     A: FloatArray
@@ -179,10 +175,6 @@ class PlantSet:
         -------
         PlantSet
             With the responses at the new frequencies as well.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         new = np.setdiff1d(frequency[frequency <= np.pi / self.period], self.frequency)
         if not len(new):

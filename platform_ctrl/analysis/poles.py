@@ -11,10 +11,10 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
 from platform_ctrl.analysis.rational import StateSystem, linear_arrays
-from platform_ctrl.arguments import complex_numbers, number, positive, real_numbers
+from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import short
 
 
 @value
@@ -29,10 +29,6 @@ class Damping:
         |s|, rad/s.
     ratio : (n,)
         -Re(s)/|s|, dimensionless: 1 for real stable poles and for z = 0, -1 for real unstable ones, 0 at s = 0.
-
-    References
-    ----------
-    As `damping`.
     """
 
     poles: ComplexArray
@@ -57,10 +53,6 @@ def poles(system: StateSystem) -> ComplexArray:
     ------
     ArgumentError
         `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers.
-
-    References
-    ----------
-    Textbook definition.
     """
     A, B, C, _, _ = linear_arrays(system, "poles")
     return pole_arrays(scaled(A, B, C)[0])
@@ -83,10 +75,6 @@ def pole_arrays(A: FloatArray) -> ComplexArray:
     ------
     ArgumentError
         Not square matrices of finite real numbers.
-
-    References
-    ----------
-    Textbook definition.
     """
     A = real_numbers("pole_arrays: A", A)
     if A.ndim < 2 or A.shape[-1] != A.shape[-2] or not all_finite(A):
@@ -151,10 +139,6 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
     ------
     ArgumentError
         Not numbers along at least one axis, or NaN among them.
-
-    References
-    ----------
-    As `damping`.
     """
     s = complex_numbers("damping_ratio: poles", poles)
     size = np.abs(s)
@@ -220,10 +204,6 @@ def minimum_damping(poles: ComplexArray, above: float = 0.0, dt: float = 0.0) ->
     ------
     ArgumentError
         Not numbers along at least one axis, or NaN among them; `above` or `dt` below zero.
-
-    References
-    ----------
-    As `damping`.
     """
     s, above = continuous_poles(poles, dt), positive("minimum_damping: above", above, zero=True)
     counts = (np.abs(s) > above) | (s.real > 0.0)
@@ -255,10 +235,6 @@ def spectral_radius(poles: ComplexArray) -> FloatArray:
     ------
     ArgumentError
         Not numbers along at least one axis, or NaN among them.
-
-    References
-    ----------
-    Textbook definition.
     """
     out: FloatArray = np.abs(_judged(poles, "spectral_radius")).max(axis=-1, initial=0.0)
     return out
@@ -281,10 +257,6 @@ def spectral_abscissa(poles: ComplexArray) -> FloatArray:
     ------
     ArgumentError
         Not numbers along at least one axis, or NaN among them.
-
-    References
-    ----------
-    Textbook definition.
     """
     out: FloatArray = _judged(poles, "spectral_abscissa").real.max(axis=-1, initial=-np.inf)
     return out
@@ -310,10 +282,6 @@ def is_stable(system: StateSystem, margin: float = 0.0) -> bool:
     ArgumentError
         `system` is not a `control.StateSpace` or proper `TransferFunction` of finite numbers, or `margin` no finite
         number.
-
-    References
-    ----------
-    Textbook definition.
     """
     dt = linear_arrays(system, "is_stable").dt
     return bool(spectral_abscissa(continuous_poles(poles(system), dt)) < -number("is_stable: margin", margin))

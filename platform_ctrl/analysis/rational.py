@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
     import control
@@ -38,11 +38,6 @@ def linear_arrays(system: StateSystem, where: str) -> StateArrays:
     StateArrays
         Without batch axes.
 
-    Raises
-    ------
-    ArgumentError
-        Frequency response data, an improper transfer function, no linear system, or numbers that are not finite.
-
     References
     ----------
     T. Kailath, Linear Systems, 1980, sec. 6.4.
@@ -65,26 +60,14 @@ def is_rational(system: Any) -> bool:
 
 
 def is_proper(system: control.TransferFunction, where: str) -> bool:
-    """Return whether no entry has more zeros than poles.
-
-    Raises
-    ------
-    ArgumentError
-        A coefficient is not finite, or a denominator is zero; `where` begins the message.
-    """
+    """Return whether no entry has more zeros than poles."""
     return all(len(num) <= len(den) for _, _, num, den in _entries(system, where))
 
 
 def rational_response(
     system: control.TransferFunction, frequency: FloatArray, where: str = "frequency_response"
 ) -> ComplexArray:
-    """Return the values of a transfer function at `frequency` (N,), rad/s, as (p, m, N); inf at a pole.
-
-    Raises
-    ------
-    ArgumentError
-        A coefficient is not finite, a denominator is zero, or a discrete system without a sample period.
-    """
+    """Return the values of a transfer function at `frequency` (N,), rad/s, as (p, m, N); inf at a pole."""
     dt = _period(system, where)
     point = np.exp(1j * frequency * dt) if dt else 1j * frequency
     out = np.zeros((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import (
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import (
     LANES,
     Mask,
     Number,

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
 from platform_ctrl.analysis.rational import LinearSystem, is_rational, rational_response
-from platform_ctrl.arguments import complex_numbers, positive
+from platform_ctrl.common.arguments import complex_numbers, positive
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
     import control
@@ -141,10 +141,6 @@ def frequency_response_arrays(
     ------
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
-
-    References
-    ----------
-    As `frequency_response`.
     """
     where = "frequency_response_arrays"
     system = system_arrays(where, A, B, C, D, dt)
@@ -238,10 +234,6 @@ def response_arrays(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     ------
     ArgumentError
         Shapes that do not fit, or numbers that are not finite.
-
-    References
-    ----------
-    As `frequency_response`.
     """
     A, B, C, D, _ = system_arrays("response_arrays", A, B, C, D)
     points = complex_numbers("response_arrays: z", z)
@@ -294,10 +286,6 @@ class AxisResponse:
         As of `frequency_response_arrays`.
     balanced
         Whether the states are balanced.
-
-    References
-    ----------
-    As `frequency_response`.
     """
 
     def __init__(self, system: StateArrays, tolerated: float = TOLERATED, balanced: bool = False) -> None:

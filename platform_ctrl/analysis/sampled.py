@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, scaled, state_arrays, state_scaling, state_space, system_arrays
-from platform_ctrl.arguments import not_negative, positive
+from platform_ctrl.common.arguments import not_negative, positive
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
     import control
@@ -109,10 +109,6 @@ def sampled_arrays(
     ------
     ArgumentError
         Shapes do not fit, numbers are not finite, or `period`, `delay` or `lag` make no sense.
-
-    References
-    ----------
-    As `sampled`.
     """
     A, B, C, D, _ = system_arrays("sampled_arrays", A, B, C, D)
     return _sampled(A, B, C, D, period, delay, lag)[:4]
@@ -161,13 +157,7 @@ def _sampled(
 
 
 def split_delay(where: str, period: float, delay: float, inputs: int) -> tuple[float, int, float]:
-    """Return the period, s, and the delay in periods: a whole number and the part that is left.
-
-    Raises
-    ------
-    ArgumentError
-        No period or delay, or a delay that needs more states than `MOST_HELD`.
-    """
+    """Return the period, s, and the delay in periods: a whole number and the part that is left."""
     period, delay = positive(f"{where}: period", period), positive(f"{where}: delay", delay, zero=True)
     if delay / period * inputs > MOST_HELD:
         raise ArgumentError(

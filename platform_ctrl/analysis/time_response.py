@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, all_finite, state_scaling
 from platform_ctrl.analysis.rational import StateSystem, is_rational, linear_arrays
-from platform_ctrl.arguments import one_of, real_numbers
+from platform_ctrl.common.arguments import one_of, real_numbers
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import check_arguments
 
 Hold = Literal["zoh", "foh", "impulse"]
 
@@ -170,12 +170,12 @@ def step_matrices(
 
 def _in_blocks(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
     """Return y[k] = C x[k] + D u[k] with x[k+1] = A x[k] + B u[k], (p, N)."""
-    from platform_ctrl.analysis import sample_blocks
+    from platform_ctrl.analysis import kernels
 
     # Products a sample: p m L within a block of L, and n² / L between the blocks.
     length = len(A) / math.sqrt(max(1, len(C) * B.shape[1]))
     doublings = min(max(3, round(math.log2(length))), 6)
-    return sample_blocks.outputs(A, B, C, D, u, x0, doublings)
+    return kernels.outputs(A, B, C, D, u, x0, doublings)
 
 
 def _one_by_one(

@@ -7,19 +7,16 @@ functions.
 from __future__ import annotations
 
 from platform_ctrl.campaign.contrasts import Contrast, contrasts
-from platform_ctrl.campaign.distribution import Distribution
 from platform_ctrl.campaign.engine import Campaigned, run_campaign
-from platform_ctrl.campaign.influence import Influence, influences
 from platform_ctrl.campaign.plan import Plan, plan
-from platform_ctrl.campaign.probability import Probability, clopper_pearson
+from platform_ctrl.campaign.probability import Distribution, Probability, clopper_pearson
 from platform_ctrl.campaign.rare_events import rare_event
-from platform_ctrl.campaign.rare_flights import rare_probability
 from platform_ctrl.campaign.rare_result import RarePoint, RareResult, Repetition
+from platform_ctrl.campaign.rare_runs import rare_probability
 from platform_ctrl.campaign.rerun import Rerun, rerun
-from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
-from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
+from platform_ctrl.campaign.sensitivity import Influence, Sensitivity, influences, sensitivities
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, RunFigure, statistics
 from platform_ctrl.campaign.summary import Summary, summarised, summary_record
-from platform_ctrl.campaign.worst import RunFigure
 
 __all__ = [
     "CampaignStatistics",

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.campaign.columns import Columns, Fly, flown, not_flown
 from platform_ctrl.campaign.identity import versions
-from platform_ctrl.campaign.pieces import Pieces
-from platform_ctrl.campaign.workers import DIED
+from platform_ctrl.campaign.single_run import Columns, Fly, flown, not_flown
+from platform_ctrl.campaign.workers import DIED, Pieces
 from platform_ctrl.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
@@ -36,13 +35,6 @@ def flown_by_cluster(
     The plan is sent once. A piece whose workers died more often than the scheduler allows is flown again in parts. The
     scheduler blames whatever a lost worker had, also what only waited there: a single run that is blamed is flown again
     when nothing else is under way, and if it is blamed then, it is recorded as not flown.
-
-    Raises
-    ------
-    InputError
-        No scheduler answers there, distributed is not installed, or a worker has other versions.
-    SimulationError
-        The scheduler has gone, or there are no workers for minutes.
     """
     distributed = _distributed()
     client = _client(distributed, address)

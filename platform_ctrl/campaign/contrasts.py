@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from platform_ctrl.campaign.influence import SIGNIFICANCE, holm
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability, clopper_pearson
+from platform_ctrl.campaign.sensitivity import SIGNIFICANCE, holm
 from platform_ctrl.campaign.statistics import Limits
 from platform_ctrl.campaign.table import (
     ENDED,
@@ -25,8 +25,8 @@ from platform_ctrl.campaign.table import (
     column_names,
     input_names,
 )
-from platform_ctrl.frozen import value
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
 
 # A number with more values than this, or with about one for each run, is no choice among a few.
 _MOST_LEVELS = 12
@@ -53,10 +53,6 @@ class Contrast:
     p_value
         Probability that a value without influence looks like this (Fisher's exact test, two-sided), all values of all
         such inputs for this figure and manoeuvre together (Holm).
-
-    References
-    ----------
-    As `contrasts`.
     """
 
     figure: str

@@ -8,16 +8,15 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from platform_ctrl.campaign import flight
-from platform_ctrl.campaign.columns import Fly, kinds_of
+from platform_ctrl.campaign import single_run
 from platform_ctrl.campaign.identity import identity, versions
-from platform_ctrl.campaign.pieces import Pieces
+from platform_ctrl.campaign.single_run import Fly, kinds_of
 from platform_ctrl.campaign.store import Record, opened
 from platform_ctrl.campaign.table import DIVERGED, ENDED, NOT_FLOWN, arrow
-from platform_ctrl.campaign.workers import flown_by_processes
+from platform_ctrl.campaign.workers import Pieces, flown_by_processes
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import value
-from platform_ctrl.signatures import check_arguments
 from platform_ctrl.simulation.device import expect_device, processors
 
 if TYPE_CHECKING:
@@ -37,10 +36,6 @@ class Campaigned:
         Path of the Parquet file: one row a run, in their order.
     record
         What ``campaign.json`` holds.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
 
     table: Path
@@ -73,7 +68,7 @@ def run_campaign(
     restart: bool = False,
     progress: Progress | None = None,
     say: Callable[[str], None] = lambda line: None,
-    fly: Fly = flight.fly,
+    fly: Fly = single_run.fly,
 ) -> Campaigned:
     """Fly all runs of a plan that are not in `folder` yet, and make the table of all.
 
@@ -112,10 +107,6 @@ def run_campaign(
         Workers die again and again; what was flown is kept.
     ArgumentError
         `workers` or `device` make no sense.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
     if workers is not None and workers < 1:
         raise ArgumentError(f"workers: given {workers}; expected at least one")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from platform_ctrl.arguments import positive, whole
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.common.arguments import positive, real_numbers, whole
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import value
 
 CONFIDENCE = 0.95
 
@@ -91,3 +95,136 @@ def clopper_pearson(events: int, runs: int, confidence: float = CONFIDENCE) -> P
         low = float(stats.beta.ppf(tail, events, runs - events + 1)) if events else 0.0
         high = float(stats.beta.isf(tail, events + 1, runs - events)) if events < runs else 1.0
     return Probability(events=events, runs=runs, low=low, high=high, confidence=confidence)
+
+
+# Bins of equal width in the logarithm: a quantile is right to half of `RESOLUTION` of itself.
+RESOLUTION = 1e-3
+_LOWEST, _HIGHEST = 1e-12, 1e9
+_BINS = int(np.ceil(np.log(_HIGHEST / _LOWEST) / RESOLUTION))
+_EDGES_FROM = np.log(_LOWEST)
+
+
+class Distribution:
+    """Counts of a figure that is not negative, in logarithmic bins; where it is not finite it counts as beyond all.
+
+    What is added in pieces, in any order, comes to the same as what is added at once.
+
+    Attributes
+    ----------
+    counts : (bins,)
+        Runs in each bin: the first for everything below 1e-12, the last for everything above 1e9, infinity included.
+    smallest, largest
+        The extremes, exactly, in the figure's unit; infinite where the largest is (a run that diverged).
+    """
+
+    __slots__ = ("counts", "largest", "smallest")
+
+    def __init__(self) -> None:
+        self.counts: NDArray[np.int64] = np.zeros(_BINS + 2, dtype=np.int64)
+        self.smallest, self.largest = np.inf, -np.inf
+
+    @property
+    def runs(self) -> int:
+        """How many figures were counted."""
+        return int(self.counts.sum())
+
+    @check_arguments
+    def add(self, figures: ArrayLike) -> None:
+        """Count more figures.
+
+        Parameters
+        ----------
+        figures : any shape
+            Not negative, in one unit; what is not finite lies beyond all.
+
+        Raises
+        ------
+        ArgumentError
+            Not numbers.
+        """
+        values = real_numbers("Distribution.add: figures", figures).reshape(-1)
+        if not values.size:
+            return
+        values = np.where(np.isfinite(values), values, np.inf)
+        self.counts += np.bincount(_bin(values), minlength=_BINS + 2)
+        self.smallest = min(self.smallest, float(values.min()))
+        self.largest = max(self.largest, float(values.max()))
+
+    @check_arguments
+    def quantile(self, share: float) -> float:
+        """Return the least figure that a share of the runs does not exceed.
+
+        Parameters
+        ----------
+        share
+            Share of the runs, 0 to 1.
+
+        Returns
+        -------
+        float
+            In the figures' unit, right to half a thousandth of itself; NaN without runs.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        runs = self.runs
+        if not runs:
+            return float("nan")
+        if share >= 1.0:
+            return float(self.largest)
+        rank = max(int(np.ceil(share * runs - 1e-9)), 1)
+        place = int(np.searchsorted(np.cumsum(self.counts), rank))
+        return float(np.clip(_middles(np.array([place]))[0], self.smallest, self.largest))
+
+    def exceedance(self) -> tuple[FloatArray, FloatArray]:
+        """Return how often the figures lie above levels.
+
+        Returns
+        -------
+        levels, shares : (k,), (k,)
+            Levels, increasing, in the figures' unit, and the share of the runs above each.
+        """
+        filled = np.flatnonzero(self.counts)
+        above = self.runs - np.cumsum(self.counts[filled])
+        return np.clip(_middles(filled), self.smallest, self.largest), above / max(self.runs, 1)
+
+    @check_arguments
+    def histogram(self, edges: FloatArray) -> NDArray[np.int64]:
+        """Return how many figures lie between each two edges; what lies beyond the last is left out.
+
+        The bins here are as fine as `RESOLUTION`: a figure next to an edge may be counted on its other side.
+
+        Parameters
+        ----------
+        edges : (k + 1,)
+            Increasing, in the figures' unit.
+
+        Returns
+        -------
+        (k,)
+            Counts.
+
+        Raises
+        ------
+        ArgumentError
+            The edges are not an increasing vector of numbers.
+        """
+        if edges.ndim != 1 or np.any(np.diff(edges) < 0.0):
+            raise ArgumentError(f"edges: given {short(edges)}; expected an increasing vector of numbers")
+        filled = np.flatnonzero(self.counts)
+        middles = np.clip(_middles(filled), max(self.smallest, 0.0), self.largest)
+        counted, _ = np.histogram(middles, bins=edges, weights=self.counts[filled].astype(np.float64))
+        return np.asarray(np.rint(counted), dtype=np.int64)
+
+
+def _bin(values: FloatArray) -> NDArray[np.intp]:
+    with np.errstate(divide="ignore"):
+        place = (np.log(np.maximum(values, 0.0)) - _EDGES_FROM) / RESOLUTION
+    return np.asarray(np.clip(np.floor(np.clip(place, -1.0, _BINS)), -1, _BINS), dtype=np.intp) + 1
+
+
+def _middles(bins: NDArray[np.intp]) -> FloatArray:
+    middles = np.exp(_EDGES_FROM + (bins - 0.5) * RESOLUTION)
+    return np.asarray(np.where(bins == 0, 0.0, np.where(bins > _BINS, np.inf, middles)))

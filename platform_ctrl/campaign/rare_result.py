@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.common.values import FloatArray, value
 
 RareMethod = Literal["splitting", "cross-entropy"]
 
@@ -28,10 +28,6 @@ class RarePoint:
         Ratio of the figure to its limit, above 1; infinite if it diverged.
     distance
         From the most probable inputs, in units of standard deviations.
-
-    References
-    ----------
-    As `rare_event`.
     """
 
     u: FloatArray
@@ -59,10 +55,6 @@ class Repetition:
         Runs that it took.
     noises
         How many realisations of the noise there are among its violating runs.
-
-    References
-    ----------
-    As `rare_event`.
     """
 
     probability: float
@@ -97,10 +89,6 @@ class RareResult:
     shift : (d,)
         Mean of the violating inputs in units of the standard deviation of each: which inputs, moved where, make it
         happen.
-
-    References
-    ----------
-    As `rare_event`.
     """
 
     requirement: str | None = None

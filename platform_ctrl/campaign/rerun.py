@@ -7,15 +7,15 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.campaign import flight
+from platform_ctrl.campaign import single_run
 from platform_ctrl.campaign.identity import identity, versions
 from platform_ctrl.campaign.store import TABLE, Record, differences
 from platform_ctrl.campaign.table import MANOEUVRE, RUN, arrow
-from platform_ctrl.check.simulated import Run, judged
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
-from platform_ctrl.frozen import value
-from platform_ctrl.job import Job
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.job.job import Job
+from platform_ctrl.verification.simulated import Run, judged
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
@@ -42,10 +42,6 @@ class Rerun:
         What the run came to, likewise.
     run
         With its trajectory and limits.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
 
     number: int
@@ -75,15 +71,11 @@ def rerun(plan: Plan, number: int) -> Rerun:
     ------
     ArgumentError
         The plan has no such run, or it cannot be flown.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
     inputs = plan.inputs(number, number + 1)
     scenario = plan.scenario(number)
-    row = {name: _plain(column[0]) for name, column in flight.fly(plan, [number]).items()}
-    trajectory = flight.trajectory(plan, scenario)
+    row = {name: _plain(column[0]) for name, column in single_run.fly(plan, [number]).items()}
+    trajectory = single_run.trajectory(plan, scenario)
     base = next(one for one in plan.job.manoeuvres if one.name == inputs[MANOEUVRE][0])
     manoeuvre = dataclasses.replace(base, duration=scenario.duration, limits=dict(scenario.limits))
     job = dataclasses.replace(plan.job, platform=scenario.platform)
@@ -97,13 +89,7 @@ def rerun(plan: Plan, number: int) -> Rerun:
 
 
 def recorded_row(folder: Path, number: int) -> Row | None:
-    """Return a run's row in the table of a campaign's folder; None where there is no table, or none such in it.
-
-    Raises
-    ------
-    InputError
-        The table cannot be read.
-    """
+    """Return a run's row in the table of a campaign's folder; None where there is no table, or none such in it."""
     path = folder / TABLE
     if not path.is_file():
         return None

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.campaign.columns import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.identity import Identity
+from platform_ctrl.campaign.single_run import Columns, Kind, schema_of, table_of
 from platform_ctrl.campaign.table import COMPLETED, DIVERGED, ENDED, NOT_FLOWN, PASSED, RUN, arrow
+from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
-from platform_ctrl.writing import write_whole
 
 RECORD, TABLE, PARTS, LOCK = "campaign.json", "campaign.parquet", "campaign.parts", ".campaign.lock"
 SCHEMA = 1
@@ -96,13 +96,7 @@ class Store:
                 path.unlink()
 
     def write(self, runs: range, columns: Columns) -> None:
-        """Keep the columns of a piece of runs.
-
-        Raises
-        ------
-        InputError
-            They cannot be written, for example because the disk is full.
-        """
+        """Keep the columns of a piece of runs."""
         pa = arrow()
         out = pa.BufferOutputStream()
         pa.parquet.write_table(table_of(columns, self._schema), out)
@@ -117,13 +111,7 @@ class Store:
         self._kept_runs += len(runs)
 
     def finish(self) -> None:
-        """Make the table of all runs, in their order, write the record, and remove the parts.
-
-        Raises
-        ------
-        InputError
-            A file cannot be written; everything is kept.
-        """
+        """Make the table of all runs, in their order, write the record, and remove the parts."""
         counts: Counter[str] = Counter()
         if self._parts or self._base < self.runs:
             with self._telling(self.table):
@@ -231,11 +219,6 @@ def opened(
         Columns of the table.
     restart
         Forget what is there.
-
-    Raises
-    ------
-    InputError
-        Another process is at work there, what is there belongs to another campaign, or nothing can be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -266,13 +249,7 @@ def opened(
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the campaign's folder: a lock of the operating system, released when the process ends, however it ends.
-
-    Raises
-    ------
-    InputError
-        Another process holds it, or it cannot be written to.
-    """
+    """Hold the campaign's folder: a lock of the operating system, released when the process ends, however it ends."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(folder / LOCK, timeout=0)
@@ -291,13 +268,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def read_record(folder: Path) -> Record | None:
-    """Return the record of the campaign in a folder, None where there is none.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
+    """Return the record of the campaign in a folder, None where there is none."""
     path = folder / RECORD
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -311,13 +282,7 @@ def read_record(folder: Path) -> Record | None:
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write ``campaign.json``, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
+    """Write ``campaign.json``, whole or not at all."""
     write_whole(folder / RECORD, json.dumps(record, indent=2, allow_nan=False) + "\n")
 
 

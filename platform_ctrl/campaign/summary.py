@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from platform_ctrl.campaign.contrasts import Contrast, contrasts
-from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import CONFIDENCE, Probability
 from platform_ctrl.campaign.rare_result import RareResult
-from platform_ctrl.campaign.sensitivity import Sensitivity, sensitivities
-from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, statistics
+from platform_ctrl.campaign.sensitivity import Influence, Sensitivity, sensitivities
+from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics, RunFigure, statistics
 from platform_ctrl.campaign.table import Table
-from platform_ctrl.campaign.worst import RunFigure
-from platform_ctrl.check.records import plain
-from platform_ctrl.frozen import value
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
+from platform_ctrl.verification.records import plain
 
 Record = dict[str, Any]
 
@@ -36,10 +34,6 @@ class Summary:
         How often they are violated with and without each fault, manoeuvre and chosen value.
     rare
         Probabilities too small to be counted, where they were asked for.
-
-    References
-    ----------
-    As `summarised`.
     """
 
     plan: Plan
@@ -103,10 +97,6 @@ def summarised(
         A column is missing.
     InputError
         The files cannot be read.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
     limits = {manoeuvre.name: manoeuvre.limits for manoeuvre, _ in plan.job.flown}
     return Summary(
@@ -136,10 +126,6 @@ def summary_record(summary: Summary) -> Record:
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
     found = summary.statistics
     record = {

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.signatures import short
 
 # The figures of a run, by the names of a manoeuvre's limits, with what they are called and their unit.
 FIGURES = {
@@ -34,13 +34,7 @@ Table = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str,
 
 
 def arrow() -> Any:
-    """Return the module pyarrow.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """Return the module pyarrow."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -52,13 +46,7 @@ def arrow() -> Any:
 
 
 def column_names(table: Table) -> tuple[str, ...]:
-    """Return the names of the table's columns.
-
-    Raises
-    ------
-    InputError
-        The files cannot be read.
-    """
+    """Return the names of the table's columns."""
     return tuple(table) if isinstance(table, Mapping) else tuple(_dataset(table).schema.names)
 
 
@@ -71,13 +59,6 @@ def batches(table: Table, names: Sequence[str]) -> Iterator[dict[str, Array]]:
     """Yield the named columns a stretch of rows at a time, in the table's order.
 
     Numbers come as float64 (`run` as int64), words as objects, yes and no as int8 where −1 says neither.
-
-    Raises
-    ------
-    ArgumentError
-        A column is missing, or the columns have different lengths.
-    InputError
-        The files cannot be read.
     """
     known = column_names(table)
     for name in names:

@@ -8,20 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from platform_ctrl.cli import completion
-from platform_ctrl.cli.inputs import (
-    CAMPAIGN,
-    Controllers,
-    JobFile,
-    Json,
-    Quiet,
-    controller_file,
-    job_of,
-    prepared,
-)
+from platform_ctrl.cli.inputs import CAMPAIGN, Controllers, JobFile, Json, Quiet, controller_file, job_of, prepared
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.engine import Campaigned
-    from platform_ctrl.job import Points
+    from platform_ctrl.job.job import Points
 
 # Groups of options in the help.
 WHAT, WHERE, RARE = "What is flown", "Where it is flown", "Rare events"
@@ -148,8 +139,7 @@ def campaign(
 
     Exit code 1 if a run did not meet its limits, diverged or was not flown.
     """  # noqa: D301
-    from platform_ctrl.cli.campaign_outcome import PAGE, delivered, expect_rare, rare_found
-    from platform_ctrl.cli.campaign_progress import campaign_progress
+    from platform_ctrl.cli.campaign_output import PAGE, campaign_progress, delivered, expect_rare, rare_found
     from platform_ctrl.cli.terminal import progress
 
     with progress(quiet or as_json, f"reading {job}"):
@@ -157,7 +147,7 @@ def campaign(
         file = controller_file(controllers, None, job)
         from platform_ctrl.campaign.engine import run_campaign
         from platform_ctrl.campaign.plan import plan
-        from platform_ctrl.check.given import read_controllers
+        from platform_ctrl.verification.given import read_controllers
 
         made = plan(read, read_controllers(file, read), runs=runs, seed=seed, sampling=cast("Points | None", sampling))
         expect_rare(made, rare, runs_per_level, rare_method)
@@ -200,11 +190,11 @@ def campaign(
             again=["platform-ctrl", "simulate", str(job), *files, "--run"],
         )
     if as_json:
-        from platform_ctrl.check.records import laid_out
+        from platform_ctrl.verification.records import laid_out
 
         typer.echo(laid_out(record))
     else:
-        from platform_ctrl.cli.campaign_tables import show_campaign
+        from platform_ctrl.cli.campaign_output import show_campaign
 
         show_campaign(summary)
         _show_files(flown, out / PAGE)

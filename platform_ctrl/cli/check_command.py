@@ -82,14 +82,14 @@ def check(
         file = controller_file(controllers, out, job)
         held = Held.given(baseline, update_baseline)
         extras = Extras.given(read, pdf, campaign)
-        from platform_ctrl.check import checked
-        from platform_ctrl.check.given import outcomes_from, read_controllers
-        from platform_ctrl.check.recorded import unconfirmed
+        from platform_ctrl.verification import checked
+        from platform_ctrl.verification.given import outcomes_from, read_controllers
+        from platform_ctrl.verification.recorded import unconfirmed
 
         closed = read_controllers(file, read)
         others = read_controllers(file, read, "alternatives")
         if campaign is not None:
-            from platform_ctrl.cli.campaign_section import counted
+            from platform_ctrl.cli.job_outcome import counted
 
             counted(read, closed, campaign)  # before the work on what would be refused
         prepared(folder, extras.files)

@@ -6,17 +6,18 @@ In their help a line with a backspace, click's own mark, keeps the lines below i
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from platform_ctrl.cli.campaign_command import campaign
 from platform_ctrl.cli.check_command import check
 from platform_ctrl.cli.equations_command import equations
 from platform_ctrl.cli.export_command import export
 from platform_ctrl.cli.held_baseline import writable
-from platform_ctrl.cli.help_layout import Teaching, TeachingGroup
 from platform_ctrl.cli.inputs import (
     DESIGNED,
     REPORT,
@@ -35,6 +36,116 @@ from platform_ctrl.cli.job_outcome import Extras, delivered
 from platform_ctrl.cli.new_command import new
 from platform_ctrl.cli.serve_command import serve
 from platform_ctrl.cli.simulate_command import simulate
+
+# Groups are those of typer's `rich_help_panel`; what has none stands in the last one.
+_OPTIONS, _ARGUMENTS, _EXAMPLES = "Options", "Arguments", "Examples"
+_EXAMPLE = re.compile(r"(\S.*?)(?:\s{2,}(\S.*))?")
+# Columns between an example and its meaning, and by which the meaning is indented where it does not fit beside it.
+_GAP, _INDENT = 2, 4
+
+Example = tuple[str, str]
+
+
+class Teaching(TyperCommand):
+    """A command with examples at the end of its help."""
+
+    def __init__(self, name: str | None, *, help: str | None = None, **more: Any) -> None:
+        prose, self.examples = split(help or "")
+        super().__init__(name, help=prose, **more)
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return what follows the command's name, as people write it."""
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options."""
+        _write_options(self, ctx, formatter)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        _write_examples(self.examples, formatter)
+        super().format_epilog(ctx, formatter)
+
+
+class TeachingGroup(TyperGroup):
+    """All commands in groups, with examples at the end."""
+
+    def __init__(self, *, help: str | None = None, **more: Any) -> None:
+        prose, self.examples = split(help or "")
+        super().__init__(help=prose, **more)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, then what there is beside them."""
+        groups: dict[str, list[Example]] = {}
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            if command is not None and not command.hidden:
+                panel = str(getattr(command, "rich_help_panel", None) or "Commands")
+                groups.setdefault(panel, []).append((name, _first_sentence(command.help or "")))
+        widest = max(len(name) for rows in groups.values() for name, _ in rows)
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:<{widest}}", words) for name, words in rows])
+        _write_options(self, ctx, formatter)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples, and what the exit codes mean."""
+        _write_examples(self.examples, formatter)
+        super().format_epilog(ctx, formatter)
+
+
+def split(help: str) -> tuple[str, list[Example]]:
+    """Return the prose of a help text, and its examples with their meanings."""
+    prose, examples = [], []
+    for paragraph in help.split("\n\n"):
+        mark, _, rest = paragraph.strip().partition("\n")
+        if mark != "\b":
+            prose.append(paragraph)
+            continue
+        for line in rest.splitlines():
+            found = _EXAMPLE.fullmatch(line.strip())
+            if found is not None:
+                examples.append((found[1], found[2] or ""))
+    return "\n\n".join(prose), examples
+
+
+def _write_options(command: Any, ctx: Any, formatter: Any) -> None:
+    groups: dict[str, list[Example]] = {_ARGUMENTS: []}
+    for param in command.get_params(ctx):
+        record = param.get_help_record(ctx)
+        if record is not None:
+            if param.param_type_name == "argument":
+                groups[_ARGUMENTS].append((param.metavar, param.help))
+            else:
+                groups.setdefault(getattr(param, "rich_help_panel", None) or _OPTIONS, []).append(record)
+    groups[_OPTIONS] = groups.pop(_OPTIONS, [])
+    for title, rows in groups.items():
+        if rows:
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+def _write_examples(examples: list[Example], formatter: Any) -> None:
+    """Write examples with their meanings beside them, or all of them below where one would not fit."""
+    if not examples:
+        return
+    column = max(len(command) for command, words in examples) + _GAP
+    with formatter.section(_EXAMPLES):
+        room = formatter.width - formatter.current_indent
+        beside = all(column + len(words) <= room for _, words in examples if words)
+        for command, words in examples:
+            if beside or not words:
+                formatter.write(f"{'':>{formatter.current_indent}}{f'{command:<{column}}{words}'.rstrip()}\n")
+            else:
+                formatter.write(f"{'':>{formatter.current_indent}}{command}\n")
+                formatter.write(f"{'':>{formatter.current_indent + _INDENT}}{words}\n")
+
+
+def _first_sentence(text: str) -> str:
+    """Return what a command does, in one line."""
+    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    return paragraph.partition(". ")[0].rstrip(".")
+
 
 app = typer.Typer(
     cls=TeachingGroup,
@@ -85,7 +196,7 @@ def models(as_json: Json = False) -> None:
     """  # noqa: D301
     import tomllib
 
-    from platform_ctrl.reading import platform_source, shipped_models
+    from platform_ctrl.plant.source import platform_source, shipped_models
     from platform_ctrl.report.quantities import count
 
     listed = []
@@ -138,9 +249,9 @@ def design(
         prepared(out, extras.files)
         if junit is not None:
             writable("--junit", junit, [job, *plant_file(job, read), *(out / name for name in extras.files)])
-        from platform_ctrl.check import checked
         from platform_ctrl.design import loops
-        from platform_ctrl.simulation.warming import warm_up
+        from platform_ctrl.simulation.compilation import warm_up
+        from platform_ctrl.verification import checked
 
         if read.manoeuvres:
             warm_up()

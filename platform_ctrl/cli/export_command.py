@@ -22,7 +22,7 @@ from platform_ctrl.errors import InputError
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.job import Job
+    from platform_ctrl.job.job import Job
 
 NUMBERS = ("double", "float", "q31", "q15")
 ANTI_WINDUP = ("back-calculation", "proved", "none")
@@ -280,7 +280,7 @@ class _Work:
 
     @cached_property
     def controllers(self) -> list[control.StateSpace]:
-        from platform_ctrl.check.given import read_controllers
+        from platform_ctrl.verification.given import read_controllers
 
         return [] if self.file is None else read_controllers(self.file, self.job)
 
@@ -320,9 +320,9 @@ def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str
 
 
 def _write_c(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.check.given import opened, read_controllers
     from platform_ctrl.cli.staged import write_folder_record
     from platform_ctrl.export import write_c
+    from platform_ctrl.verification.given import opened, read_controllers
 
     read_controllers(cast(Path, work.file), work.job)  # judged as a file, before its entries are taken
     _, data = opened(cast(Path, work.file))

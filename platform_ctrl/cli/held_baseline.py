@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.baselines import Baseline, Change, Comparison
-    from platform_ctrl.check import JobResult
+    from platform_ctrl.verification import JobResult
+    from platform_ctrl.verification.baselines import Baseline, Change, Comparison
 
 
 @dataclass(frozen=True)
@@ -40,18 +40,12 @@ class Held:
 
     @classmethod
     def given(cls, file: Path | None, update: bool) -> Held:
-        """Judge what the command was given, before the work.
-
-        Raises
-        ------
-        InputError
-            There is no such file, it is no baseline, or it cannot be written where it is to be.
-        """
+        """Judge what the command was given, before the work."""
         if file is None:
             if update:
                 raise InputError("--update-baseline: without --baseline FILE; expected the file to write")
             return cls(None, False)
-        from platform_ctrl.baselines import read_baseline
+        from platform_ctrl.verification.baselines import read_baseline
 
         if update:
             writable("--baseline", file)
@@ -60,17 +54,11 @@ class Held:
         return cls(file, update, read_baseline(file) if file.exists() else None)
 
     def outcome(self, result: JobResult) -> Outcome:
-        """Compare, and draw what moved beside the file; or update the file.
-
-        Raises
-        ------
-        InputError
-            The file cannot be written.
-        """
+        """Compare, and draw what moved beside the file; or update the file."""
         if self.file is None:
             return Outcome()
-        from platform_ctrl.baselines import compare, plot_beside, update_baseline
-        from platform_ctrl.baselines.file import remove_plot
+        from platform_ctrl.verification.baselines import compare, plot_beside, update_baseline
+        from platform_ctrl.verification.baselines.file import remove_plot
 
         plot = plot_beside(self.file)
         if self.update or self.baseline is None:
@@ -97,11 +85,6 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
     """Make the folder of a file and try to write there: before the work, not after it.
 
     None of `others` may be that file: the command reads or writes them.
-
-    Raises
-    ------
-    InputError
-        It is a folder or a device, one of `others`, or cannot be written.
     """
     try:
         if file.is_dir():
@@ -119,13 +102,7 @@ def writable(option: str, file: Path, others: Iterable[Path | None] = ()) -> Non
 
 
 def way_open(option: str, target: Path) -> None:
-    """Make sure that nothing on the way to a target is a file.
-
-    Raises
-    ------
-    InputError
-        Something is.
-    """
+    """Make sure that nothing on the way to a target is a file."""
     blocked = next((part for part in target.parents if part.exists() and not part.is_dir()), None)
     if blocked is not None:
         raise InputError(f"{option} {target}: {blocked} is a file; expected a folder, or nothing there")

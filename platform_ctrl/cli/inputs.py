@@ -14,7 +14,7 @@ from platform_ctrl.cli import completion
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.job import Job
+    from platform_ctrl.job.job import Job
 
 DESIGNED = Path("out")
 CAMPAIGN = Path("campaign")
@@ -62,14 +62,8 @@ Junit = Annotated[
 
 
 def job_of(path: Path) -> Job:
-    """Return the job in a file.
-
-    Raises
-    ------
-    InputError
-        It is none; of what is a plant, or is not there, the message says what to do.
-    """
-    from platform_ctrl.reading import read_job
+    """Return the job in a file."""
+    from platform_ctrl.job.reading import read_job
 
     try:
         return read_job(path)
@@ -79,9 +73,9 @@ def job_of(path: Path) -> Job:
 
 def _not_a_job(path: Path) -> str | None:
     """Say what else a file is, or which was meant; None where its reader says it better."""
-    from platform_ctrl.arguments import nearest
-    from platform_ctrl.reading import shipped_models
-    from platform_ctrl.reading.mistakes import one_line
+    from platform_ctrl.common.arguments import nearest
+    from platform_ctrl.plant.mistakes import one_line
+    from platform_ctrl.plant.source import shipped_models
 
     name = one_line(str(path))
     try:
@@ -102,7 +96,7 @@ def _not_a_job(path: Path) -> str | None:
 
 
 def _tables(path: Path) -> dict[str, Any]:
-    from platform_ctrl.reading.source import open_file
+    from platform_ctrl.plant.source import open_file
 
     try:
         return open_file(path).data
@@ -115,16 +109,11 @@ def controller_file(given: Path | None, folder: Path | None, job: Path | None = 
 
     The one that was given, or what was saved beside the job, or a result in the folder that was named, or what design
     left.
-
-    Raises
-    ------
-    InputError
-        None was given, and design has left none.
     """
     if given is not None:
         return given
     if job is not None:
-        from platform_ctrl.designer.saving import controllers_beside
+        from platform_ctrl.app.saving import controllers_beside
 
         beside = controllers_beside(job)
         if beside.is_file():
@@ -145,13 +134,7 @@ def plant_file(path: Path, job: Job) -> list[Path]:
 
 
 def prepared(folder: Path, files: Sequence[str] = ()) -> None:
-    """Make the folder and try to write there: before the work, not after it.
-
-    Raises
-    ------
-    InputError
-        It is a file, cannot be written to, or has a folder where one of the `files` should be.
-    """
+    """Make the folder and try to write there: before the work, not after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,53 @@ from platform_ctrl.cli.inputs import PDF, REPORT, RESULT
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.check import JobResult
-    from platform_ctrl.job import Job
+    import control
+
+    from platform_ctrl.campaign.store import Record
+    from platform_ctrl.campaign.summary import Summary
+    from platform_ctrl.job.job import Job
+    from platform_ctrl.verification import JobResult
+
+
+def expect_campaign(job: Job, folder: Path) -> Record:
+    """Return the record of a campaign of `job` that is done."""
+    from platform_ctrl.campaign.store import RECORD, TABLE, read_record
+
+    record = read_record(folder)
+    if record is None:
+        raise InputError(
+            f"--campaign {folder}: there is no {RECORD}; expected the folder that platform-ctrl campaign writes"
+        )
+    if record.get("job") != job.name:
+        raise InputError(f"--campaign {folder}: is of the job {record.get('job')!r}; expected one of {job.name!r}")
+    if not record.get("complete") or not (folder / TABLE).is_file():
+        raise InputError(f"--campaign {folder}: is not done; the command that began it goes on: platform-ctrl campaign")
+    return record
+
+
+def counted(job: Job, controllers: Sequence[control.StateSpace], folder: Path) -> Summary:
+    """Return what the campaign in a folder came to."""
+    from platform_ctrl.campaign.plan import plan
+    from platform_ctrl.campaign.rerun import settings_of, strangers
+    from platform_ctrl.campaign.store import TABLE
+    from platform_ctrl.campaign.summary import summarised
+
+    record = expect_campaign(job, folder)
+    made = plan(job, controllers, **settings_of(record))
+    odd = strangers(record, made)
+    if odd:
+        raise InputError(
+            f"--campaign {folder}: was flown with {'; '.join(odd)}; fly it again with platform-ctrl campaign, or leave "
+            "it out"
+        )
+    return summarised(made, folder / TABLE)
+
+
+def run_again(job: Path, controllers: Path, folder: Path) -> str:
+    """Return the command that flies a run of the campaign again, without the run's number."""
+    command = ["platform-ctrl", "simulate", job, "--controllers", controllers, "-o", folder, "--run"]
+    return shlex.join(map(str, command))
+
 
 Shown = Callable[[], int]
 
@@ -29,19 +74,13 @@ class Extras:
 
     @classmethod
     def given(cls, job: Job, pdf: bool, campaign: Path | None) -> Extras:
-        """Judge what the command was given, before the work.
-
-        Raises
-        ------
-        InputError
-            No typesetter is installed, or the folder has no campaign of the job that is done.
-        """
+        """Judge what the command was given, before the work."""
         if pdf:
             from platform_ctrl.report.pdf_document import typesetter
 
             typesetter()
         if campaign is not None:
-            from platform_ctrl.cli.campaign_section import expect_campaign
+            pass
 
             expect_campaign(job, campaign)
         return cls(pdf, campaign)
@@ -87,10 +126,10 @@ def delivered(
     extras
         What else the report has. A campaign of other controllers is left out, and is an error once all else is done.
     """
-    from platform_ctrl.check.records import laid_out, plain, result_record, write_record
     from platform_ctrl.cli.staged import together
     from platform_ctrl.cli.terminal import show_result
     from platform_ctrl.report import prepared, write_page, write_pdf
+    from platform_ctrl.verification.records import laid_out, plain, result_record, write_record
 
     record = result_record(result)
     about: dict[str, Any] = {"command": shlex.join(["platform-ctrl", *command, *extras.words])}
@@ -129,8 +168,9 @@ def delivered(
 def _campaign(
     result: JobResult, record: Mapping[str, Any], campaign: Path, job: Path, controllers: Path
 ) -> dict[str, Any]:
-    from platform_ctrl.check.given import read_controllers
-    from platform_ctrl.cli.campaign_section import counted, run_again
+    from platform_ctrl.verification.given import read_controllers
+
+    pass
 
     # As a campaign reads them, from the record: the same numbers in the same order.
     summary = counted(result.job, read_controllers(record, result.job), campaign)

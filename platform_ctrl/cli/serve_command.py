@@ -14,7 +14,7 @@ import typer
 from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, job_of
 
 if TYPE_CHECKING:
-    from platform_ctrl.designer.server import PageServer
+    from platform_ctrl.app.server import PageServer
 
 
 def serve(
@@ -69,11 +69,11 @@ def serve(
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
+    from platform_ctrl.app.hosts import Hosts
     from platform_ctrl.cli.terminal import interruptible, progress
-    from platform_ctrl.designer.hosts import Hosts
 
     def workbench() -> object:
-        from platform_ctrl.designer.workbench import Workbench
+        from platform_ctrl.app.workbench import Workbench
 
         return Workbench(job, controllers)
 
@@ -81,10 +81,10 @@ def serve(
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
         if controllers is not None:
-            from platform_ctrl.check.given import read_controllers
+            from platform_ctrl.verification.given import read_controllers
 
             read_controllers(controllers, read)
-        from platform_ctrl.designer.server import PORT, Building, PageServer, require_bokeh
+        from platform_ctrl.app.server import PORT, Building, PageServer, require_bokeh
 
         require_bokeh()
         server = PageServer(Building(workbench), host=host, allow=allow or (), port=port)

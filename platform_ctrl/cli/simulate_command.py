@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import control
 
     from platform_ctrl.campaign.plan import Plan
-    from platform_ctrl.check import Run
-    from platform_ctrl.job import Job, Manoeuvre
+    from platform_ctrl.job.job import Job, Manoeuvre
+    from platform_ctrl.verification import Run
 
 TABLE = "campaign.parquet"
 
@@ -89,7 +89,7 @@ def simulate(
         else:
             chosen = _manoeuvre(read, wanted, job, "--run" if manoeuvre is None else "--manoeuvre")
         file = controller_file(controllers, None, job)
-        from platform_ctrl.check.given import read_controllers
+        from platform_ctrl.verification.given import read_controllers
 
         closed = read_controllers(file, read)
         if isinstance(chosen, int):
@@ -106,8 +106,8 @@ def simulate(
 
 
 def _manoeuvre_flown(job: Job, manoeuvre: Manoeuvre, controllers: list[control.StateSpace], out: Path | None) -> Shown:
-    from platform_ctrl.check import fly, largest
-    from platform_ctrl.check.records import laid_out, run_record
+    from platform_ctrl.verification import fly, largest
+    from platform_ctrl.verification.records import laid_out, run_record
 
     flown = fly(job, manoeuvre, controllers)
     drawn = None if out is None else _drawn(flown, job, manoeuvre.name, out, f"manoeuvre-{_place(job, manoeuvre)}.svg")
@@ -129,8 +129,8 @@ def _manoeuvre_flown(job: Job, manoeuvre: Manoeuvre, controllers: list[control.S
 
 def _run_flown(number: int, plan: Plan, folder: Path, recorded: bool, note: str) -> Shown:
     from platform_ctrl.campaign.rerun import recorded_row, rerun, unlike
-    from platform_ctrl.check import largest
-    from platform_ctrl.check.records import laid_out, plain, run_record
+    from platform_ctrl.verification import largest
+    from platform_ctrl.verification.records import laid_out, plain, run_record
 
     job = plan.job
     found = rerun(plan, number)
@@ -194,7 +194,7 @@ def _planned(
 
 
 def _drawn(run: Run, job: Job, title: str, folder: Path, name: str) -> Path:
-    from platform_ctrl.report.run_file import write_run_figure
+    from platform_ctrl.report.run_figures import write_run_figure
 
     write_run_figure(run, job.platform, title, folder / name)
     return folder / name
@@ -205,7 +205,7 @@ def _place(job: Job, manoeuvre: Manoeuvre) -> int:
 
 
 def _manoeuvre(job: Job, wanted: str, path: Path, option: str) -> Manoeuvre:
-    from platform_ctrl.reading.mistakes import given
+    from platform_ctrl.plant.mistakes import given
 
     names = [manoeuvre.name for manoeuvre in job.manoeuvres]
     if wanted in names:

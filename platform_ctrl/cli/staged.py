@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from platform_ctrl.common.files import write_whole
 from platform_ctrl.errors import InputError
-from platform_ctrl.reading.json_file import read_json
-from platform_ctrl.writing import write_whole
+from platform_ctrl.plant.json_file import read_json
 
 # What a folder holds that an export made: the files that are its own.
 RECORD = "export.json"
@@ -56,13 +56,7 @@ class Stage:
         return message
 
     def place(self) -> None:
-        """Put everything in its place.
-
-        Raises
-        ------
-        InputError
-            Something cannot be put there; then everything is as it was.
-        """
+        """Put everything in its place."""
         undo: list[tuple[Path | None, Path]] = []  # what stood there, and where
         try:
             for unfinished, target, own in self._whole:
@@ -127,11 +121,6 @@ def all_or_none() -> Iterator[Stage]:
 
     If the work ends by an error or by Ctrl-C, everything is as it was. A Ctrl-C while files move takes effect when they
     have moved.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
     """
     stage = Stage()
     try:
@@ -151,13 +140,7 @@ def all_or_none() -> Iterator[Stage]:
 
 @contextmanager
 def together(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write into; at the end every file in it moves to `folder`, over what stood there, or none does.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Yield a folder to write into; at the end all its files move to `folder`, over those there, or none does."""
     with all_or_none() as stage:
         yield stage.folder(folder)
 
@@ -179,13 +162,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def own_files(option: str, folder: Path) -> dict[str, str]:
-    """Return the files of an earlier export in a folder, with their SHA-256; none in one that is empty or not there.
-
-    Raises
-    ------
-    InputError
-        It is no folder, holds what no export wrote, or what was changed since.
-    """
+    """Return the files of an earlier export in a folder, with their SHA-256; none in one that is empty or not there."""
     if not os.path.lexists(folder):
         return {}
     if not folder.is_dir():
@@ -221,13 +198,7 @@ def write_folder_record(folder: Path, about: Mapping[str, object]) -> None:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
+    """Return the SHA-256 of a file."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

@@ -12,12 +12,12 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from platform_ctrl.requirements import CheckResult
+from platform_ctrl.job.requirements import CheckResult
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from platform_ctrl.check import JobResult, Run
+    from platform_ctrl.verification import JobResult, Run
 
 # Columns that a pipe is given, which has no width of its own; narrower terminals get lines instead of a table.
 _PIPE_WIDTH = 120
@@ -50,7 +50,7 @@ def _compiling(line: str) -> str:
     """Say of the first run after an installation why it takes so long."""
     if not line.startswith(("simulated run", "run ")):
         return ""
-    from platform_ctrl.simulation.warming import is_compiled
+    from platform_ctrl.simulation.compilation import is_compiled
 
     return "" if is_compiled() else " (its kernel is compiled first, once: half a minute)"
 

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from platform_ctrl.design.antiwindup import AntiWindup, SurvivedOmega, anti_windup, survived_Omega
-from platform_ctrl.design.antiwindup_job import LoopSurvival, caging_loop_limits, caging_survival
-from platform_ctrl.design.antiwindup_loop import LimitedLoop, limited_loop
-from platform_ctrl.design.complex_coordinates import ComplexSystem, complex_plant, complex_response
-from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist, complex_loop, two_sided_nyquist
-from platform_ctrl.design.crossover import CrossoverDesign, from_crossover_and_margin
-from platform_ctrl.design.h2 import h2
-from platform_ctrl.design.intersample_loop import IntersampleGains, intersample_gains
+from platform_ctrl.design.antiwindup.compensator import AntiWindup, SurvivedOmega, anti_windup, survived_Omega
+from platform_ctrl.design.antiwindup.job import LoopSurvival, caging_loop_limits, caging_survival
+from platform_ctrl.design.antiwindup.loop import LimitedLoop, limited_loop
+from platform_ctrl.design.classical.complex_coordinates import ComplexSystem, complex_plant, complex_response
+from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist, complex_loop, two_sided_nyquist
+from platform_ctrl.design.classical.crossover import CrossoverDesign, from_crossover_and_margin
 from platform_ctrl.design.jobs import LoopOutcome, loops
 from platform_ctrl.design.lmi.caging import ScheduledCaging, scheduled_caging
 from platform_ctrl.design.lmi.multiobjective import Multiobjective, multiobjective
 from platform_ctrl.design.lmi.robust import Robust, robust
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.design.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
 from platform_ctrl.design.measured import MeasuredDesign, measured_pid, read_measurement
-from platform_ctrl.design.pole_placement import PolePlacement, pole_placement
-from platform_ctrl.design.sampled_hinf import SampledSynthesis, sampled_hinf
+from platform_ctrl.design.riccati.h2 import h2
+from platform_ctrl.design.riccati.intersample_loop import IntersampleGains, intersample_gains
+from platform_ctrl.design.riccati.lq import Estimator, LqgDesign, StateFeedback, lqe, lqg, lqr
+from platform_ctrl.design.riccati.pole_placement import PolePlacement, pole_placement
+from platform_ctrl.design.riccati.sampled_hinf import SampledSynthesis, sampled_hinf
 from platform_ctrl.design.structured.result import StructuredDesign
 from platform_ctrl.design.structured.structures import PID, Lead, Notch, Series, StateSpaceOrder, Static, Structure
 from platform_ctrl.design.structured.synthesis import structured

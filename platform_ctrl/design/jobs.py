@@ -8,20 +8,69 @@ import os
 from collections.abc import Callable, Mapping
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.caging_claims import with_caging_claims
-from platform_ctrl.design.channels import Channels, channels
-from platform_ctrl.design.classical import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
+from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.design.classical.stabilisation import platform_servo
 from platform_ctrl.design.loop import LoopDesign, certified
+from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.design.plants import plants_of, rows_of
-from platform_ctrl.design.stabilisation import platform_servo
 from platform_ctrl.design.tuning import tune
-from platform_ctrl.errors import DesignError
-from platform_ctrl.frozen import value
-from platform_ctrl.job import DesignSpec, Job, LoopSpec
-from platform_ctrl.linearisation import LinearModel, linearise
-from platform_ctrl.reading import read_job
-from platform_ctrl.requirements import hard_and_soft, loop_requirements
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.errors import ArgumentError, DesignError
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec, Spread
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.requirements import hard_and_soft, loop_requirements
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.plant.platform import OMEGA_NAMES
+
+
+def with_caging_claims(job: Job, design: LoopDesign, *, closed: bool) -> LoopDesign:
+    """Return a caging design with its gains in continuous time and, where it is closed, the Omega that it survives.
+
+    The names end in their units. What does not exist for a loop is left out: an unstable loop has no gains, a torquer
+    without limit loses no Omega, an axis that loads no torquer has nothing to survive.
+    """
+    if design.measures is None or not design.measures.decay[0] > 0.0:
+        return design
+    claims = dict(design.claims) | _between_samples(job, design)
+    if closed:
+        claims |= _at_the_limits(job, design)
+    return dataclasses.replace(design, claims=claims)
+
+
+def survived_name(axis: int, *, spread: bool = False) -> str:
+    """Return the name of the claim of the Omega that a loop survives about a root axis, 1 to 3."""
+    return f"survived {OMEGA_NAMES[axis - 1]}{' over the spread' if spread else ''}, rad/s"
+
+
+def _between_samples(job: Job, design: LoopDesign) -> dict[str, float]:
+    from platform_ctrl.design.riccati.intersample_loop import intersample_gains
+
+    try:
+        gains = intersample_gains(job, design.controller)
+    except ArgumentError:
+        return {}
+    return {
+        "intersample torque rejection, rad/(N m)": gains.torque_rejection,
+        "intersample Omega rejection, rad s/rad": gains.Omega_rejection,
+    }
+
+
+def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
+    from platform_ctrl.design.antiwindup.job import caging_survival
+
+    # One plant of the spread may leave the loop unstable: what holds for the plant as it is stays.
+    for asked in (job, dataclasses.replace(job, spread=Spread())):
+        try:
+            found = caging_survival(asked, design.controller)
+        except (ArgumentError, DesignError):
+            continue
+        out = {survived_name(one.axis): one.nominal.Omega for one in found}
+        if asked.spread.inertia > 0.0 or asked.spread.spin > 0.0:
+            out |= {survived_name(one.axis, spread=True): one.spread for one in found}
+        return out
+    return {}
+
 
 Progress = Callable[[str], None]
 
@@ -38,10 +87,6 @@ class LoopOutcome:
         In the job's order.
     use
         Name of the design that is closed.
-
-    References
-    ----------
-    As `loops`.
     """
 
     spec: LoopSpec
@@ -85,12 +130,6 @@ def loops(
         A method found no controller that its certificate accepts.
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
-
-    References
-    ----------
-    See docs/loop-design.md.
-
-    See docs/loops.md.
     """
     job = job if isinstance(job, Job) else read_job(job)
     say = progress or (lambda line: None)
@@ -119,12 +158,12 @@ def loops(
 def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: PlantSet, say: Progress) -> LoopDesign:
     channel = channels(model, rows_of(model, spec.gimbals))
     if design.method == "hinf":
-        from platform_ctrl.design.hinf_loop import hinf_controller
+        from platform_ctrl.design.riccati.hinf_loop import hinf_controller
 
         controller, options, claims = hinf_controller(design.options, channel, plants)
         return certified(spec, design, controller, plants, options, claims)
     if design.method == "lqg":
-        from platform_ctrl.design.lqg_loop import lqg_controller
+        from platform_ctrl.design.riccati.lqg_loop import lqg_controller
 
         controller, options, claims = lqg_controller(design.options, channel, plants)
         return certified(spec, design, controller, plants, options, claims)
@@ -146,7 +185,7 @@ def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: Plan
 
 
 def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: PlantSet, say: Progress) -> LoopDesign:
-    from platform_ctrl.design.hinf_loop import hinf_controller
+    from platform_ctrl.design.riccati.hinf_loop import hinf_controller
     from platform_ctrl.design.structured.caging import default_options, tuned_controller
     from platform_ctrl.design.structured.families import Named
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.certificates import Certificate, plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.certificates import Certificate, plant_set_certificates
-from platform_ctrl.design.blocks import Block
-from platform_ctrl.errors import NotCertifiedError
-from platform_ctrl.frozen import value
-from platform_ctrl.job import DesignSpec, LoopSpec
-from platform_ctrl.requirements import CheckResult, LoopRequirement, hard_and_soft
+from platform_ctrl.common.values import value
+from platform_ctrl.design.partition import Block
+from platform_ctrl.errors import DesignError, NotCertifiedError
+from platform_ctrl.job.job import DesignSpec, LoopSpec
+from platform_ctrl.job.requirements import CheckResult, LoopRequirement, hard_and_soft
 
 if TYPE_CHECKING:
     import control
@@ -57,10 +57,6 @@ class LoopDesign:
         the nominal one.
     unproved
         A line for each such claim without a proof.
-
-    References
-    ----------
-    As `loops`.
     """
 
     loop: str
@@ -105,13 +101,7 @@ def certified(
     options: dict[str, float],
     claims: dict[str, float],
 ) -> LoopDesign:
-    """Return the design with all its figures recomputed from the closed loops.
-
-    Raises
-    ------
-    NotCertifiedError
-        The nominal closed loop is not stable.
-    """
+    """Return the design with all its figures recomputed from the closed loops."""
     K = StateArrays(*controller, dt=plants.period)
     measures = exact_measures(plants, K, asked_of(spec))
     if not measures.decay[0] > 0.0:
@@ -192,3 +182,17 @@ def closed_loop_poles(plants: PlantSet, controller: control.StateSpace) -> Compl
     K = state_arrays(controller, "closed_loop_poles")
     A = closed_loop_arrays(plants.A, plants.B, plants.C, plants.D, *K[:4])[0]
     return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+
+
+def completed(method: str, given: dict[str, float], defaults: dict[str, float]) -> dict[str, float]:
+    """Return `defaults` with the `given` numbers in place."""
+    unused = sorted(set(given) - set(defaults))
+    if unused:
+        raise DesignError(
+            f"{method}: option {unused[0]!r} has no meaning for this loop; expected some of {', '.join(defaults)}"
+        )
+    out = defaults | given
+    wrong = [name for name, x in out.items() if not x > 0.0]
+    if wrong:
+        raise DesignError(f"{method}: {wrong[0]} = {out[wrong[0]]:g}; expected a number > 0")
+    return out

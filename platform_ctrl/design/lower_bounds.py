@@ -21,12 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.design.assumptions import DIRECT
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.partition import Partition, in_w_plane
-from platform_ctrl.design.riccati import Equation, by_pencil, stabilising
+from platform_ctrl.design.riccati.assumptions import DIRECT
+from platform_ctrl.design.riccati.equations import Equation, by_pencil, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, autoscaled_with_gain, clustered
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 # Share of the bound that is given away for rounding of its evaluation.
 ROUNDING = 5e-11
@@ -391,13 +391,7 @@ def _is_feasible(sides: tuple[Side, Side], levels: tuple[Level | None, Level | N
 
 
 def _coupling(sides: tuple[Side, Side], levels: tuple[Level, Level]) -> tuple[float, FloatArray, FloatArray]:
-    """Largest x'S_X'S_Y y for x'X x = y'Y y = 1, and x and y.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        X or Y is not positive definite.
-    """
+    """Largest x'S_X'S_Y y for x'X x = y'Y y = 1, and x and y."""
     L, M = (np.linalg.cholesky(level.X) for level in levels)
     between = np.linalg.solve(L, np.linalg.solve(M, sides[1].S.T @ sides[0].S).T)
     if not between.size:
@@ -449,11 +443,6 @@ def _signals(side: Side, level: Level, x: FloatArray) -> Signals:
     """Return the signals that lead to x by the feedback of `level`.
 
     In states of unit cost no feasible X exceeds γ: what W lacks to W >= 0 by rounding counts as so much more ∫ |ζ|².
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        There is no end to them.
     """
     from scipy.linalg import solve_continuous_lyapunov
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import short
+from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -50,11 +52,6 @@ def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Pa
         As in `design.synthesis.hinf`.
     sampled
         Whether a plant with dt > 0 is taken, too.
-
-    Raises
-    ------
-    ArgumentError
-        P is not such a state-space system with finite matrices, or the numbers do not fit.
     """
     from control import StateSpace
 
@@ -89,11 +86,6 @@ def in_w_plane(plant: Partition) -> Partition:
     """Return a sampled plant in the w-plane, w = (2/T) (z − 1)/(z + 1), where it is continuous; others as they are.
 
     The map is exact: stability and the H-infinity norm of every loop are kept.
-
-    Raises
-    ------
-    ArgumentError
-        The plant has a pole at z = −1.
     """
     if plant.dt == 0.0:
         return plant
@@ -107,13 +99,7 @@ def in_w_plane(plant: Partition) -> Partition:
 
 
 def out_of_w_plane(K: Realisation, period: float) -> Realisation:
-    """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is.
-
-    Raises
-    ------
-    ArgumentError
-        The controller has a pole at 2/`period`.
-    """
+    """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
     if period == 0.0:
         return K
     A, B, C, D = from_w_plane(K.A, K.B, K.C, K.D, period)
@@ -121,13 +107,7 @@ def out_of_w_plane(K: Realisation, period: float) -> Realisation:
 
 
 def with_direct_path(K: Realisation, D22: FloatArray) -> Realisation:
-    """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The loop around D22 is not well posed.
-    """
+    """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u."""
     shift = np.linalg.inv(np.eye(len(K.D)) + K.D @ D22)
     return Realisation(
         A=K.A - K.B @ D22 @ shift @ K.C,
@@ -138,13 +118,7 @@ def with_direct_path(K: Realisation, D22: FloatArray) -> Realisation:
 
 
 def closed_loop(plant: Partition, K: Realisation) -> Realisation:
-    """Lower linear fractional transformation of a plant and u = K y, states [x, xK].
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The loop is not well posed.
-    """
+    """Lower linear fractional transformation of a plant and u = K y, states [x, xK]."""
     E = np.linalg.inv(np.eye(len(K.D)) - K.D @ plant.D22)
     # u = E (D_K y0 + C_K xK), y0 = C2 x + D21 w;  y = y0 + D22 u
     Ux, Uk, Uw = E @ K.D @ plant.C2, E @ K.C, E @ K.D @ plant.D21
@@ -192,3 +166,158 @@ def closed_loop_system(P: StateSpace, loop: Realisation) -> StateSpace:
         states=[*P.state_labels, *(f"controller_{k}" for k in range(len(loop.A) - P.nstates))],
         inputs=P.input_labels[:nw], outputs=P.output_labels[:nz], remove_useless_states=False,
     )  # fmt: skip
+
+
+Block = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+# Real or complex matrices.
+Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
+
+
+def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> Block:
+    """Return (b1 s + b0)/(a1 s + a0), sampled by Tustin's rule."""
+    two = 2.0 / period
+    lead, last = a1 * two + a0, a0 - a1 * two
+    high, low = b1 * two + b0, b0 - b1 * two
+    pole = -last / lead
+    direct = high / lead
+    return (
+        np.array([[pole]]),
+        np.array([[1.0]]),
+        np.array([[low / lead + direct * pole]]),
+        np.array([[direct]]),
+    )
+
+
+def notch(frequency: float, depth: float, width: float, period: float) -> Block:
+    """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
+    two = frequency / np.tan(0.5 * frequency * period)
+    f2, damping = frequency**2, 2.0 * width * frequency
+    a = np.array([two**2 + damping * two + f2, 2.0 * (f2 - two**2), two**2 - damping * two + f2])
+    b = np.array([two**2 + depth * damping * two + f2, 2.0 * (f2 - two**2), two**2 - depth * damping * two + f2])
+    a, b = a / a[0], b / a[0]
+    return (
+        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
+        np.array([[1.0], [0.0]]),
+        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
+        np.array([[b[0]]]),
+    )
+
+
+def gain(matrix: FloatArray | float) -> Block:
+    """Return a static gain."""
+    D = np.atleast_2d(np.asarray(matrix, dtype=np.float64))
+    return np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0)), D
+
+
+def series(
+    first: tuple[Numbers, Numbers, Numbers, Numbers], *others: tuple[Numbers, Numbers, Numbers, Numbers]
+) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """Return the blocks one after another, `first` first."""
+    A, B, C, D = first
+    for a, b, c, d in others:
+        A = np.block([[A, np.zeros((len(A), len(a)))], [b @ C, a]])
+        B, C, D = np.vstack([B, b @ D]), np.hstack([d @ C, c]), d @ D
+    return A, B, C, D
+
+
+def stacked(*blocks: Block) -> Block:
+    """Return blocks that share their input, outputs below one another."""
+    A = _diagonal([block[0] for block in blocks])
+    return (
+        A,
+        np.vstack([block[1] for block in blocks]),
+        _diagonal([block[2] for block in blocks]),
+        np.vstack([block[3] for block in blocks]),
+    )
+
+
+def side_by_side(*blocks: Block) -> Block:
+    """Return blocks with inputs and outputs of their own."""
+    A, B, C, D = (_diagonal([block[k] for block in blocks]) for k in range(4))
+    return A, B, C, D
+
+
+def _diagonal(parts: list[FloatArray]) -> FloatArray:
+    out = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
+    row = column = 0
+    for part in parts:
+        out[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return out
+
+
+# A block whose h is this small against the largest is no gyroscopic pair.
+_NO_GYRO = 1e-9
+
+
+@value
+class Channels:
+    """Gyroscopic pairs and inertial directions of some gimbals.
+
+    Attributes
+    ----------
+    basis : (n, n)
+        Orthogonal; rows are directions: y = basis @ q. First the pairs, then the inertial directions.
+    momenta : (pairs,)
+        h of each pair, N m s.
+    inertias : (n,)
+        Inertia in each direction, kg m².
+    spins : (rotors,)
+        Spin of the rotors that the gimbals carry, rad/s, without those that stand still.
+    """
+
+    basis: FloatArray
+    momenta: FloatArray
+    inertias: FloatArray
+    spins: FloatArray
+
+    @property
+    def inertial(self) -> int:
+        """Number of directions without gyroscopic action."""
+        return len(self.basis) - 2 * len(self.momenta)
+
+
+def channels(model: LinearModel, rows: list[int]) -> Channels:
+    """Return the pairs and inertial directions of the gimbals in `rows`."""
+    from scipy.linalg import schur
+
+    part = np.ix_(rows, rows)
+    carriers = {model.gimbal_names[k] for k in rows}
+    M, G = model.M[part], model.G[part]
+    block, vectors = schur(0.5 * (G - G.T), output="real")
+    largest = np.abs(G).max(initial=0.0)
+    pairs: list[tuple[float, FloatArray, FloatArray]] = []
+    single: list[FloatArray] = []
+    k = 0
+    while k < len(rows):
+        h = float(block[k, k + 1]) if k + 1 < len(rows) else 0.0
+        if abs(h) > _NO_GYRO * largest and largest > 0.0:
+            pairs.append((abs(h), *_oriented(h, vectors[:, k], vectors[:, k + 1])))
+            k += 2
+        else:
+            single.append(_upright(vectors[:, k]))
+            k += 1
+    pairs.sort(key=lambda pair: -pair[0])
+    basis = np.array([direction for _, first, second in pairs for direction in (first, second)] + single)
+    return Channels(
+        basis=basis,
+        momenta=np.array([h for h, _, _ in pairs]),
+        inertias=np.einsum("ki,ij,kj->k", basis, M, basis),
+        spins=np.array([abs(r.spin) for r in model.platform.rotors if r.carrier in carriers and r.spin != 0.0]),
+    )
+
+
+def _oriented(h: float, first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn a pair within its plane so that it lies along the gimbal axes where it can, with h > 0."""
+    plane = np.array([first, second])
+    # The gimbal axis that lies in the plane best becomes the first direction.
+    along = plane.T @ plane
+    lead = int(np.argmax(np.diag(along)))
+    first_new = along[:, lead] / np.linalg.norm(along[:, lead])
+    rotated = np.array([plane @ first_new])
+    second_new = np.array([-rotated[0, 1], rotated[0, 0]]) @ plane
+    return (first_new, second_new) if h > 0.0 else (first_new, -second_new)
+
+
+def _upright(direction: FloatArray) -> FloatArray:
+    return direction if direction[np.argmax(np.abs(direction))] > 0.0 else -direction

@@ -12,14 +12,14 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import Group, PlantSet, plant_set
 from platform_ctrl.analysis.sampled import held_input, sampled_arrays, sampled_states
-from platform_ctrl.arguments import known_name
-from platform_ctrl.description import OMEGA_NAMES, PickOff, Platform, Torquer
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.job import Job, LoopSpec, Sampling
-from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.job.job import Job, LoopSpec, Sampling
 from platform_ctrl.mechanics import matrices
-from platform_ctrl.state_space import state_space, subsystems_of_all
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
+from platform_ctrl.plant.platform import OMEGA_NAMES, PickOff, Platform, Torquer
 
 # Open-loop motion slower than this share of the Nyquist frequency says nothing about where a loop can act.
 _STILL = 1e-3
@@ -175,13 +175,7 @@ def rows_of(model: LinearModel, gimbals: tuple[str, ...]) -> list[int]:
 
 
 def plants_of(job: Job, spec: LoopSpec) -> PlantSet | None:
-    """Return the plants of a loop of the job; None for a loop that is judged in the coupled system alone.
-
-    Raises
-    ------
-    InputError
-        The loop's gimbals cut through a subsystem.
-    """
+    """Return the plants of a loop of the job; None for a loop that is judged in the coupled system alone."""
     if spec.kind != "caging":
         return None
     try:
@@ -218,13 +212,7 @@ class LinearPlants:
 
 
 def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence[Case]) -> LinearPlants:
-    """Linearise `plants`: one torquer and one pick-off on each of `gimbals`, in that order.
-
-    Raises
-    ------
-    ArgumentError
-        `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
-    """
+    """Linearise `plants`: one torquer and one pick-off on each of `gimbals`, in that order."""
     torquers = [platform.torquer_on(name) for name in gimbals]
     pickoffs = [platform.pickoff_on(name) for name in gimbals]
     torques, angles = [t.name for t in torquers], [s.name for s in pickoffs]
@@ -245,13 +233,7 @@ def linear_plants(platform: Platform, gimbals: tuple[str, ...], plants: Sequence
 
 
 def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) -> PlantSet:
-    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s.
-
-    Raises
-    ------
-    InputError
-        A plant moves too fast for the sample rate.
-    """
+    """Sample linear plants; `Omega` is the largest platform rate about each axis, rad/s."""
     torques, angles = (tuple(one.name for one in part) for part in (linear.torquers, linear.pickoffs))
     A, lags = linear.A, np.array([t.lag for t in linear.torquers])
     _expect_slow(A, linear.cases, sampling.period)
@@ -272,15 +254,7 @@ def sampled_plants(linear: LinearPlants, sampling: Sampling, Omega: FloatArray) 
 
 
 def loop_plants(job: Job, gimbals: tuple[str, ...]) -> PlantSet:
-    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order.
-
-    Raises
-    ------
-    ArgumentError
-        `gimbals` cuts through a subsystem, or one has no torquer or pick-off.
-    InputError
-        A plant moves too fast for the sample rate.
-    """
+    """Return the sampled plants of the loop on `gimbals`: one torquer and one pick-off on each, in the loop's order."""
     return sampled_plants(linear_plants(job.platform, gimbals, cases(job, gimbals)), job.sampling, job.Omega)
 
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, Realisation, with_direct_path
 from platform_ctrl.errors import NotStabilisableError
-from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -146,13 +146,7 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> Fl
 
 
 def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
-    """Bring a controller of the scaled plant back to the units of the plant that was given.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The loop shift that restores D22 is not well posed.
-    """
+    """Bring a controller of the scaled plant back to the units of the plant that was given."""
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
     return with_direct_path(Realisation(A=A, B=B, C=C, D=D), scaled.D22)
@@ -173,11 +167,6 @@ def require_stabilisable(
         Who asks.
     scaled
         The same scaled, where it is at hand.
-
-    Raises
-    ------
-    NotStabilisableError
-        (A, B2) is not stabilisable or (A, C2) not detectable; the message names the mode.
     """
     sigma, word, pole = weakest_mode(scaled or autoscaled_with_gain(plant))
     if word and sigma < 1e-10:

@@ -57,13 +57,7 @@ class SideProcess:
         self._answer(START_LIMIT)
 
     def ask(self, question: object, time_limit: float) -> Any:
-        """Return the answer.
-
-        Raises
-        ------
-        Late, Ended
-            No answer in time, or no process to give one; it is gone then.
-        """
+        """Return the answer."""
         self._send(question)
         return self._answer(time_limit)
 

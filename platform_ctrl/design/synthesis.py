@@ -20,10 +20,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.certificates import Certificate, h2_certificate, norm_certificate
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm_arrays
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.arguments import one_of, positive
-from platform_ctrl.certificates import Certificate, h2_certificate, norm_certificate
+from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import input_value, value
 from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
     Partition,
@@ -37,8 +39,6 @@ from platform_ctrl.design.partition import (
 )
 from platform_ctrl.design.scaling import autoscaled_with_gain, require_stabilisable
 from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotCertifiedError, UnscalableError
-from platform_ctrl.frozen import input_value, value
-from platform_ctrl.signatures import short
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -68,10 +68,6 @@ class Claim:
         What the recomputed norm must not exceed, in the units of z per w; ``inf`` where it is only reported.
     inputs, outputs
         Indices of the w and z that the norm is taken between; None for all.
-
-    References
-    ----------
-    Own definition.
     """
 
     name: str
@@ -118,10 +114,6 @@ class Synthesis:
         Other norms of the closed loop that the route promised, recomputed, by name, in units of z per w.
     reason
         Why the route was taken; empty where it was asked for.
-
-    References
-    ----------
-    As `hinf`.
     """
 
     plant: StateSpace
@@ -265,11 +257,11 @@ def hinf(
     def by(route: HinfMethod, reason: str = "") -> Synthesis:
         try:
             if route == "lmi":
-                from platform_ctrl.design.hinf_lmi import hinf_lmi
+                from platform_ctrl.design.lmi.quadratic import hinf_lmi
 
                 made, least, residual = hinf_lmi(flat, backoff, time_limit, P)
             else:
-                from platform_ctrl.design.hinf_riccati import hinf_riccati
+                from platform_ctrl.design.riccati.hinf import hinf_riccati
 
                 made, least, residual = hinf_riccati(scaled, backoff, P, regularise)
             made = out_of_w_plane(made, plant.dt)
@@ -295,25 +287,13 @@ def hinf(
 
 
 def require_time_limit(where: str, given: float) -> None:
-    """Judge a time limit in seconds, which may be infinite.
-
-    Raises
-    ------
-    ArgumentError
-        Not a number > 0.
-    """
+    """Judge a time limit in seconds, which may be infinite."""
     if isinstance(given, bool) or not (isinstance(given, int | float | np.number) and given > 0):
         raise ArgumentError(f"{where}: time_limit = {short(given)}; expected a positive number of seconds")
 
 
 def require_regularisation(where: str, method: str, size: float | None) -> None:
-    """Judge the size of a regularisation.
-
-    Raises
-    ------
-    ArgumentError
-        Not a number from 0 to 1, or a route that needs none.
-    """
+    """Judge the size of a regularisation."""
     if size is None:
         return
     if isinstance(size, bool) or not (isinstance(size, int | float | np.floating) and 0.0 < size < 1.0):
@@ -357,11 +337,6 @@ def certify(
         What the norm may exceed ``(1 + backoff) least`` by, relative to `least`.
     claims
         What else was promised.
-
-    Raises
-    ------
-    NotCertifiedError
-        The loop is not well posed, not stable, or a norm exceeds what was promised.
     """
     try:
         loop = closed_loop(plant, controller)

@@ -12,9 +12,9 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_figures import OF_CONTROLLER, LoopFigures
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.blocks import Block
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.requirements import LoopRequirement
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.partition import Block
+from platform_ctrl.job.requirements import LoopRequirement
 
 BoolArray = NDArray[np.bool_]
 Builder = Callable[[dict[str, float]], Block]

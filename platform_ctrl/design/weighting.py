@@ -24,9 +24,8 @@ import numpy as np
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import to_w_plane
-from platform_ctrl.design.blocks import Block
-from platform_ctrl.design.channels import Channels
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import Block, Channels
 
 
 @value

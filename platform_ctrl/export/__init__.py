@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.export.code.writing import Written, write_c
+from platform_ctrl.export.c99.writing import Written, write_c
 from platform_ctrl.export.fmu.writing import write_fmu
 from platform_ctrl.export.job_systems import ResponseTable, controller_systems, job_responses, model_systems
 from platform_ctrl.export.json_systems import read_systems, write_controllers, write_systems

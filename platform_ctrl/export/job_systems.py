@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis import continuous_poles, gang, joined, poles
-from platform_ctrl.check.coupled import coupled_plant
-from platform_ctrl.check.given import outcomes_from
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
 from platform_ctrl.export.linear_system import LinearSystem, linear_system, signal_units
 from platform_ctrl.export.responses import response_data
-from platform_ctrl.frozen import FloatArray, input_value
-from platform_ctrl.job import Faults, Job, Spread
-from platform_ctrl.linearisation import linearise
+from platform_ctrl.job.job import Faults, Job, Spread
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.report.loop_responses import following_grid
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.state_space import state_space
+from platform_ctrl.verification.coupled import coupled_plant
+from platform_ctrl.verification.given import outcomes_from
 
 if TYPE_CHECKING:
     import control
@@ -42,10 +42,6 @@ class ResponseTable:
         With named signals.
     notes
         What it is, with its units.
-
-    References
-    ----------
-    See docs/export.md.
     """
 
     name: str
@@ -62,7 +58,7 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
     job
         Whose controllers they are.
     controllers
-        u = K y, as ``read_controllers`` of `platform_ctrl.check` gives them.
+        u = K y, as ``read_controllers`` of `platform_ctrl.verification` gives them.
 
     Returns
     -------
@@ -73,10 +69,6 @@ def controller_systems(job: Job, controllers: Sequence[control.StateSpace]) -> t
     ------
     ArgumentError
         One is no state space.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     note = "controller u = K y without hidden sign; u acts the delay after the sample and is held"
     return tuple(linear_system(K, platform=job.platform, delay=job.sampling.delay, note=note) for K in controllers)
@@ -103,10 +95,6 @@ def model_systems(job: Job) -> tuple[LinearSystem, ...]:
         The mass matrix is singular at rest (gimbal lock).
     InputError
         A loop's gimbals cut through a subsystem.
-
-    References
-    ----------
-    See docs/theory.md.
     """
     model = linearise(job.platform)
     about = f"{job.platform.name}, linear about rest"
@@ -130,7 +118,7 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
     job
         Whose loops they are.
     controllers
-        As ``read_controllers`` of `platform_ctrl.check` gives them, one for each loop.
+        As ``read_controllers`` of `platform_ctrl.verification` gives them, one for each loop.
 
     Returns
     -------
@@ -145,10 +133,6 @@ def job_responses(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[
         The controllers do not belong to the job's loops.
     MechanicsError
         The mass matrix is singular at rest (gimbal lock).
-
-    References
-    ----------
-    See docs/export.md.
     """
     units = signal_units(job.platform)
     frequency = _frequency(job)

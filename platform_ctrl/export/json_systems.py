@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.check.records import SCHEMA, laid_out, plain
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError
 from platform_ctrl.export.linear_system import MOST_SYSTEMS, LinearSystem, expect_systems, linear_system, system_of
-from platform_ctrl.reading.json_file import read_json
-from platform_ctrl.reading.mistakes import given
-from platform_ctrl.reading.source import path_of
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.writing import write_whole
+from platform_ctrl.plant.json_file import read_json
+from platform_ctrl.plant.mistakes import given
+from platform_ctrl.plant.source import path_of
+from platform_ctrl.verification.records import SCHEMA, laid_out, plain
 
 if TYPE_CHECKING:
     import control
@@ -44,10 +44,6 @@ def write_systems(systems: Sequence[LinearSystem], path: str | os.PathLike[str])
         There are none, or more than 1000.
     InputError
         The file cannot be written there.
-
-    References
-    ----------
-    See docs/export.md.
     """
     expect_systems(systems, "write_systems")
     return write_whole(path, laid_out(plain({"schema": SCHEMA, "systems": [_entry(one) for one in systems]})) + "\n")
@@ -69,7 +65,7 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
     Returns
     -------
     Path
-        Of the file: ``read_controllers`` of `platform_ctrl.check` reads it.
+        Of the file: ``read_controllers`` of `platform_ctrl.verification` reads it.
 
     Raises
     ------
@@ -77,10 +73,6 @@ def write_controllers(controllers: Sequence[control.StateSpace], path: str | os.
         There are none, one is no state space, or `delay` is negative.
     InputError
         The file cannot be written there.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     systems = [linear_system(K, delay=delay) for K in controllers]
     expect_systems(systems, "write_controllers")
@@ -106,10 +98,6 @@ def read_systems(path: str | os.PathLike[str]) -> tuple[LinearSystem, ...]:
     ------
     InputError
         One line: the file, the system and the key, what was given, what is expected.
-
-    References
-    ----------
-    See docs/export.md.
     """
     label, data = read_json(path_of(path, "the path of a JSON file"), _EXPECTED)
     if not isinstance(data, Mapping):

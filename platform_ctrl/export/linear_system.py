@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
-from platform_ctrl.arguments import positive
-from platform_ctrl.description import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.reading.json_file import finite
-from platform_ctrl.reading.mistakes import given, one_line
-from platform_ctrl.signatures import check_arguments, short
+from platform_ctrl.plant.json_file import finite
+from platform_ctrl.plant.mistakes import given, one_line
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform, gimbal_rate
 
 if TYPE_CHECKING:
     import control
@@ -46,10 +46,6 @@ class LinearSystem:
         Units of the signals, "" where none is known.
     note
         What it is, in a line.
-
-    References
-    ----------
-    See docs/export.md.
     """
 
     name: str
@@ -106,10 +102,6 @@ def linear_system(
     ------
     ArgumentError
         It is no state space, is not finite, or has more than 1000 states or signals.
-
-    References
-    ----------
-    See docs/export.md.
     """
     where = "linear_system"
     A, B, C, D, dt = state_arrays(system, where)
@@ -149,13 +141,7 @@ def signal_units(platform: Platform) -> dict[str, str]:
 
 
 def expect_systems(systems: Sequence[LinearSystem], where: str) -> None:
-    """Judge what has to be a list of systems.
-
-    Raises
-    ------
-    ArgumentError
-        It is something else, empty or too long.
-    """
+    """Judge what has to be a list of systems."""
     if isinstance(systems, LinearSystem) or not all(isinstance(one, LinearSystem) for one in systems):
         raise ArgumentError(f"{where}: expected a list of LinearSystem, for example from linear_system")
     if not 0 < len(systems) <= MOST_SYSTEMS:
@@ -171,11 +157,6 @@ def system_of(where: str, data: Mapping[str, Any]) -> LinearSystem:
         The file and the entry, for messages.
     data
         ``A`` to ``D`` as arrays or lists of rows, ``dt``; ``delay``, names, units and ``note`` may be missing.
-
-    Raises
-    ------
-    InputError
-        The matrices do not fit each other, something is not finite, or names are not as many as signals.
     """
     D = _rows(where, "D", data)
     A = _rows(where, "A", data)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis import frequency_response
-from platform_ctrl.arguments import one_of
+from platform_ctrl.common.arguments import one_of
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.signatures import check_arguments, short
-from platform_ctrl.writing import write_whole
 
 if TYPE_CHECKING:
     import control
@@ -48,10 +48,6 @@ def response_data(system: control.StateSpace, frequency: ArrayLike) -> control.F
     ------
     ArgumentError
         It is no state space, or the frequencies are not finite numbers >= 0.
-
-    References
-    ----------
-    As `frequency_response`.
     """
     response = frequency_response(system, frequency)
     control = import_module("control")
@@ -92,10 +88,6 @@ def write_responses(
         cannot hold.
     InputError
         The file cannot be written there.
-
-    References
-    ----------
-    See docs/measured.md.
     """
     where = "write_responses"
     one_of(f"{where}: form", form, ("complex", "polar"))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.description import Platform
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.plant.platform import Platform
 
 # Rounding of a sum over the tree, against the sum of what it adds up.
 _ROUNDING = 256 * np.finfo(float).eps

@@ -9,12 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
-from platform_ctrl.description import OMEGA_NAMES, Platform
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
-from platform_ctrl.mechanics.matrices import mass_matrix, world_inertias
-from platform_ctrl.mechanics.regularity import solved_inertia
+from platform_ctrl.mechanics.matrices import mass_matrix, solved_inertia, world_inertias
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
 
 def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> FloatArray:

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Platform
-from platform_ctrl.force_elements import Cage, Friction
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
+from platform_ctrl.plant.force_elements import Cage, Friction
+from platform_ctrl.plant.platform import Platform
 
 
 @value

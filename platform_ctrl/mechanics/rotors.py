@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Gimbal, Platform, RotorControl
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.matrices import directions
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.plant.platform import Gimbal, Platform, RotorControl
 
 
 @value
@@ -170,10 +170,6 @@ def with_rotors_as_gimbals(platform: Platform) -> Platform:
     ------
     ArgumentError
         A gimbal or an angle bears such a name already.
-
-    References
-    ----------
-    See docs/theory.md.
     """
     added = []
     for rotor in platform.rotors:

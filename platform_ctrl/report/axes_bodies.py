@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.description import Gimbal, Platform, Rotor
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 
 HALF_THICKNESS = 0.16  # of a disc
 _PIN = 0.8  # between a frame and its bearings: room for the turn arrow on one side, torquer and pick-off on the other

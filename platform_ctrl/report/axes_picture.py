@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.description import Platform
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.greek import greek
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.axes_bodies import camera, signs, spin_direction
 from platform_ctrl.report.axes_view import axes_view, triad
 from platform_ctrl.report.quantities import count, listed
-from platform_ctrl.report.structure_scheme import direction_text, structure_scheme
-from platform_ctrl.report.svg_pieces import SIGNS, arrow_head, line, number, plain_text, sign, words
+from platform_ctrl.report.svg import (
+    SIGNS,
+    arrow_head,
+    direction_text,
+    line,
+    number,
+    plain_text,
+    sign,
+    structure_scheme,
+    words,
+)
 
 WIDTH = 1000.0
 _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.description import Gimbal, Platform
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.greek import greek
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.plant.platform import Gimbal, Platform
 from platform_ctrl.report.axes_bodies import Shape, bodies, disc_axis, levels
-from platform_ctrl.report.svg_pieces import (
+from platform_ctrl.report.svg import (
     arrow_head,
     attribute,
     circle,

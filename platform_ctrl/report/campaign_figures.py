@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.campaign.distribution import Distribution
+from platform_ctrl.campaign.probability import Distribution
 from platform_ctrl.campaign.statistics import CampaignStatistics, RequirementStatistics
 from platform_ctrl.campaign.table import FIGURES
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.limit_lines import DASHED
 from platform_ctrl.report.quantities import handy_unit, plain
 from platform_ctrl.report.style import (

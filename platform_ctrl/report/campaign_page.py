@@ -6,13 +6,12 @@ import os
 from pathlib import Path
 
 from platform_ctrl.campaign.summary import Summary
+from platform_ctrl.common.files import write_whole
 from platform_ctrl.report import campaign_tables as tables
 from platform_ctrl.report.campaign_content import AGAIN, campaign_sections, digests, drawn_part
 from platform_ctrl.report.content import Document, Facts, Listing, Paragraph, Part, Section
-from platform_ctrl.report.content_tables import record_part
+from platform_ctrl.report.content_tables import html, record_part
 from platform_ctrl.report.record import versions
-from platform_ctrl.report.rendering import html
-from platform_ctrl.writing import write_whole
 
 
 def write_campaign_page(
@@ -30,11 +29,6 @@ def write_campaign_page(
         The command line that made it.
     again
         The command line that flies one run again, without the run's number at its end.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
     """
     return write_whole(path, campaign_page(summary, command=command, again=again))
 

@@ -6,19 +6,17 @@ import math
 from collections.abc import Sequence
 
 from platform_ctrl.campaign.contrasts import Contrast
-from platform_ctrl.campaign.influence import Influence
 from platform_ctrl.campaign.plan import Plan
 from platform_ctrl.campaign.probability import Probability
 from platform_ctrl.campaign.rare_result import RareResult
-from platform_ctrl.campaign.sensitivity import Sensitivity
-from platform_ctrl.campaign.statistics import RequirementStatistics
+from platform_ctrl.campaign.sensitivity import Influence, Sensitivity
+from platform_ctrl.campaign.statistics import RequirementStatistics, RunFigure
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import DIVERGED, FIGURES, MANOEUVRE, PASSED
-from platform_ctrl.campaign.worst import RunFigure
-from platform_ctrl.frozen import value
+from platform_ctrl.common.text import Rounding, rounded
+from platform_ctrl.common.values import value
+from platform_ctrl.job.variation import Vary
 from platform_ctrl.report.quantities import DASH, MINUS, added_words, count, plain, quantity, times
-from platform_ctrl.rounding import Rounding, rounded
-from platform_ctrl.variation import Vary
 
 ALL_MANOEUVRES = "all manoeuvres, figures relative to their limits"
 # Inputs that a table names for a figure.

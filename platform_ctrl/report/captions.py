@@ -8,17 +8,17 @@ import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
-from platform_ctrl.check.simulated import Run
-from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.description import Platform
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.job import LoopLimits
+from platform_ctrl.job.job import LoopLimits
+from platform_ctrl.job.requirements import FAULTS, SPREAD
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
-from platform_ctrl.report.price import price
 from platform_ctrl.report.quantities import count, disk_words, listed, plain, quantity
-from platform_ctrl.requirements import FAULTS, SPREAD
+from platform_ctrl.report.verdict_words import price
+from platform_ctrl.verification.simulated import Run
+from platform_ctrl.verification.verdict import JobResult
 
 
 def nutation(result: JobResult) -> str:

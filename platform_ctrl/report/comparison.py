@@ -8,11 +8,10 @@ import numpy as np
 
 from platform_ctrl.analysis.loop_measures import LoopMeasures
 from platform_ctrl.analysis.plant_set import Group, PlantSet
-from platform_ctrl.check.proofs import Proofs
-from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.common.values import value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
-from platform_ctrl.frozen import value
+from platform_ctrl.job.requirements import FAULTS, SPREAD, CheckResult, requirement
 from platform_ctrl.report.quantities import (
     BOUND,
     DASH,
@@ -26,7 +25,7 @@ from platform_ctrl.report.quantities import (
     plain,
     quantity,
 )
-from platform_ctrl.requirements import FAULTS, SPREAD, CheckResult, requirement
+from platform_ctrl.verification.verdict import JobResult, Proofs
 
 GOAL = "goal: "
 _GROUPS: dict[Group, tuple[str, str]] = {

@@ -9,9 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.design.complex_shaping import ComplexLoop, TwoSidedNyquist
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.text import at_least
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
@@ -27,8 +29,6 @@ from platform_ctrl.report.style import (
     panels,
     standalone,
 )
-from platform_ctrl.rounding import at_least
-from platform_ctrl.signatures import short
 
 # Half width of the close view about −1, and of the wide one.
 _CLOSE, _WIDE = 1.8, 6.0
@@ -56,10 +56,6 @@ def two_sided_nyquist(curve: TwoSidedNyquist | ComplexLoop) -> Figure:
     ------
     ArgumentError
         It is something else.
-
-    References
-    ----------
-    See docs/complex-coordinates.md.
     """
     curve = curve.nyquist if isinstance(curve, ComplexLoop) else curve
     if not isinstance(curve, TwoSidedNyquist):

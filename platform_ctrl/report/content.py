@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from platform_ctrl.frozen import value
+from platform_ctrl.common.values import value
 
 
 @value

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from platform_ctrl.check.verdict import JobResult
 from platform_ctrl.design.jobs import LoopOutcome
-from platform_ctrl.job import Job
+from platform_ctrl.job.job import Job
 from platform_ctrl.report import comparison, tables
-from platform_ctrl.report.content import Cell, Column, Group, Listing, Mark, Paragraph, Part, Row, Strip, Table, table
+from platform_ctrl.report.content import (
+    Cell,
+    Column,
+    Document,
+    Group,
+    Listing,
+    Mark,
+    Paragraph,
+    Part,
+    Row,
+    Strip,
+    Table,
+    table,
+)
 from platform_ctrl.report.record import job_data, toml
 from platform_ctrl.report.tables import RequirementRow
+from platform_ctrl.verification.verdict import JobResult
 
 _BAR = 64.0
 
@@ -127,3 +140,17 @@ def record_part(job: Job) -> Part:
         title="Job and plant as read",
         blocks=(Paragraph(text=words), Listing(text=toml(job_data(job)), file="job.toml")),
     )
+
+
+def html(document: Document) -> str:
+    """Return a document as a page that needs nothing else."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+    environment = Environment(
+        loader=PackageLoader("platform_ctrl.report"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html").render(document=document)

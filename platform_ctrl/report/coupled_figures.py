@@ -12,11 +12,12 @@ from platform_ctrl.analysis.feedback import gang
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import sampled
-from platform_ctrl.arguments import positive
-from platform_ctrl.check.coupled import CoupledCheck, measuring
-from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import at_least
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.state_space import state_space as linear_state_space
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
 from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.pole_figures import upper
@@ -34,9 +35,8 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.rounding import at_least
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.state_space import state_space as linear_state_space
+from platform_ctrl.verification.coupled import CoupledCheck, measuring
+from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
     import control
@@ -60,10 +60,6 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    As `damping`.
     """
     check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
@@ -268,10 +264,6 @@ def platform_disturbance_figure(result: JobResult) -> Figure:
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/job-file.md.
     """
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)

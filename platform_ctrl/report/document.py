@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.design.jobs import LoopOutcome
+from matplotlib.figure import Figure
+
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.design.jobs import LoopOutcome, survived_name
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report import captions, comparison, tables
 from platform_ctrl.report import content_tables as made
 from platform_ctrl.report.content import (
@@ -22,19 +27,57 @@ from platform_ctrl.report.content import (
     Verdict,
     sentence,
 )
-from platform_ctrl.report.quantities import count
+from platform_ctrl.report.content_tables import html
+from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.plots.nichols import nichols
+from platform_ctrl.report.quantities import count, plain
 from platform_ctrl.report.record import versions
-from platform_ctrl.report.rendering import html
-from platform_ctrl.report.survival import survival
 from platform_ctrl.report.verdict_words import opening
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.writing import write_whole
+from platform_ctrl.verification.simulated import Run
+from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from platform_ctrl.campaign.summary import Summary
     from platform_ctrl.report.loop_responses import LoopResponses
+
+
+def survival(run: Run, loops: Sequence[LoopOutcome]) -> str:
+    """Return a sentence: up to which Omega about the run's axis the closed loops keep off their limits; or nothing."""
+    axis = run.manoeuvre.axis
+    held, spread = (_least(loops, survived_name(axis, spread=over)) for over in (False, True))
+    if run.manoeuvre.mode != "caged" or held is None:
+        return ""
+    varied = "" if spread is None else f", {plain(spread, 3, 'down')} over the parameter spread"
+    return (
+        f"Up to {plain(held, 3, 'down')} rad/s about this axis{varied}, torques and angles of the linear loops are "
+        f"proved to keep within their limits, noise apart; this run goes to {plain(run.manoeuvre.rate, 3)}."
+    )
+
+
+def _least(loops: Sequence[LoopOutcome], name: str) -> float | None:
+    found = [outcome.closed.claims[name] for outcome in loops if name in outcome.closed.claims]
+    return min(found, default=None)
+
+
+# No loop has a larger disk margin.
+_MOST = 2.0
+
+
+def nichols_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...]) -> Figure:
+    """Nichols plot of the closed design: the loop that each torquer closes while all the others stay closed."""
+    import control
+
+    closed = next(one for one in responses.designs if one.design.name == responses.closed)
+    loops = {
+        name: control.FrequencyResponseData(channel[None, None, :], responses.frequency)
+        for name, channel in zip(torques, closed.channels, strict=True)
+    }
+    asked = spec.limits.disk_margin
+    figure = nichols(loops, disk_margins=() if asked is None or asked >= _MOST else (asked,)).figure
+    assert isinstance(figure, Figure)
+    return figure
 
 
 @check_arguments
@@ -51,8 +94,8 @@ def write_page(
     Parameters
     ----------
     result
-        From `platform_ctrl.check.checked`; or from `prepared`, where page and PDF are both written: the figures are
-        drawn once then, and the other options count there.
+        From `platform_ctrl.verification.checked`; or from `prepared`, where page and PDF are both written: the figures
+        are drawn once then, and the other options count there.
     path
         The file; one that exists is replaced.
     command
@@ -71,10 +114,6 @@ def write_page(
     ------
     InputError
         The file cannot be written.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     return write_whole(path, page(result, command=command, campaign=campaign, again=again))
 
@@ -103,10 +142,6 @@ def page(
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     return html(prepared(result, command=command, campaign=campaign, again=again))
 
@@ -135,10 +170,6 @@ def prepared(
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     from platform_ctrl.report import style
 
@@ -284,7 +315,7 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
 
 
 def _nichols_plate(responses: LoopResponses, outcome: LoopOutcome, torques: tuple[str, ...]) -> list[Plate]:
-    from platform_ctrl.report.loop_nichols import nichols_figure
+    pass
 
     if captions.unstable(outcome.closed):
         return []

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from platform_ctrl.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.common.text import rounded
 from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.quantities import count, handy_unit, listed, times, told_apart, unfavourable
-from platform_ctrl.requirements import CheckResult
-from platform_ctrl.rounding import rounded
+from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
 
 # Digits until two numbers are told apart.
 _DIGITS = (4, 6, 9)

@@ -8,11 +8,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from platform_ctrl.baselines import Change, Comparison
-from platform_ctrl.check import JobResult
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.failure_text import change_text, margin_text, requirement_text
-from platform_ctrl.requirements import CheckResult
-from platform_ctrl.writing import write_whole
+from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.baselines import Change, Comparison
 
 # What XML 1.0 cannot hold, however it is written.
 _ILLEGAL = {code: None for code in range(0x20) if code not in (0x09, 0x0A, 0x0D)}
@@ -38,11 +38,6 @@ def write_junit(
         new one is skipped.
     baseline
         What the baseline is called in it.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written there.
     """
     written = BytesIO()
     _suites(result, comparison, baseline).write(written, pretty=True)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import LoopSpec
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.style import BEYOND, LIMIT, MUTED
 
 DASHED, DOTTED, DASH_DOTTED = (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 1.6, 1.2, 1.6))

@@ -9,15 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.job import LoopSpec
-from platform_ctrl.report.limit_lines import (
-    band_ceilings,
-    ceilings,
-    goal_frequency,
-    late_ceilings,
-)
+from platform_ctrl.job.job import LoopSpec
+from platform_ctrl.report.limit_lines import band_ceilings, ceilings, goal_frequency, late_ceilings
 from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
@@ -34,7 +30,6 @@ from platform_ctrl.report.style import (
     line_style,
     panels,
 )
-from platform_ctrl.signatures import check_arguments, short
 
 # With more designs than this only the closed one shows all its singular values.
 _ALL_LINES = 2
@@ -189,10 +184,6 @@ def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    See docs/job-file.md.
     """
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
     shares = [one.torque_share for one in responses.designs]
@@ -253,13 +244,7 @@ def _open_and_closed(
 
 
 def require_each_channel(responses: LoopResponses, torques: tuple[str, ...]) -> None:
-    """Judge the names of the loop's torques.
-
-    Raises
-    ------
-    ArgumentError
-        They are fewer or more than the loop has channels.
-    """
+    """Judge the names of the loop's torques."""
     for one in responses.designs:
         if len(one.channels) != len(torques):
             raise ArgumentError(

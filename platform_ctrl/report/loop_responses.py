@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,14 +12,78 @@ from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.description import OMEGA_NAMES
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import rows_of
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import LinearModel
-from platform_ctrl.report.branches import followed, near_breakaways
-from platform_ctrl.state_space import state_space
+from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import OMEGA_NAMES
+
+Poles = Callable[[FloatArray], ComplexArray]
+
+# Halvings of a step, and values altogether, at most: a pole that leaps cannot be followed however short the steps.
+_HALVINGS, _MOST = 14, 3000
+
+
+def followed(z: ComplexArray) -> ComplexArray:
+    """Sort the columns of each row so that every column moves as little as possible from row to row."""
+    from scipy.optimize import linear_sum_assignment
+
+    out = z.copy()
+    for k in range(1, len(z)):
+        distance = np.abs(out[k - 1][:, None] - z[k][None, :])
+        nearest = distance.argmin(axis=1)
+        # Mostly each has its own nearest: nothing is to be weighed then.
+        own = len(set(nearest.tolist())) == len(nearest)
+        out[k] = z[k][nearest if own else linear_sum_assignment(distance)[1]]
+    return out
+
+
+def near_breakaways(values: FloatArray, poles: Poles) -> FloatArray:
+    """Return more values around those where poles leave the real axis: there they move fastest."""
+
+    def real(z: ComplexArray) -> FloatArray:
+        return np.asarray((z.imag == 0.0).sum(axis=-1), dtype=np.float64)
+
+    counts = real(poles(values))
+    at = np.flatnonzero(np.diff(counts))
+    low, high, left = values[at].copy(), values[at + 1].copy(), counts[at]
+    for _ in range(24 if at.size else 0):
+        middle = 0.5 * (low + high)
+        before = real(poles(middle)) == left
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    steps = (values[1] - values[0]) * (np.arange(-8, 9) / 8.0) ** 2 * np.sign(np.arange(-8, 9))
+    more = (high[:, None] + steps).ravel()
+    return np.asarray(more[(more >= values[0]) & (more <= values[-1])])
+
+
+def traced(values: FloatArray, poles: Poles, shown: Callable[[ComplexArray], ComplexArray], step: float) -> FloatArray:
+    """Return `values` with more between them, until no pole moves further than `step` from one to the next.
+
+    Parameters
+    ----------
+    values : (N,)
+        Increasing.
+    poles
+        Poles (k, n) at k values.
+    shown
+        Where a pole is drawn: steps count there; poles that are not finite there do not.
+    step
+        Longest move.
+    """
+    values = np.union1d(values, near_breakaways(values, poles))
+    z = poles(values)
+    for _ in range(_HALVINGS):
+        with np.errstate(invalid="ignore"):
+            moved = np.abs(np.diff(shown(followed(z)), axis=0))
+        long = np.flatnonzero(np.nan_to_num(moved, nan=0.0, posinf=0.0).max(axis=1, initial=0.0) > step)
+        if not long.size or len(values) + long.size > _MOST:
+            break
+        between = 0.5 * (values[long] + values[long + 1])
+        values, z = np.insert(values, long + 1, between), np.insert(z, long + 1, poles(between), axis=0)
+    return values
+
 
 # Offsets from a resonance in units of its half-width: its shape is drawn whatever its sharpness.
 _OFFSETS = np.array([0.0, 0.35, 0.7, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0])
@@ -253,13 +317,7 @@ def _angle_per_rate(model: LinearModel, gimbals: tuple[str, ...], frequency: Flo
 
 
 def root_locus(design: LoopDesign, highest: float = 2.0, points: int = 161) -> RootLocus:
-    """Return the poles of the nominal closed loop for controller gains 0 to `highest` times the designed ones.
-
-    Raises
-    ------
-    ValueError
-        The design has no plants of its own.
-    """
+    """Return the poles of the nominal closed loop for controller gains 0 to `highest` times the designed ones."""
     if design.plants is None:
         raise ValueError(f"{design.loop}, {design.name}: no plants of its own, expected a design with plants")
     plants, K = design.plants, state_arrays(design.controller, design.name)

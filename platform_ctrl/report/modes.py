@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.description import Platform
-from platform_ctrl.design.channels import channels
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import changed, rows_of
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import LinearModel, linearise
-from platform_ctrl.state_space import state_space
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:
-    from platform_ctrl.check.verdict import JobResult
+    from platform_ctrl.verification.verdict import JobResult
 
 Kind = Literal["nutation", "precession", "rigid body", "pendulum", "oscillation", "divergence", "decay"]
 

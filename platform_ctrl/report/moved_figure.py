@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
 from platform_ctrl.analysis.feedback import closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.baselines import Change, Comparison, LoopMatrices
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.failure_text import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.quantities import HZ
@@ -34,8 +34,8 @@ from platform_ctrl.report.style import (
     settings,
     standalone,
 )
-from platform_ctrl.report.svg_pieces import text_width
-from platform_ctrl.writing import write_whole
+from platform_ctrl.report.svg import text_width
+from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
 
 _DPI = 150
 # No more bars than a page holds, and none longer than this many tolerances.
@@ -87,13 +87,7 @@ def moved_figure(comparison: Comparison, title: str) -> Figure:
 
 
 def write_moved_figure(comparison: Comparison, title: str, path: str | os.PathLike[str]) -> Path:
-    """Write `moved_figure` as a PNG, whole or not at all, and return its path; folders are made.
-
-    Raises
-    ------
-    InputError
-        It cannot be written there.
-    """
+    """Write `moved_figure` as a PNG, whole or not at all, and return its path; folders are made."""
     target, drawn = Path(path), BytesIO()
     figure = moved_figure(comparison, title)
     with settings():

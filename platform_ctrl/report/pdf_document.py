@@ -14,12 +14,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.check.verdict import JobResult
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError, TypesettingError
 from platform_ctrl.report.content import Document, Listing, Plate
 from platform_ctrl.report.document import prepared
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.writing import write_whole
+from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
     from platform_ctrl.campaign.summary import Summary
@@ -47,7 +47,7 @@ def write_pdf(
     Parameters
     ----------
     result
-        From `platform_ctrl.check.checked`, or from `platform_ctrl.report.prepared`.
+        From `platform_ctrl.verification.checked`, or from `platform_ctrl.report.prepared`.
     path
         The file; one that exists is replaced.
     command
@@ -68,10 +68,6 @@ def write_pdf(
         The file cannot be written, or typst is not installed.
     TypesettingError
         Typst could not set the document.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     return write_whole(path, pdf(result, command=command, campaign=campaign, again=again))
 
@@ -102,23 +98,13 @@ def pdf(
         Typst is not installed.
     TypesettingError
         Typst could not set the document.
-
-    References
-    ----------
-    See docs/result-file.md.
     """
     typst = typesetter()
     return typeset(typst, prepared(result, command=command, campaign=campaign, again=again))
 
 
 def typesetter() -> ModuleType:
-    """Return the module typst.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """Return the module typst."""
     try:
         import typst
     except ImportError:
@@ -127,13 +113,7 @@ def typesetter() -> ModuleType:
 
 
 def typeset(typst: ModuleType, content: Document) -> bytes:
-    """Return a document as PDF.
-
-    Raises
-    ------
-    TypesettingError
-        Typst refused it.
-    """
+    """Return a document as PDF."""
     import matplotlib as mpl
 
     templates = resources.files("platform_ctrl.report") / "templates"

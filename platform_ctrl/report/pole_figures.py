@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import positive
-from platform_ctrl.job import LoopSpec
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.limit_lines import damping_lines, fastest_pole_line
 from platform_ctrl.report.loop_figures import design_names
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
@@ -25,7 +26,6 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
 )
-from platform_ctrl.signatures import check_arguments
 
 _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
@@ -54,10 +54,6 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    As `damping`.
     """
     names = design_names(responses)
     figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))

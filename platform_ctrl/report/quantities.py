@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from decimal import Decimal
 from typing import TYPE_CHECKING
 
-from platform_ctrl.rounding import Rounding, at_least, at_most, rounded
+from platform_ctrl.common.text import Rounding, at_least, at_most, rounded
 
 if TYPE_CHECKING:
-    from platform_ctrl.description import Platform, RateSensor, Torquer
-    from platform_ctrl.requirements import CheckResult
+    from platform_ctrl.job.requirements import CheckResult
+    from platform_ctrl.plant.platform import Platform, RateSensor, Torquer
 
 # What is handy for small torques and angles: a thousandth of the unit.
 _SMALL = {"N m": "mN m", "rad": "mrad"}
@@ -191,7 +191,7 @@ def listed(words: list[str] | tuple[str, ...]) -> str:
 
 def added_words(platform: Platform) -> str:
     """Return which torquers and pick-offs the device itself does not have, to go with a verdict; or nothing."""
-    from platform_ctrl.description import PickOff, Torquer
+    from platform_ctrl.plant.platform import PickOff, Torquer
 
     named = []
     for word, kind in (("torquer", Torquer), ("pick-off", PickOff)):

@@ -11,19 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.check import records
-from platform_ctrl.description import (
-    OMEGA_NAMES,
-    ROOT_TORQUE_NAMES,
-    PickOff,
-    Platform,
-    RateSensor,
-    Rotor,
-    Torquer,
-)
-from platform_ctrl.force_elements import Cage, Erection, Friction, Spring, Unbalance
-from platform_ctrl.job import Campaign, Job, Manoeuvre
-from platform_ctrl.scenario import FAULT_KEYS, Fault, Vibration
+from platform_ctrl.job.job import Campaign, Job, Manoeuvre
+from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Vibration
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, PickOff, Platform, RateSensor, Rotor, Torquer
+from platform_ctrl.verification import records
 
 Part = Torquer | PickOff | RateSensor | Spring | Friction | Cage | Unbalance | Erection | Vibration
 

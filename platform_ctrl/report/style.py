@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.report.quantities import power_of_ten
-from platform_ctrl.report.svg_pieces import text_width
+from platform_ctrl.report.svg import text_width
 
 P = ParamSpec("P")
 Drawn = TypeVar("Drawn")

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.check.proofs import PROVED
-from platform_ctrl.check.verdict import JobResult
-from platform_ctrl.description import PickOff, Torquer
-from platform_ctrl.frozen import value
+from platform_ctrl.common.values import value
+from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.plant.platform import PickOff, Torquer
 from platform_ctrl.report.modes import Mode, modes_at
 from platform_ctrl.report.quantities import (
     BOUND,
@@ -25,7 +24,7 @@ from platform_ctrl.report.quantities import (
     plain,
     quantity,
 )
-from platform_ctrl.requirements import CheckResult
+from platform_ctrl.verification.verdict import PROVED, JobResult
 
 if TYPE_CHECKING:
     from rich.table import Table

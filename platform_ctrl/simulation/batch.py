@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.joining import joined_arrays
-from platform_ctrl.arguments import whole
-from platform_ctrl.description import Platform, RateSensor
+from platform_ctrl.common.arguments import whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.scenario import Mode, Scenario
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.simulation.background import heeding_interrupts
+from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.plant.platform import Platform, RateSensor
+from platform_ctrl.simulation.compilation import heeding_interrupts, wait_until_warm
 from platform_ctrl.simulation.device import expect_device
-from platform_ctrl.simulation.flight_plan import (
+from platform_ctrl.simulation.run_plan import (
     Batch,
     Controller,
     Prepared,
@@ -28,8 +28,7 @@ from platform_ctrl.simulation.flight_plan import (
     figure_slots,
     prepared,
 )
-from platform_ctrl.simulation.scenario_checks import expect_several, steps
-from platform_ctrl.simulation.warming import wait_until_warm
+from platform_ctrl.simulation.scenarios import expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -57,10 +56,6 @@ class Figures:
         How many there should have been.
     period
         Sample period, s.
-
-    References
-    ----------
-    See docs/simulation.md.
     """
 
     angle: FloatArray
@@ -209,10 +204,6 @@ def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: 
     ------
     ArgumentError
         An argument of another kind than annotated.
-
-    References
-    ----------
-    Own definition.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     # What is no controller stays: where they are joined it is told.
@@ -220,13 +211,7 @@ def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: 
 
 
 def merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode) -> Controller:
-    """Return one state space from all sensors to all torquers, in the kernel's form.
-
-    Raises
-    ------
-    ArgumentError
-        They do not fit the plant, or one acts on the root in mode ``"caged"``.
-    """
+    """Return one state space from all sensors to all torquers, in the kernel's form."""
     K = joined_arrays(controllers, [s.name for s in platform.sensors], [t.name for t in platform.torquers], period)
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
     for k, system in enumerate(controllers):
@@ -245,7 +230,7 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
         from platform_ctrl.simulation.device import flown_on_cuda
 
         return flown_on_cuda(together)
-    from platform_ctrl.lanes import LANES, memory
+    from platform_ctrl.mechanics.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()
@@ -298,14 +283,8 @@ def columns_of_record(together: Batch) -> int:
 
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
-    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,).
-
-    Raises
-    ------
-    SimulationError
-        There is not enough memory for the record.
-    """
-    from platform_ctrl.lanes import LANES, memory
+    """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
+    from platform_ctrl.mechanics.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform
+from platform_ctrl.common.arguments import positive, real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.scenario import HalfCosine, Mode, Scenario
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.simulation.attitude import unit_quaternions
+from platform_ctrl.job.scenario import HalfCosine, Mode, Scenario
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.batch import merged, recorded
-from platform_ctrl.simulation.flight_plan import prepared
-from platform_ctrl.simulation.scenario_checks import expect_several, steps
+from platform_ctrl.simulation.run_plan import prepared
+from platform_ctrl.simulation.scenarios import expect_several, steps, unit_quaternions
 from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
 
 if TYPE_CHECKING:
@@ -56,10 +55,6 @@ class Trajectory:
     mode, period, delay, step, seed
         What the run was made with, times in s; together with plant, controllers and manoeuvre they reproduce it bit for
         bit.
-
-    References
-    ----------
-    See docs/simulation.md.
     """
 
     t: FloatArray

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.frozen import FloatArray
 
 if TYPE_CHECKING:
-    from platform_ctrl.simulation.flight_plan import Batch
     from platform_ctrl.simulation.packing import Packed
+    from platform_ctrl.simulation.run_plan import Batch
 
 Device = Literal["cpu", "cuda"]
 
@@ -30,15 +30,7 @@ _RUNS = 1 << 19
 
 
 def expect_device(device: object) -> None:
-    """Refuse a device that cannot be used here.
-
-    Raises
-    ------
-    ArgumentError
-        There is no device of this name.
-    SimulationError
-        "cuda" without numba-cuda or a CUDA GPU.
-    """
+    """Refuse a device that cannot be used here."""
     if device not in ("cpu", "cuda"):
         raise ArgumentError(f"device: given {device!r}; expected 'cpu' or 'cuda'")
     if device == "cuda":
@@ -93,11 +85,6 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
         Where the runs begin, and their [M, Q].
     step, marks
         Step, s; numbers of steps, not falling, after which the states are recorded.
-
-    Raises
-    ------
-    SimulationError
-        There is no GPU or no numba-cuda here, or they fail.
     """
     cuda = _cuda()
     along = np.empty((len(states), len(marks), plant.at.size))
@@ -121,13 +108,7 @@ def roll_out(plant: Packed, states: FloatArray, force: FloatArray, step: float, 
 
 
 def flown_on_cuda(together: Batch) -> FloatArray:
-    """Return the figures (N, slots) of a batch, computed on the GPU.
-
-    Raises
-    ------
-    SimulationError
-        There is no GPU or no numba-cuda here, or they fail.
-    """
+    """Return the figures (N, slots) of a batch, computed on the GPU."""
     cuda = _cuda()
     flight = together.flight
     figures = np.empty((len(together.given), flight.end - flight.figures))

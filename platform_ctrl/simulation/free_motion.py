@@ -8,14 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import positive, real_array, whole
-from platform_ctrl.description import Platform
+from platform_ctrl.common.arguments import positive, real_array, whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.simulation.attitude import unit_quaternions
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.device import Device, expect_device, processors, roll_out
 from platform_ctrl.simulation.packing import pack
+from platform_ctrl.simulation.scenarios import unit_quaternions
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins, servo_rotors, spins_of, with_rotor_states
 from platform_ctrl.simulation.step_limit import check_elements
 
@@ -44,10 +44,6 @@ class Rollout:
         Unit quaternions at those times, dimensionless.
     spin_history : (N, S, m)
         Spins at those times, rad/s.
-
-    References
-    ----------
-    As `rollout`.
     """
 
     q: FloatArray
@@ -151,7 +147,7 @@ def rollout(
     check_elements([platform], step, free=True)
     expect_device(device)
 
-    from platform_ctrl.lanes import LANES, memory
+    from platform_ctrl.mechanics.lanes import LANES, memory
     from platform_ctrl.simulation.kernel.advance import advance
 
     plant = pack(platform)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from platform_ctrl.description import PickOff, Platform
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.mechanics.kinematics import topology
-from platform_ctrl.simulation.kernel import body as layout
-from platform_ctrl.simulation.kernel import flight as sampled
-from platform_ctrl.simulation.kernel.body import At, Links
+from platform_ctrl.plant.platform import PickOff, Platform
+from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.kernel import arrays as sampled
+from platform_ctrl.simulation.kernel.arrays import At, Links
 
 _SIX = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
@@ -114,14 +114,7 @@ def _bytes(axis: FloatArray) -> bytes:
 
 
 def skeleton(platform: Platform) -> Skeleton:
-    """Return what a platform has in common with all that are made of the same parts in the same places.
-
-    Raises
-    ------
-    ArgumentError
-        The gimbals carry each other in a ring, a part belongs to a body that is not there, or a gimbal has more than
-        one friction or cage.
-    """
+    """Return what a platform has in common with all that are made of the same parts in the same places."""
     return _skeleton(_Parts(platform))
 
 

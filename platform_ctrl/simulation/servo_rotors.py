@@ -12,15 +12,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
-from platform_ctrl.description import Platform, Rotor
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 from platform_ctrl.mechanics.kinematics import upright
 from platform_ctrl.mechanics.matrices import directions
-from platform_ctrl.simulation.kernel import body as layout
-from platform_ctrl.simulation.mass_at_rest import masses
+from platform_ctrl.plant.platform import Platform, Rotor
+from platform_ctrl.simulation.kernel import arrays as layout
 from platform_ctrl.simulation.packing import Packed, skeleton
+from platform_ctrl.simulation.step_limit import masses
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step.
 _PER_STEP = 2.7
@@ -32,13 +32,7 @@ def servo_rotors(platform: Platform) -> tuple[Rotor, ...]:
 
 
 def initial_spins(platform: Platform, given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the servo rotors' spins at the start, `shape`; the nominal ones if `given` is None.
-
-    Raises
-    ------
-    ArgumentError
-        Wrong shape or not finite.
-    """
+    """Return the servo rotors' spins at the start, `shape`; the nominal ones if `given` is None."""
     if given is None:
         return np.array(np.broadcast_to([r.spin for r in servo_rotors(platform)], shape), dtype=np.float64)
     return real_array("spin", given, shape)
@@ -74,7 +68,7 @@ def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
     """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
     rates = np.empty((*states.shape[:-1], plant.at.servos))
     if rates.size:
-        from platform_ctrl.lanes import memory
+        from platform_ctrl.mechanics.lanes import memory
         from platform_ctrl.simulation.kernel.advance import carrier_rates
 
         flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)
@@ -87,11 +81,6 @@ def check_step(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> N
 
     The loop's faster pole is judged, with the inertia that the motor turns: C against what carries the rotor, all
     gimbals at zero.
-
-    Raises
-    ------
-    ArgumentError
-        A step is longer than 2.7 times the time constant of that pole (about C/speed_gain).
     """
     shape = skeleton(platforms[0])
     if not shape.servos:

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.description import Platform
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.mechanics.kinematics import upright
-from platform_ctrl.simulation.mass_at_rest import masses
-from platform_ctrl.simulation.packing import Skeleton, skeleton
+from platform_ctrl.mechanics.kinematics import Kinematics, upright
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation.packing import Skeleton, inertias, skeleton
+
+
+def masses(shape: Skeleton, platforms: Sequence[Platform], at: Kinematics, locked: Collection[str]) -> FloatArray:
+    """Return the mass matrices (N, 3 + n, 3 + n) of plants of one skeleton; rotors of the kinds `locked` add C."""
+    bodies = inertias(shape, platforms)
+    for k, (b, axis, control) in enumerate(zip(shape.carriers, shape.spin_axes, shape.controls, strict=True)):
+        if control in locked:
+            axial = np.array([p.rotors[k].axial_inertia for p in platforms])
+            bodies[:, b] += axial[:, None, None] * (axis[:, None] * axis)
+    out: FloatArray = np.einsum("bij,nbik->njk", at.jacobians, bodies @ at.jacobians)
+    return 0.5 * (out + out.transpose(0, 2, 1))
+
 
 # The classical Runge-Kutta method is stable for decays up to 2.785 per step. At a radian per step it damps an
 # oscillation that is too fast to matter. A contact that is met and left again needs more: at 0.3 rad per step a hundred
@@ -24,11 +35,6 @@ def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) 
     """Refuse steps that are too long for an element: one for each of several plants of one skeleton.
 
     Judged by the gimbals' inertias with all angles zero.
-
-    Raises
-    ------
-    ArgumentError
-        Which element, and the longest step that would do.
     """
     shape = skeleton(platforms[0])
     if not shape.at.joints:

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array, real_numbers, whole
+from platform_ctrl.common.arguments import real_array, real_numbers, whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.scenario import Scenario
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.batch import columns_of_record, merged
 from platform_ctrl.simulation.closed_loop import Trajectory, trajectory_of
-from platform_ctrl.simulation.flight_plan import batch, prepared
-from platform_ctrl.simulation.kernel import flight as layout
-from platform_ctrl.simulation.scenario_checks import expect_several, steps
-from platform_ctrl.simulation.warming import wait_until_warm
+from platform_ctrl.simulation.compilation import wait_until_warm
+from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.run_plan import batch, prepared
+from platform_ctrl.simulation.scenarios import expect_several, steps
 
 if TYPE_CHECKING:
     import control
@@ -74,10 +74,6 @@ class Stepper:
     ------
     ArgumentError
         As `simulate`; Omega is given in mode ``"stabilised"``.
-
-    References
-    ----------
-    See docs/simulation.md.
     """
 
     @check_arguments
@@ -91,7 +87,7 @@ class Stepper:
         noise: bool = True,
         Omega: ArrayLike | None = None,
     ) -> None:
-        from platform_ctrl.lanes import LANES, memory
+        from platform_ctrl.mechanics.lanes import LANES, memory
 
         self.period, self.step = steps(period, step)
         expect_several("controllers", controllers)
@@ -117,13 +113,7 @@ class Stepper:
         self._move(1, self._course(0.0, self.period), plants, given)
 
     def _expect(self, name: str, mode: str) -> None:
-        """Judge an input that belongs to one mode.
-
-        Raises
-        ------
-        ArgumentError
-            The run is of the other one.
-        """
+        """Judge an input that belongs to one mode."""
         if self.scenario.mode != mode:
             raise ArgumentError(f"{name}: given in mode {self.scenario.mode!r}; it is an input in mode {mode!r} alone")
 
@@ -169,10 +159,6 @@ class Stepper:
             An input has the wrong shape or is not finite, or belongs to the other mode.
         SimulationError
             The run has diverged before.
-
-        References
-        ----------
-        See docs/simulation.md.
         """
         samples = whole("samples", samples, 1, _MOST)
         n = len(self.scenario.platform.gimbals)
@@ -276,10 +262,6 @@ class Stepper:
         -------
         (size,)
             The kernel's memory and what stands beside it, SI units.
-
-        References
-        ----------
-        Own definition.
         """
         head = [float(self.sample), float(self.going)]
         inputs = (self._reached, self._slope, self._torque, self._gimbal_torque)
@@ -298,10 +280,6 @@ class Stepper:
         ------
         ArgumentError
             It is of another size.
-
-        References
-        ----------
-        Own definition.
         """
         n, slots = len(self._gimbal_torque), len(self._memory)
         head = _HEAD + n

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.conic import cvxpy, solve
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.errors import IllPosedError
-from platform_ctrl.frozen import FloatArray, value
 
 # Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for.
 LARGEST_SEPARATION = 10.0
@@ -65,13 +65,7 @@ def inequalities(plant: Partition, gamma: float, X: FloatArray, Y: FloatArray) -
 
 
 def minimised(plants: Sequence[Partition], *, where: str, time_limit: float, P: object, tolerance: float) -> Pair:
-    """Least gamma for which the inequalities hold for every plant.
-
-    Raises
-    ------
-    InfeasibleError, TimeLimitError, UnscalableError
-        As in `design.lmi.conic.solve`.
-    """
+    """Least gamma for which the inequalities hold for every plant."""
     cp = cvxpy()
     n = len(plants[0].A)
     X, Y, gamma = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), cp.Variable()
@@ -105,11 +99,6 @@ def separated(
         Largest mean eigenvalue of X and of Y.
     reward
         What is paid for these means, beside t.
-
-    Raises
-    ------
-    InfeasibleError, TimeLimitError, UnscalableError
-        As in `design.lmi.conic.solve`.
     """
     cp = cvxpy()
     n = len(plants[0].A)
@@ -173,11 +162,6 @@ def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> Re
 
     In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ meets the part of X, B̂ that of Y, and Â removes
     the cross term.
-
-    Raises
-    ------
-    IllPosedError
-        D12 or D21 loses rank, and no finite gain of what they leave out is enough.
     """
     p, gamma, X, Y = plant, best.gamma, best.X, best.Y
     D = _feedthrough(p, r, s, gamma)

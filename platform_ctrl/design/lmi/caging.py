@@ -23,17 +23,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import StateArrays, state_space
-from platform_ctrl.arguments import positive, real_array
-from platform_ctrl.description import Platform
-from platform_ctrl.design.blocks import series
-from platform_ctrl.design.channels import channels
+from platform_ctrl.common.arguments import positive, real_array
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
+from platform_ctrl.design.partition import channels, series
 from platform_ctrl.design.synthesis import hinf
 from platform_ctrl.design.weighting import signal_names
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import Terms, linearise
-from platform_ctrl.parameter_varying import AffineModel, monomial_values, parameter_varying
+from platform_ctrl.mechanics.linearisation import Terms, linearise
+from platform_ctrl.mechanics.parameter_varying import AffineModel, monomial_values, parameter_varying
+from platform_ctrl.plant.platform import Platform
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -61,10 +60,6 @@ class ScheduledCaging:
         M, dimensionless.
     basis, torque : (k, k)
         Channels from angles, dimensionless, and torquers from the channels' torques, N m.
-
-    References
-    ----------
-    As `scheduled_caging`.
     """
 
     scheduled: Scheduled

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.values import value
 from platform_ctrl.design.lmi import worker
 from platform_ctrl.design.side_process import Ended, Late, SideProcess
 from platform_ctrl.errors import InfeasibleError, TimeLimitError, UnscalableError
-from platform_ctrl.frozen import value
 
 # Given to the solver to stop by itself before it is killed, s.
 GRACE = 0.25
@@ -114,15 +114,6 @@ def solve(
         Whether matrices with zeros may be taken apart. Of small ones that only makes the problem larger.
     wait
         Pause of the worker before it solves, s: stands for a solver that hangs.
-
-    Raises
-    ------
-    InfeasibleError
-        The constraints contradict each other.
-    TimeLimitError
-        The time was over; the solver was ended.
-    UnscalableError
-        The solver gave up, found the objective unbounded, or died.
     """
     cp = import_module("cvxpy")
     next_step = f"; {cure}" if cure else ""

@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.certificates import Certificate
 from platform_ctrl.analysis.poles import continuous_poles, spectral_abscissa
-from platform_ctrl.arguments import positive
-from platform_ctrl.certificates import Certificate
-from platform_ctrl.design.lmi.proofs import proofs
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
 from platform_ctrl.design.lmi.search import CURE, posed
 from platform_ctrl.design.lmi.solutions import Solution, solutions
-from platform_ctrl.design.lmi.tasks import judged, tasks
+from platform_ctrl.design.lmi.tasks import judged, proofs, tasks
 from platform_ctrl.design.partition import (
     Partition,
     Realisation,
@@ -34,9 +35,7 @@ from platform_ctrl.design.partition import (
 )
 from platform_ctrl.design.scaling import autoscale, require_stabilisable, unscale
 from platform_ctrl.errors import DesignError, NotCertifiedError
-from platform_ctrl.frozen import value
-from platform_ctrl.requirements import CheckResult, LoopRequirement
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -69,10 +68,6 @@ class Multiobjective:
         The route.
     residual
         Figures of merit by name, in scaled units.
-
-    References
-    ----------
-    As `multiobjective`.
     """
 
     plant: StateSpace

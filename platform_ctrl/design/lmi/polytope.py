@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.arguments import real_array
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, Realisation, partition
 from platform_ctrl.errors import ArgumentError, IllPosedError
-from platform_ctrl.frozen import FloatArray, value
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -37,13 +37,7 @@ class Box:
         return np.array(list(itertools.product(*ends)), dtype=np.float64).reshape(-1, len(self.names))
 
     def shares(self, parameters: ArrayLike) -> FloatArray:
-        """Return the convex coordinates of a point, in the order of `vertices`.
-
-        Raises
-        ------
-        ArgumentError
-            The point lies outside.
-        """
+        """Return the convex coordinates of a point, in the order of `vertices`."""
         point = real_array("parameters", parameters, (len(self.names),))
         out = np.ones(1)
         for name, x, a, b in zip(self.names, point, self.low, self.high, strict=True):
@@ -56,13 +50,7 @@ class Box:
 
 
 def box(names: Sequence[str], low: ArrayLike, high: ArrayLike, where: str) -> Box:
-    """Return a box.
-
-    Raises
-    ------
-    ArgumentError
-        No parameters or too many, names that are not different, or bounds of the wrong shape or order.
-    """
+    """Return a box."""
     if isinstance(names, str) or not names or len(set(names)) < len(names):
         raise ArgumentError(f"{where}: names {names!r}; expected a list of different names, one for each parameter")
     names = tuple(names)
@@ -83,13 +71,7 @@ def combined(matrices: Sequence[Realisation], shares: FloatArray) -> Realisation
 def vertex_plants(
     plant: Callable[[FloatArray], StateSpace], corners: Box, nmeas: int, ncon: int, where: str
 ) -> tuple[list[StateSpace], list[Partition]]:
-    """Return the plants at the vertices, after making sure that the one in between is what it should be.
-
-    Raises
-    ------
-    ArgumentError
-        Plants of different sizes, a sampled one, or a dependence that is not affine.
-    """
+    """Return the plants at the vertices, after making sure that the one in between is what it should be."""
     points = corners.vertices()
     systems = [plant(point) for point in points]
     parts = [partition(system, nmeas, ncon) for system in systems]

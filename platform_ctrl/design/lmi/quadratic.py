@@ -8,10 +8,11 @@ Nothing is assumed about D11, D12 and D21. What the solver says is not believed:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.bounded_real import (
     CURE,
     Pair,
@@ -27,7 +28,9 @@ from platform_ctrl.design.lmi.bounded_real import (
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
 from platform_ctrl.errors import DesignError, TimeLimitError, UnscalableError
-from platform_ctrl.frozen import FloatArray, value
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 # Solved again in other units when the least gamma of the scaled plant is not within 1/8 .. 8.
 GAMMA_RANGE = 8.0
@@ -115,11 +118,6 @@ def quadratic_hinf(
         For messages.
     needed
         Indices of plants whose convex hull holds them all; none: all are needed.
-
-    Raises
-    ------
-    InfeasibleError, UnscalableError, TimeLimitError, IllPosedError
-        The solver failed, or what it returned does not satisfy the inequalities; `P` is attached.
     """
     needed = list(needed) or list(range(len(plants)))
     scaled, vertices, least = _rough(plants, needed, time_limit, P, where)
@@ -232,3 +230,11 @@ def _rough(
         )
     assert failure is not None
     raise type(failure)(f"{failure}{hint}", P) from None
+
+
+def hinf_lmi(
+    plant: Partition, backoff: float, time_limit: float, P: StateSpace
+) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled)."""
+    found = quadratic_hinf([plant], backoff, time_limit, P)
+    return found.controllers[0], found.least, found.residual

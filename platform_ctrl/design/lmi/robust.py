@@ -13,19 +13,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.arguments import positive
-from platform_ctrl.certificates.certificate import Certificate, proved
-from platform_ctrl.design.lmi.analysis import least_ratio, slackest
+from platform_ctrl.analysis.certificates.certificate import Certificate, proved
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.bounded_real import factors, lyapunov_matrix, turned
 from platform_ctrl.design.lmi.conic import cvxpy, solve
-from platform_ctrl.design.lmi.known_matrix import KnownMatrix
-from platform_ctrl.design.lmi.linearised import state_feedback
 from platform_ctrl.design.lmi.polytope import require_alike, require_common
-from platform_ctrl.design.lmi.proofs import claimed_loop
 from platform_ctrl.design.lmi.quadratic import mean_plant, rescaled
+from platform_ctrl.design.lmi.regions import state_feedback
 from platform_ctrl.design.lmi.search import CURE, FINE, Problem, constrained, direct, posed
-from platform_ctrl.design.lmi.solutions import solutions
-from platform_ctrl.design.lmi.tasks import judged, tasks
+from platform_ctrl.design.lmi.solutions import KnownMatrix, least_ratio, slackest, solutions
+from platform_ctrl.design.lmi.tasks import claimed_loop, judged, tasks
 from platform_ctrl.design.partition import (
     Partition,
     Realisation,
@@ -36,9 +35,7 @@ from platform_ctrl.design.partition import (
 )
 from platform_ctrl.design.scaling import require_stabilisable, unscale
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError, NotCertifiedError, UnscalableError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.requirements import CheckResult, LoopRequirement
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -72,10 +69,6 @@ class Robust:
         every convex combination of the closed loops and every motion among them.
     method
         The route.
-
-    References
-    ----------
-    As `robust`.
     """
 
     plants: tuple[StateSpace, ...]

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.analysis.norms import hinf_norm_arrays
-from platform_ctrl.arguments import positive
-from platform_ctrl.certificates.certificate import Certificate, proved
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.polytope import Box, box, combined, needed, require_common, vertex_plants
-from platform_ctrl.design.lmi.proofs import claimed_loop
 from platform_ctrl.design.lmi.quadratic import quadratic_hinf
+from platform_ctrl.design.lmi.tasks import claimed_loop
 from platform_ctrl.design.partition import Partition, Realisation, closed_loop, controller_system
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import NotCertifiedError, UnscalableError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.parameter_varying import monomial_values
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.mechanics.parameter_varying import monomial_values
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -60,10 +60,6 @@ class Scheduled:
         One Lyapunov matrix for all vertices, proved for these matrices.
     residual
         Figures of merit of the route by name, in scaled units.
-
-    References
-    ----------
-    As `scheduled`.
     """
 
     box: Box

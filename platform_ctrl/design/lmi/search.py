@@ -12,22 +12,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, turned
 from platform_ctrl.design.lmi.conic import cvxpy, solve
-from platform_ctrl.design.lmi.linearised import (
+from platform_ctrl.design.lmi.regions import (
     Hats,
     LinearLoop,
     h2_below,
     hinf_below,
     output_feedback,
     poles_in,
+    region,
+    require_movable,
 )
-from platform_ctrl.design.lmi.regions import region, require_movable
 from platform_ctrl.design.lmi.tasks import NormTask, Tasks
 from platform_ctrl.design.partition import Partition, Realisation
 from platform_ctrl.design.scaling import ScaledPlant, autoscale
 from platform_ctrl.errors import IllPosedError, InfeasibleError, UnscalableError
-from platform_ctrl.frozen import FloatArray
 
 CURE = "ask for less, give a larger backoff, or take design.structured, which needs no common Lyapunov matrix"
 # Tolerances: of the first solve, which finds the right states, of those that improve them, and of the last ones.
@@ -80,13 +81,7 @@ class Found(NamedTuple):
 
 
 def posed(asked: Tasks, period: float, where: str, time_limit: float, P: object) -> Problem:
-    """Return the problem in units in which the limits of the norms are near one.
-
-    Raises
-    ------
-    IllPosedError
-        A mode that no controller moves violates a pole region.
-    """
+    """Return the problem in units in which the limits of the norms are near one."""
     limits = [task.asked.limit for task in asked.norms]
     scaled = autoscale(asked.plant, float(np.exp(np.mean(np.log(limits)))) if limits else 1.0)
     require_movable(scaled, [region(one, period, scaled.rate) for one in asked.regions], where, P)
@@ -107,13 +102,7 @@ def improved_problem(problem: Problem, found: Found, stride: float = 1.0) -> Pro
 
 
 def best_ratio(problem: Problem, backoff: float) -> tuple[Problem, Found]:
-    """Good states, units and splits, and a first answer.
-
-    Raises
-    ------
-    InfeasibleError, IllPosedError, TimeLimitError, UnscalableError
-        No controller with a common Lyapunov matrix was found.
-    """
+    """Good states, units and splits, and a first answer."""
     try:
         return _descended(problem, problem.goals, backoff)
     except (InfeasibleError, UnscalableError):
@@ -238,13 +227,7 @@ def tangents(problem: Problem, pairs: Sequence[Any]) -> tuple[float, ...]:
 def minimised(
     problem: Problem, goals: tuple[bool, ...], backoff: float, tolerance: float, others: bool = True
 ) -> Found:
-    """The least ratio of the goals, with the other requirements tighter by the back-off, or without the other norms.
-
-    Raises
-    ------
-    InfeasibleError, IllPosedError, TimeLimitError, UnscalableError
-        None was found.
-    """
+    """The least ratio of the goals, with the other requirements tighter by the back-off, or without the other norms."""
     cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)
@@ -266,13 +249,7 @@ def minimised(
 
 
 def separated(problem: Problem, found: Found, backoff: float, margin: float) -> Found:
-    """X, Y and the transformed controller farthest from X Y = I at the relaxed bounds.
-
-    Raises
-    ------
-    InfeasibleError, IllPosedError, TimeLimitError, UnscalableError
-        None was found.
-    """
+    """X, Y and the transformed controller farthest from X Y = I at the relaxed bounds."""
     cp = cvxpy()
     X, Y, hats = _unknowns(problem)
     n = len(problem.plant.A)

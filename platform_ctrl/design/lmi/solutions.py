@@ -2,25 +2,261 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.design.lmi.bounded_real import from_linearised
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.lmi.bounded_real import Pair, balancing, factors, from_linearised, lyapunov_matrix, turned
+from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.regions import Hats, LinearLoop, output_feedback
 from platform_ctrl.design.lmi.search import (
     CURE,
     FINE,
     Found,
     Problem,
     best_ratio,
+    constrained,
+    direct,
     improved_problem,
     minimised,
     separated,
 )
-from platform_ctrl.design.lmi.slow_controller import slowed
-from platform_ctrl.design.partition import Realisation
+from platform_ctrl.design.partition import Partition, Realisation, closed_loop
 from platform_ctrl.errors import DesignError, IllPosedError, InfeasibleError, TimeLimitError, UnscalableError
+
+# Largest eigenvalue of V relative to the one before, on the average, and the inverse of the least one.
+ROOM = 10.0
+# Factor of `near`.
+NEAR = 30.0
+
+
+def slackest(
+    problem: Problem,
+    plants: Sequence[Partition],
+    ratios: Sequence[Any],
+    V: FloatArray,
+    K: Realisation,
+    near: FloatArray | None = None,
+) -> FloatArray:
+    """Return the matrix for which the requirements hold with the most slack, the norms at `ratios` times their limits.
+
+    Parameters
+    ----------
+    problem, plants
+        The requirements, and the scaled plants for which they have to hold.
+    ratios
+        One for each norm.
+    V
+        A matrix to start from.
+    K
+        The controller.
+    near
+        A matrix from which that one stays within a factor, as a quadratic form.
+    """
+    cp = cvxpy()
+    slack = cp.Variable()
+    return _solved(problem, plants, ratios, V, K, slack, cp.Maximize(slack), [slack >= 0], "looking for slack", near)
+
+
+def least_ratio(
+    problem: Problem, plants: Sequence[Partition], V: FloatArray, K: Realisation, backoff: float
+) -> tuple[float, FloatArray]:
+    """Return the least ratio of the goals that a common matrix proves, and the matrix; see `slackest`."""
+    cp = cvxpy()
+    ratio = cp.Variable()
+    ratios = [ratio if goal else 1 / (1 + backoff) for goal in problem.goals]
+    V = _solved(problem, plants, ratios, V, K, 0.0, cp.Minimize(ratio), [ratio >= 0], "looking for a common matrix")
+    return float(ratio.value), V
+
+
+def _solved(
+    problem: Problem,
+    plants: Sequence[Partition],
+    ratios: Sequence[Any],
+    V: FloatArray,
+    K: Realisation,
+    slack: Any,
+    objective: Any,
+    more: list[Any],
+    what: str,
+    near: FloatArray | None = None,
+) -> FloatArray:
+    cp = cvxpy()
+    # In the states in which the last V is the identity.
+    root = np.linalg.cholesky(V).T
+    inverse = np.linalg.inv(root)
+    size = len(V)
+    new = cp.Variable((size, size), symmetric=True)
+    constraints = [new >> 1 / ROOM**2 * np.eye(size), cp.trace(new) <= size * ROOM, *more]
+    if near is not None:
+        there = inverse.T @ near @ inverse
+        constraints += [new >> there / NEAR, new << NEAR * there]
+    for plant in plants:
+        loop = closed_loop(plant, K)
+        linear = LinearLoop(
+            V=new, VA=new @ (root @ loop.A @ inverse), VB=new @ (root @ loop.B),
+            C=cp.Constant(loop.C @ inverse), D=cp.Constant(loop.D),
+        )  # fmt: skip
+        constraints += constrained(problem, linear, ratios, 1.0, slack)[0]
+    solve(
+        cp.Problem(objective, constraints), (new,),
+        what=f"{problem.where}: {what}", time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
+    )  # fmt: skip
+    out = root.T @ new.value @ root
+    return np.asarray(0.5 * (out + out.T))
+
+
+class KnownMatrix:
+    """Plants and the unknown controller for a known V (2n, 2n).
+
+    Parameters
+    ----------
+    plants
+        Scaled plants.
+    V
+        Of the states [x, xK].
+    D
+        The unknown D_K, an expression or an array.
+
+    Attributes
+    ----------
+    loops
+        A closed loop for each plant, linear in the unknowns.
+    unknowns
+        Variables of the problem.
+    A_K
+        The controller's state matrix in some states of its own, an expression.
+    own : (n, n)
+        Those states from the states xK.
+    """
+
+    def __init__(self, plants: Sequence[Partition], V: FloatArray, D: Any) -> None:
+        cp = cvxpy()
+        n = len(plants[0].A)
+        inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
+        T = balancing(Pair(gamma=0.0, X=inverse[:n, :n], Y=V[:n, :n], separation=0.0))
+        back = np.linalg.inv(T)
+        X, Y = back @ inverse[:n, :n] @ back.T, T.T @ V[:n, :n] @ T
+        left, sigma, right = np.linalg.svd(np.eye(n) - Y @ X)
+        root = np.sqrt(sigma)
+        # I − Y X = N M' with columns of N and M of equal size.
+        self._N, self._M = left * root, right.T * root
+        self.own = np.linalg.solve(self._N, T.T @ V[:n, n:])
+        nu, ny = D.shape
+        # Unknown are Â, B̂, Ĉ of the first plant, divided by the sizes of X and Y, which are large.
+        half = np.sqrt(np.diag(X))
+        self.unknowns = cp.Variable((n, n)), cp.Variable((n, ny)), cp.Variable((nu, n))
+        sizes = np.diag(half)
+        A, B, C = sizes @ self.unknowns[0] @ sizes, sizes @ self.unknowns[1], self.unknowns[2] @ sizes
+        p = turned(plants[0], T)
+        NB, CM = B - Y @ p.B2 @ D, C - D @ (p.C2 @ X)
+        NAM = A - NB @ (p.C2 @ X) - (Y @ p.B2) @ CM - Y @ (p.A + p.B2 @ D @ p.C2) @ X
+        self.A_K = np.linalg.inv(self._N) @ NAM @ np.linalg.inv(self._M.T)
+        self._parts = NB, CM, D
+        small = np.diag(np.tile(1 / half, 2))
+        self.loops: list[LinearLoop] = []
+        for plant in plants:
+            q = turned(plant, T)
+            hat = Hats(
+                A=NAM + NB @ (q.C2 @ X) + (Y @ q.B2) @ CM + Y @ (q.A + q.B2 @ D @ q.C2) @ X,
+                B=NB + Y @ q.B2 @ D,
+                C=CM + D @ (q.C2 @ X),
+                D=D,
+            )
+            loop = output_feedback(q, X, Y, hat)
+            self.loops.append(
+                LinearLoop(
+                    V=small @ loop.V @ small, VA=small @ loop.VA @ small, VB=small @ loop.VB, C=loop.C @ small, D=loop.D
+                )
+            )
+
+    def controller(self) -> Realisation:
+        """Return what the solver found, in the states xK."""
+        NB, CM, D = self._parts
+        inverse = np.linalg.inv(self.own)
+        return Realisation(
+            A=inverse @ self.A_K.value @ self.own,
+            B=inverse @ np.linalg.solve(self._N, NB.value),
+            C=np.linalg.solve(self._M, CM.value.T).T @ self.own,
+            D=np.asarray(getattr(D, "value", D)),
+        )
+
+
+# Rounds, and what one must bring.
+MOST_ROUNDS, LEAST_PROGRESS = 40, 1e-3
+# Strictness of the inequalities while the controller changes, and of the bound that is met.
+MARGIN, BELOW = 1e-6, 0.999
+
+
+def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Realisation:
+    """Return a controller whose poles are smaller than `bound` (scaled), with the requirements still met."""
+    n = len(problem.plant.A)
+    X, Y = best.pair.X, best.pair.Y
+    V = lyapunov_matrix(X, Y, *factors(X, Y))
+    # Near the first matrix: from one to the next their condition would grow without end.
+    first, W = V, V[n:, n:]
+    problem = problem._replace(splits=best.splits)
+    fastest = _fastest(K)
+    for _ in range(MOST_ROUNDS):
+        if fastest <= BELOW * bound:
+            return K
+        try:
+            slower = _slowest(problem, best, V, W)
+            reached = _fastest(slower)
+            if not reached < (1 - LEAST_PROGRESS) * fastest:
+                break
+            K, fastest = slower, reached
+            V = slackest(problem, [problem.plant], best.ratios, V, K, first)
+        except (InfeasibleError, UnscalableError):
+            break
+        W = _own(K, fastest)
+    if fastest <= BELOW * bound:
+        return K
+    rate = problem.scaled.rate
+    raise InfeasibleError(
+        f"{problem.where}: the controller's fastest pole has {fastest * rate:.4g} rad/s; expected at most "
+        f"{bound * rate:.4g}, and slower ones were not found; {CURE}",
+        problem.P,
+    )
+
+
+def _fastest(K: Realisation) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(K.A)), initial=0.0))
+
+
+def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Realisation:
+    """The controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
+    cp = cvxpy()
+    known = KnownMatrix([problem.plant], V, direct(problem))
+    r = cp.Variable()
+    constraints, _ = constrained(problem, known.loops[0], best.ratios, 1.0, MARGIN)
+    # In the states in which W is the identity.
+    inverse = np.linalg.inv(known.own)
+    root = np.linalg.cholesky(inverse.T @ W @ inverse).T
+    turned = root @ known.A_K @ np.linalg.inv(root)
+    eye = np.eye(len(W))
+    constraints.append(cp.bmat([[r * eye, turned], [turned.T, r * eye]]) >> 0)
+    _solve(problem, cp.Problem(cp.Minimize(r), constraints), (r, *known.unknowns))
+    return known.controller()
+
+
+def _own(K: Realisation, fastest: float) -> FloatArray:
+    """W > 0 with A_K' W A_K < r² W for an r just above the fastest pole."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    W = solve_discrete_lyapunov(K.A.T / (1.02 * fastest), np.eye(len(K.A)))
+    return np.asarray(len(W) / np.trace(W) * 0.5 * (W + W.T))
+
+
+def _solve(problem: Problem, asked: Any, variables: tuple[Any, ...]) -> None:
+    solve(
+        asked, variables,
+        what=f"{problem.where}: bounding the controller's poles", time_limit=problem.time_limit, P=problem.P,
+        tolerance=FINE, cure=CURE,
+    )  # fmt: skip
+
 
 # Strictness of the inequalities in the last step (scaled): until everything holds.
 MARGINS = (1e-4, 1e-5, 1e-6)
@@ -36,13 +272,7 @@ class Solution(NamedTuple):
 
 
 def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignError]:
-    """Yield controllers, or why there is none, for inequalities that are less and less strict.
-
-    Raises
-    ------
-    InfeasibleError, IllPosedError, TimeLimitError, UnscalableError
-        There is no use in going on.
-    """
+    """Yield controllers, or why there is none, for inequalities that are less and less strict."""
     asked = problem.asked
     problem, found = best_ratio(problem, backoff)
     for margin in MARGINS:

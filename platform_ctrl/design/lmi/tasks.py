@@ -8,16 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.certificates import (
+    Certificate,
+    h2_certificate,
+    norm_certificate,
+    region_certificate,
+    stability_certificate,
+)
+from platform_ctrl.analysis.certificates.closed_loop import ClosedLoop
 from platform_ctrl.analysis.channel import Channel, weight_arrays
 from platform_ctrl.analysis.feedback import series_arrays
 from platform_ctrl.analysis.sampled import to_w_plane
-from platform_ctrl.arguments import known_name
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.regions import REGIONS, region
-from platform_ctrl.design.partition import Partition, in_w_plane
+from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, whole
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.requirements import CheckResult, LoopRequirement
+from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -74,13 +82,7 @@ class Tasks:
 
 
 def tasks(P: StateSpace, plant: Partition, requirements: Sequence[LoopRequirement], where: str) -> Tasks:
-    """Sort requirements and extend the plant by their channels.
-
-    Raises
-    ------
-    ArgumentError
-        A requirement of another kind, a soft one that is no norm, a bound of the wrong sense, or unknown signals.
-    """
+    """Sort requirements and extend the plant by their channels."""
     if not requirements:
         raise ArgumentError(f"{where}: no requirements; expected at least one, of kind {_kinds()}")
     norms: list[LoopRequirement] = []
@@ -201,3 +203,29 @@ def judged(
         else asked.check_closed_loop(closed_loop, subject=method)
         for asked in requirements
     )
+
+
+def claimed_loop(plant: Partition, K: Realisation, label: str) -> ClosedLoop:
+    """Return a plant and u = K y as a certificate holds them."""
+    one = whole(plant)
+    return ClosedLoop(A=one.A, B=one.B, C=one.C, D=one.D, A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=label)
+
+
+def proofs(
+    requirements: Sequence[LoopRequirement], closed_loop: StateSpace, controller: StateSpace
+) -> tuple[Certificate, ...]:
+    """Return stability and a certificate for each requirement: norms just above what they are, regions as asked."""
+    loop, K = (state_arrays(system, "proofs") for system in (closed_loop, controller))
+    out = [stability_certificate(loop.A, loop.dt)]
+    for asked in requirements:
+        if asked.kind in NORMS:
+            part = (asked.channel or Channel()).of(loop, closed_loop.input_labels, closed_loop.output_labels)
+            prove = h2_certificate if asked.kind == "H2 norm" else norm_certificate
+            out.append(prove(*part[:4], part.dt, label=asked.name))
+        elif asked.kind == CONTROLLER:
+            L, M = -asked.limit * np.eye(2), np.array([[0.0, 1.0], [0.0, 0.0]])
+            out.append(region_certificate(K.A, L, M, K.dt, label=asked.name))
+        else:
+            wanted = region(asked, loop.dt)
+            out.append(region_certificate(loop.A, wanted.L, wanted.M, loop.dt, label=asked.name))
+    return tuple(out)

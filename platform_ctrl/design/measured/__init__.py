@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
+from platform_ctrl.design.measured.data import read_measurement
 from platform_ctrl.design.measured.design import ClosedLoopResponse, MeasuredDesign, measured_pid
-from platform_ctrl.design.measured.reading import read_measurement
 
 __all__ = ["ClosedLoopResponse", "MeasuredDesign", "measured_pid", "read_measurement"]

@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, state_space
-from platform_ctrl.arguments import positive
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
+from platform_ctrl.design.measured.data import measured_plants
 from platform_ctrl.design.measured.limits import Bound, ratios
 from platform_ctrl.design.measured.pid import Pattern, controller_response, masks, realisation
-from platform_ctrl.design.measured.responses import measured_plants
 from platform_ctrl.design.measured.restriction import Sample
 from platform_ctrl.design.measured.search import Search
 from platform_ctrl.errors import ArgumentError, NotCertifiedError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -55,10 +55,6 @@ class ClosedLoopResponse:
         What was asked of each, by name, (N,), in its unit; of a disk margin 1/α for ‖(S − T)/2‖.
     ratios
         Ratio of what is reached to what was asked, by name, (N,): at most 1.
-
-    References
-    ----------
-    As `measured_pid`.
     """
 
     frequency: FloatArray
@@ -97,10 +93,6 @@ class MeasuredDesign:
     ended
         Why the iterations ended: ``"no more progress"``, ``"the solver gave up"`` or ``"the steps are used up"``. The
         limits are kept in any case.
-
-    References
-    ----------
-    As `measured_pid`.
     """
 
     controller: control.StateSpace
@@ -246,13 +238,7 @@ def _filter_time(given: float | None, period: float) -> float:
 
 
 def _result(search: Search, gains: FloatArray, begun: FloatArray, history: FloatArray) -> MeasuredDesign:
-    """The design, everything recomputed from gains and data.
-
-    Raises
-    ------
-    NotCertifiedError
-        A limit is violated, or the loop is not seen to be stable.
-    """
+    """The design, everything recomputed from gains and data."""
     plants = search.plants
     worst, name, at = search.worst(gains)
     unstable = search.unstable_poles(gains)

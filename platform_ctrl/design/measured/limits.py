@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.measured.contour import Contour
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.signatures import short
 
 # A number, or its value over frequencies in rad/s.
 Bound = float | Callable[[FloatArray], FloatArray]
@@ -54,13 +54,7 @@ class Limit:
 
 
 def limits_along(path: Contour, asked: dict[str, Bound | None]) -> tuple[Limit, ...]:
-    """Return the limits that are asked for, along the contour of a plant.
-
-    Raises
-    ------
-    ArgumentError
-        A limit is no positive number, or one that no loop can keep.
-    """
+    """Return the limits that are asked for, along the contour of a plant."""
     out = []
     for name, m in asked.items():
         if m is None:

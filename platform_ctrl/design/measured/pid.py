@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.arguments import one_of
-from platform_ctrl.design.blocks import first_order, gain, series, side_by_side, stacked
+from platform_ctrl.common.arguments import one_of
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.partition import first_order, gain, series, side_by_side, stacked
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 Pattern = Literal["full", "diagonal", "cross-axis"]
 
@@ -63,11 +63,6 @@ def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:
     """Return which gains are free, (3, n, n) of zeros and ones.
 
     ``"cross-axis"`` is that of a caged gyro: integral action across, rate action along, proportional action in both.
-
-    Raises
-    ------
-    ArgumentError
-        No pattern, or one that leaves an angle or a torque without integral action.
     """
     eye, full = np.eye(n), np.ones((n, n))
     if isinstance(pattern, str):

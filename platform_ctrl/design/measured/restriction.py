@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.conic import solve
 from platform_ctrl.design.measured.limits import CENTRES, OF_ANGLE, Limit, ratios
 from platform_ctrl.design.measured.pid import controller_response
 from platform_ctrl.errors import UnscalableError
-from platform_ctrl.frozen import FloatArray, value
 
 # Limits are tightened by this share, so that they hold after the solver's rounding.
 RESERVE = 5e-4
@@ -116,11 +116,6 @@ class Restriction:
             By how much the limits may be missed: 0 maximises the integral gain, anything more makes the miss least.
         time_limit
             For the solver, s.
-
-        Raises
-        ------
-        DesignError
-            As the solver says.
         """
         scale = np.linalg.norm(gains, axis=(1, 2))
         unit = np.where(scale > 0.0, scale, scale.max())[self.entries[:, 0]]

@@ -13,15 +13,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.design.blocks import Block
-from platform_ctrl.design.channels import Channels
-from platform_ctrl.design.options import completed
+from platform_ctrl.common.values import value
+from platform_ctrl.design.loop import completed
+from platform_ctrl.design.partition import Block, Channels
 from platform_ctrl.design.structured.descent import Found, Search
 from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.errors import DesignError
-from platform_ctrl.frozen import value
-from platform_ctrl.job import Structure
-from platform_ctrl.requirements import LoopRequirement, requirement
+from platform_ctrl.job.job import Structure
+from platform_ctrl.job.requirements import LoopRequirement, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
@@ -58,13 +57,7 @@ class Tuned:
 def default_options(
     given: dict[str, float], structure: Structure, channel: Channels, nutation: float, period: float
 ) -> dict[str, float]:
-    """Return all options of a structure, those not given from rules of thumb.
-
-    Raises
-    ------
-    DesignError
-        An option has no meaning for the structure, or is out of range.
-    """
+    """Return all options of a structure, those not given from rules of thumb."""
     defaults = {
         "order": 3.0 * len(channel.basis),
         "starts": 1.0,

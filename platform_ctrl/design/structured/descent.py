@@ -21,14 +21,13 @@ from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.loop_measures import exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.design.structured.curvature import damped_update
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.structured.families import Family
 from platform_ctrl.design.structured.goals import pieces
 from platform_ctrl.design.structured.loops import ClosedLoops, Numbers
 from platform_ctrl.design.structured.maps import largest
-from platform_ctrl.design.structured.quadratic import least_maximum
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.requirements import LoopRequirement
+from platform_ctrl.design.structured.quadratic import damped_update, least_maximum
+from platform_ctrl.job.requirements import LoopRequirement
 
 # What is not stable is worse than anything else.
 _UNSTABLE = 1e6

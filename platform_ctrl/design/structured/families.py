@@ -15,10 +15,9 @@ from typing import Protocol
 import numpy as np
 
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.design.blocks import Block, first_order, series, side_by_side
-from platform_ctrl.design.channels import Channels
-from platform_ctrl.design.structured.truncation import balanced_truncation
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.partition import Block, Channels, first_order, series, side_by_side
+from platform_ctrl.design.structured.starts import balanced_truncation
 
 # Relative step of the differences that stand for a builder's own derivative; the builder is smooth and cheap.
 _STEP = 1e-5

@@ -37,7 +37,7 @@ from platform_ctrl.design.structured.maps import (
     Map,
     torque_per_Omega,
 )
-from platform_ctrl.requirements import LoopRequirement
+from platform_ctrl.job.requirements import LoopRequirement
 
 _PEAKS: dict[str, tuple[Map, ...]] = {
     "sensitivity peak": (S_OUTPUT, S_INPUT),

@@ -16,7 +16,8 @@ from platform_ctrl.analysis.bandwidth import LEVEL
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.design.blocks import Block
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import Block
 from platform_ctrl.design.structured.maps import (
     S_INPUT,
     S_OUTPUT,
@@ -27,7 +28,6 @@ from platform_ctrl.design.structured.maps import (
     largest,
     row_of,
 )
-from platform_ctrl.frozen import FloatArray, value
 
 Numbers = NDArray[np.intp]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.frozen import FloatArray
+from platform_ctrl.common.values import FloatArray
 
 
 class Responses(NamedTuple):

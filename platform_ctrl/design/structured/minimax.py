@@ -17,10 +17,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.design.structured.curvature import damped_update
-from platform_ctrl.design.structured.quadratic import least_maximum
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.structured.quadratic import damped_update, least_maximum
 from platform_ctrl.design.structured.quasi_newton import Stopped, descended
-from platform_ctrl.frozen import FloatArray, value
 
 # x -> values (k,) and gradients (k, n) of the pieces near the maximum; [inf] where there is none.
 Pieces = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

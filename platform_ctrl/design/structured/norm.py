@@ -19,8 +19,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition
-from platform_ctrl.frozen import FloatArray, value
 
 ComplexArray = NDArray[np.complex128]
 
@@ -81,13 +81,7 @@ class Peaks:
 
 
 class ClosedLoop:
-    """The loop of an augmented plant and one matrix M.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The loop is not well posed.
-    """
+    """The loop of an augmented plant and one matrix M."""
 
     def __init__(self, plant: Partition, M: FloatArray) -> None:
         self.plant, self.M = plant, M

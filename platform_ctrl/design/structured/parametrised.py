@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.arguments import known_name
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.structured.structures import Given, Parameter, Structure, Units
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 
 # Step of the differences that give second derivatives, in search coordinates.
 _STEP = 1e-4

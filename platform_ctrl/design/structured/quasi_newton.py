@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from platform_ctrl.frozen import FloatArray, value
+from platform_ctrl.common.values import FloatArray, value
 
 # x, enough -> value and slope; where the value exceeds `enough` a lower bound of it above `enough` serves, without
 # slope: the point is refused.

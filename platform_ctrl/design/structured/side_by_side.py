@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi import worker
 from platform_ctrl.design.side_process import Ended, Late, SideProcess
 from platform_ctrl.design.structured.run import Limits, Outcome, Problem, divides, searched
-from platform_ctrl.frozen import FloatArray
 
 # Work below this is done sooner here than processes start, s.
 _WORTH_PROCESSES = 4.0

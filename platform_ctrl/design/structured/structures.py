@@ -13,9 +13,65 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from platform_ctrl.design.structured.sloped import Sloped, SlopedBlock, constant, in_series
+from platform_ctrl.common.values import FloatArray, input_value, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, input_value, value
+
+
+class Sloped(NamedTuple):
+    """A matrix (r, c) and its derivatives (r, c, n)."""
+
+    at: FloatArray
+    slope: FloatArray
+
+    def __matmul__(self, other: Sloped) -> Sloped:
+        slope = np.einsum("ijx,jk->ikx", self.slope, other.at) + np.einsum("ij,jkx->ikx", self.at, other.slope)
+        return Sloped(self.at @ other.at, slope)
+
+    def widened(self, before: int, after: int) -> Sloped:
+        """Return the same matrix among more parameters."""
+        return Sloped(self.at, np.pad(self.slope, ((0, 0), (0, 0), (before, after))))
+
+
+def constant(matrix: FloatArray, parameters: int) -> Sloped:
+    """Return a matrix that depends on none of so many parameters."""
+    return Sloped(np.asarray(matrix, dtype=np.float64), np.zeros((*np.shape(matrix), parameters)))
+
+
+def tiled(rows: Sequence[Sequence[Sloped]]) -> Sloped:
+    """Return the matrix made of blocks."""
+    return Sloped(
+        np.block([[block.at for block in row] for row in rows]),
+        np.concatenate([np.concatenate([block.slope for block in row], axis=1) for row in rows], axis=0),
+    )
+
+
+class SlopedBlock(NamedTuple):
+    """A, B, C, D of a block."""
+
+    A: Sloped
+    B: Sloped
+    C: Sloped
+    D: Sloped
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A.at)
+
+    @property
+    def joined(self) -> Sloped:
+        """The matrix [A, B; C, D]."""
+        return tiled([[self.A, self.B], [self.C, self.D]])
+
+
+def in_series(first: SlopedBlock, second: SlopedBlock) -> SlopedBlock:
+    """Return `second` after `first`; the parameters of `first` stand first."""
+    n1, n2 = first.D.slope.shape[2], second.D.slope.shape[2]
+    a, b, c, d = (m.widened(0, n2) for m in first)
+    A, B, C, D = (m.widened(n1, 0) for m in second)
+    zero = constant(np.zeros((first.order, second.order)), n1 + n2)
+    return SlopedBlock(tiled([[a, zero], [B @ c, A]]), tiled([[b], [B @ d]]), tiled([[D @ c, C]]), D @ d)
+
 
 Mask = NDArray[np.bool_]
 
@@ -146,10 +202,6 @@ class Structure:
         -------
         int
             From 0 on.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         units = Units(gain=np.ones((ncon, nmeas)), rate=1.0)
         p = np.array([one.start for one in self.parameters(nmeas, ncon, units)])
@@ -214,10 +266,6 @@ class Static(Structure):
         Which gains there are: "full", "diagonal", "cross" or booleans (nu, ny).
     start, bounds, fixed, tied
         As in `Structure`.
-
-    References
-    ----------
-    As `structured`.
     """
 
     pattern: ArrayLike | str = "full"
@@ -316,10 +364,6 @@ class StateSpaceOrder(Structure):
         -------
         tuple of Parameter
             Row by row.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         k, rate = self.states, units.rate
         typical = float(np.sqrt(np.mean(units.gain**2)))
@@ -355,10 +399,6 @@ class StateSpaceOrder(Structure):
         -------
         SlopedBlock
             With derivatives for every entry.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         n, k = len(p), self.states
         at = 0
@@ -383,10 +423,6 @@ class StateSpaceOrder(Structure):
         -------
         int
             `states`.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         return self.states
 
@@ -417,10 +453,6 @@ class PID(Structure):
         pole is the PID's integrator, its zero becomes a fixed pole of the controller.
     start, bounds, fixed, tied
         As in `Structure`.
-
-    References
-    ----------
-    As `structured`.
     """
 
     P: ArrayLike | str = "full"
@@ -646,10 +678,6 @@ class Lead(Structure):
         Put before the names of the parameters, where there are several such blocks.
     start, bounds, fixed, tied
         As in `Structure`.
-
-    References
-    ----------
-    As `structured`.
     """
 
     name: str = "lead"
@@ -666,10 +694,6 @@ class Lead(Structure):
         -------
         tuple of Parameter
             Two for every measurement.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         rate = units.rate
         return tuple(
@@ -699,10 +723,6 @@ class Lead(Structure):
         -------
         SlopedBlock
             One state a signal, with derivatives.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         n = len(p)
         zero, pole = p[:nmeas], p[nmeas:]
@@ -731,10 +751,6 @@ class Notch(Structure):
         Put before the names of the parameters in place of "notch".
     start, bounds, fixed, tied
         As in `Structure`.
-
-    References
-    ----------
-    As `structured`.
     """
 
     name: str = "notch"
@@ -751,10 +767,6 @@ class Notch(Structure):
         -------
         tuple of Parameter
             Three for every measurement.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         rate = units.rate
         ranges = (("frequency", rate, 1e-3 * rate, 1e4 * rate), ("depth", 0.7, 1e-2, 10.0), ("width", 0.3, 1e-2, 10.0))
@@ -778,10 +790,6 @@ class Notch(Structure):
         -------
         SlopedBlock
             With derivatives for every parameter.
-
-        Notes
-        -----
-        The arguments are not judged.
         """
         n, m = len(p), nmeas
         A, B = constant(np.zeros((2 * m, 2 * m)), n), constant(np.zeros((2 * m, m)), n)
@@ -810,10 +818,6 @@ class Series(Structure):
         From y to u, for example (Notch(), PID()).
     start, bounds, fixed, tied
         As in `Structure`; what stands here counts before what a block has.
-
-    References
-    ----------
-    As `structured`.
     """
 
     blocks: Sequence[Structure]

@@ -14,23 +14,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.arguments import whole as whole_number
+from platform_ctrl.common.arguments import whole as whole_number
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Partition, Realisation, closed_loop, in_w_plane, out_of_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
-from platform_ctrl.design.structured.bound import Bound, full_order
 from platform_ctrl.design.structured.norm import augmented
 from platform_ctrl.design.structured.orders import Orders
 from platform_ctrl.design.structured.parametrised import Parametrised
-from platform_ctrl.design.structured.result import SearchRecord, StructuredDesign
+from platform_ctrl.design.structured.result import Bound, SearchRecord, StructuredDesign, full_order
 from platform_ctrl.design.structured.run import Goal, Limits, Outcome, Problem
 from platform_ctrl.design.structured.side_by_side import best_found
 from platform_ctrl.design.structured.starts import Fit, around, fits, scattered, truncated
 from platform_ctrl.design.structured.structures import StateSpaceOrder, Structure, Units
 from platform_ctrl.design.synthesis import require_time_limit
 from platform_ctrl.errors import ArgumentError, NotCertifiedError, NotFoundError, TimeLimitError, TimeLimitWarning
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.requirements import LoopRequirement
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.job.requirements import LoopRequirement
 
 if TYPE_CHECKING:
     from control import StateSpace

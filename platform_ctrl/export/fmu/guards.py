@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import math
+import os
+import sys
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from pythonfmu3 import Fmi3Slave
@@ -49,3 +55,25 @@ def guarded_getter(kind: str) -> Callable[[Any, list[int]], list[Any]]:
             return [_NOTHING[kind]] * len(references)
 
     return get
+
+
+_FUNCTION = "finalizePythonInterpreter"
+# Program that the library says it is where it has started Python itself: there it ends Python too, in order.
+_OWN_PROGRAM = "PythonFMU"
+
+
+def let_go_once(resources: Path, identifier: str) -> None:
+    """See to it that the library of a unit lets go before the process ends."""
+    if os.name == "posix" and Path(sys.executable or _OWN_PROGRAM).name != _OWN_PROGRAM:
+        for library in sorted(resources.parent.glob(f"binaries/*/{identifier}.so")):
+            _at_exit(library)
+
+
+@cache
+def _at_exit(library: Path) -> None:
+    try:
+        # Not loaded anew: the handle of the one that is there, or none.
+        loaded = ctypes.CDLL(str(library), mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
+        atexit.register(getattr(loaded, _FUNCTION))
+    except (OSError, AttributeError):
+        return

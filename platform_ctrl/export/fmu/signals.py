@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import Literal
 
-from platform_ctrl.description import OMEGA_NAMES, ROOT_TORQUE_NAMES
-from platform_ctrl.frozen import value
-from platform_ctrl.job import Job
+from platform_ctrl.common.values import value
+from platform_ctrl.job.job import Job
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
 from platform_ctrl.simulation.closed_loop import Trajectory
 from platform_ctrl.simulation.servo_rotors import servo_rotors
 

@@ -27,25 +27,16 @@ from pythonfmu3.variable_types import EnumerationType
 from pythonfmu3.variables import Boolean, Enumeration, Float64, Int64
 
 from platform_ctrl import __version__
-from platform_ctrl.check.given import read_controllers
+from platform_ctrl.common.values import FloatArray, replaced
 from platform_ctrl.design.plants import with_spins
 from platform_ctrl.errors import InputError, SimulationError
-from platform_ctrl.export.fmu.guards import guarded_getter, guarded_setter, told
-from platform_ctrl.export.fmu.library_exit import let_go_once
-from platform_ctrl.export.fmu.signals import (
-    UNITS,
-    Signal,
-    inputs_of,
-    output_values,
-    outputs_of,
-    parameters_of,
-    runs_of,
-)
-from platform_ctrl.frozen import FloatArray, replaced
-from platform_ctrl.job import Job, manoeuvre_scenario
-from platform_ctrl.reading import read_job
-from platform_ctrl.scenario import Mode, Scenario
+from platform_ctrl.export.fmu.guards import guarded_getter, guarded_setter, let_go_once, told
+from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_values, outputs_of, parameters_of, runs_of
+from platform_ctrl.job.job import Job, manoeuvre_scenario
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.scenario import Mode, Scenario
 from platform_ctrl.simulation import Stepper, acting
+from platform_ctrl.verification.given import read_controllers
 
 JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
 # How far the length of a step may be from whole periods, and where it begins from a sample, in periods: more than what
@@ -77,15 +68,6 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
     **kwargs
         What PythonFMU3 passes: ``instance_name``, the folder of the unit's ``resources``, and where the unit runs its
         ``logger``.
-
-    Raises
-    ------
-    InputError
-        The resources are not those that the unit was written with.
-
-    References
-    ----------
-    See docs/fmu.md.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -233,10 +215,6 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         -------
         Fmi3StepResult
             `discard` for a step of another length: nothing has happened then; `error` where the run cannot go on.
-
-        References
-        ----------
-        See docs/fmu.md.
         """
         try:
             status = self._step(float(current_time), float(step_size))
@@ -275,13 +253,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         return Fmi3Status.ok
 
     def _acting(self, mode: Mode) -> dict[str, FloatArray]:
-        """The inputs that belong to a mode, as `Stepper.advance` takes them.
-
-        Raises
-        ------
-        InputError
-            One is not finite, or one of the other mode is not zero.
-        """
+        """The inputs that belong to a mode, as `Stepper.advance` takes them."""
         Omega, slope, moment, joints = self._input_values()
         if mode == "caged":
             if moment.any():
@@ -309,10 +281,6 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         ----------
         text
             One line.
-
-        References
-        ----------
-        Own definition.
         """
         self._failure = text
         self.log(text, Fmi3Status.error)

@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.description import Platform
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import InputError
-from platform_ctrl.export.mujoco.chains import Chains
-from platform_ctrl.export.mujoco.tree import BALL, FREE, NEAR, Body, bodies_of
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.reading import read_platform
-from platform_ctrl.reading.mistakes import given, one_line
-from platform_ctrl.reading.source import path_of, read_text
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.export.mujoco.tree import BALL, FREE, NEAR, Body, Chains, bodies_of
+from platform_ctrl.plant.mistakes import given, one_line
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.source import path_of, read_text
 
 Tables = dict[str, Any]
 
@@ -57,10 +56,6 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
     InputError
         It cannot be read, is no MJCF, or has something that no platform has: one line says what; also if the package
         mujoco is not installed.
-
-    References
-    ----------
-    See docs/export.md.
     """
     file = path_of(path, "the path of an MJCF file")
     label = one_line(str(file))
@@ -88,13 +83,7 @@ def read_mjcf(path: str | os.PathLike[str], spins: Mapping[str, float] | None = 
 
 
 def loaded() -> Any:
-    """Return the module mujoco.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """Return the module mujoco."""
     try:
         return import_module("mujoco")
     except ImportError:

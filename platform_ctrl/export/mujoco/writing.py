@@ -9,22 +9,26 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
 
-from platform_ctrl.arguments import one_of, positive
-from platform_ctrl.description import OMEGA_NAMES, Platform, Rotor, Torquer
+from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.export.mujoco.bodies import Placed, children, placed, rotor_mass, rotors_on
 from platform_ctrl.export.mujoco.shapes import (
+    Placed,
     add_looks,
     add_ring,
     add_root,
     add_scene,
     add_wheel,
+    children,
+    placed,
     quaternion_to,
+    rotor_mass,
+    rotors_on,
     text,
 )
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.signatures import check_arguments, short
-from platform_ctrl.writing import write_whole
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor, Torquer
 
 Root = Literal["free", "prescribed", "fixed"]
 
@@ -64,10 +68,6 @@ def write_mjcf(
         `platform` is none, another `root`, a step that is not above zero, or a name that MuJoCo has for something else.
     InputError
         The file cannot be written there.
-
-    References
-    ----------
-    See docs/export.md.
     """
     one_of("write_mjcf: root", root, ("free", "prescribed", "fixed"))
     step = positive("write_mjcf: step", step)

@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import known_name
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import value
-from platform_ctrl.greek import greek
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
 from platform_ctrl.report.plots.curves import margins as margins_of
 from platform_ctrl.report.plots.frequencies import grid
@@ -33,7 +34,6 @@ from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, SERIES, standalone
-from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control
@@ -224,13 +224,7 @@ def _entry_blocks(
 
 
 def chosen(name: str, given: Sequence[str | int] | str | int | None, known: Sequence[str]) -> list[int]:
-    """Return the numbers of signals that are named or numbered, in the order given; default all.
-
-    Raises
-    ------
-    ArgumentError
-        None of them, or one that does not exist.
-    """
+    """Return the numbers of signals that are named or numbered, in the order given; default all."""
     if given is None:
         return list(range(len(known)))
     one_by_one = [given] if isinstance(given, str | int) else list(given)

@@ -9,16 +9,16 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from platform_ctrl.arguments import one_of
 from platform_ctrl.campaign.engine import Campaigned
 from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, Table
+from platform_ctrl.common.arguments import one_of
+from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.report.campaign_figures import asked, histograms
 from platform_ctrl.report.style import standalone
-from platform_ctrl.signatures import short
 
 _COLUMNS = 3
 
@@ -54,10 +54,6 @@ def campaign_histograms(
         Something else, a table without limits, or nothing is asked of the runs.
     InputError
         The files cannot be read.
-
-    References
-    ----------
-    See docs/campaign.md.
     """
     if figure is not None:
         one_of("campaign_histograms: figure", figure, tuple(FIGURES))

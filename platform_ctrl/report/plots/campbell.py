@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import state_arrays
-from platform_ctrl.arguments import known_name, real_numbers
-from platform_ctrl.description import Platform
+from platform_ctrl.common.arguments import known_name, real_numbers
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.state_space import state_space, subsystems, whole_subsystems
+from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.modes import poles_and_kinds
 from platform_ctrl.report.plots.loci import increasing, with_rotors_at_rest
 from platform_ctrl.report.plots.places import Places
@@ -35,8 +37,6 @@ from platform_ctrl.report.style import (
     panels,
     standalone,
 )
-from platform_ctrl.signatures import check_arguments
-from platform_ctrl.state_space import state_space, subsystems, whole_subsystems
 
 # Speeds at which the modes are worked out, at least.
 _SPEEDS = 401

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.systems import DrawnSystem, features, gaps, near, sorted_data
 
 # A step of the phase beyond which a pole or zero without damping is taken for its cause, degrees.
@@ -109,11 +109,6 @@ def channels(name: str, loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
         Begins every message: the plot's name.
     loop
         L with negative feedback, square.
-
-    Raises
-    ------
-    ArgumentError
-        The others cannot be closed: I + D or I + L is singular, or the loop is improper.
     """
     if loop.shape == (1, 1):
         return (loop,)

@@ -19,23 +19,17 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, disk_phase, disk_to_gain_phase
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import positive
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import at_least, at_most
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.systems import (
-    DrawnSystem,
-    as_state_space,
-    drawable,
-    drawn_systems,
-    gaps,
-)
+from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone
-from platform_ctrl.rounding import at_least, at_most
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -126,13 +120,7 @@ def disk_margin_region(
 
 
 def judged_skew(name: str, skew: object) -> float:
-    """Return a skew as a float.
-
-    Raises
-    ------
-    ArgumentError
-        It is not a finite number.
-    """
+    """Return a skew as a float."""
     if not isinstance(skew, Real) or isinstance(skew, bool) or not math.isfinite(skew):
         raise ArgumentError(f"{name}: skew = {skew!r}; expected a finite number")
     return float(skew)

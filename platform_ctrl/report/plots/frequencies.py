@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, frequencies
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.plots.systems import ON, DrawnSystem, sorted_data
 
 _NEAR = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0, 4.0])
@@ -51,11 +51,6 @@ def grid(
         Whether gains of 1 have to be seen.
     points
         Of the plain grid, before poles and zeros add theirs.
-
-    Raises
-    ------
-    ArgumentError
-        `frequency` is not ascending, not finite, not positive, or nothing of the systems lies there.
     """
     if frequency is None:
         low, high = _range(systems, loops)

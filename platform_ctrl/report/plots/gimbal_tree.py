@@ -2,34 +2,260 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
+from matplotlib.patches import Circle, FancyBboxPatch, PathPatch, Polygon
+from matplotlib.path import Path
 
-from platform_ctrl.description import Platform
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.report.axes_bodies import camera
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.report.axes_bodies import camera, signs, spin_direction
 from platform_ctrl.report.plots.systems import drawable
-from platform_ctrl.report.plots.tree_cards import (
-    AXIS,
-    CONTROL,
-    HEIGHT,
-    SPIN,
-    WORDS,
-    Card,
-    draw_card,
-    draw_sign,
-    gimbal_card,
-    root_card,
-    rotor_card,
-)
-from platform_ctrl.report.style import INK, MUTED, standalone
-from platform_ctrl.report.svg_pieces import text_width
-from platform_ctrl.signatures import check_arguments
+from platform_ctrl.report.quantities import RPM
+from platform_ctrl.report.quantities import plain as number
+from platform_ctrl.report.style import BAND, FRAME, INK, MUTED, REFERENCE, SERIES, standalone
+from platform_ctrl.report.svg import SIGNS, direction_text, text_width
+
+HEIGHT = 58.0
+CROSS = 52.0  # side of the square that holds the cross of axes
+_PAD, _SIGN, _AFTER = 7.0, 12.0, 5.0
+_NAME, _LINE, _SMALL = 8.5, 7.5, 6.5
+_LEAST, _MOST = 66.0, 150.0  # width of the text
+
+# Borders by the level of nesting, as in the pictures of axes.
+LEVELS = (INK, SERIES[7], SERIES[6], SERIES[3], REFERENCE)
+AXIS, SPIN, ACTS = SERIES[1], SERIES[0], SERIES[2]
+CONTROL: dict[str, Any] = {"regulated": "-", "free": (0, (5, 2)), "servo": (0, (6, 1.6, 1.2, 1.6))}
+# The signs of the pictures of axes, and two more.
+_SIGNS = {kind: path for kind, (path, _) in SIGNS.items()} | {
+    "rate": "M0-5.5L5.5 0L0 5.5L-5.5 0Z",
+    "stop": "M-5-4.5V4.5M5-4.5V4.5M-5 0H5",
+    "friction": "M-5.5 3.5H5.5M-4.5 3.5V-1.5H4.5V3.5",
+    "unbalance": "M0-4.5A",
+}
+WORDS = {kind: words for kind, (_, words) in SIGNS.items()} | {
+    "rate": "rate sensor",
+    "stop": "stops",
+    "friction": "friction",
+    "unbalance": "unbalance",
+}
+
+
+class Card(NamedTuple):
+    """A body: what is written, its signs with words, and the vectors of its cross of axes."""
+
+    name: str
+    kind: str  # root, gimbal, rotor
+    lines: tuple[tuple[str, str], ...]  # text, colour
+    signs: tuple[tuple[str, str], ...]  # kind, word
+    arrow: FloatArray | None
+    edge: str
+    dashes: Any
+
+    @property
+    def width(self) -> float:
+        """Of the card, points."""
+        own = [text_width(self.name, _NAME) + 4.0, *(text_width(text, _LINE) for text, _ in self.lines)]
+        own.append(sum(_SIGN + (text_width(word, _SMALL) + _AFTER if word else 2.0) for _, word in self.signs))
+        return CROSS + 2.0 * _PAD + float(np.clip(max(own), _LEAST, _MOST))
+
+
+def root_card(platform: Platform) -> Card:
+    """Return the card of the root: the axes that all vectors are written in."""
+    torquers = [t.name for t in platform.torquers if t.root_axis is not None]
+    sensors = [s.name for s in platform.rate_sensors if s.root_axis is not None]
+    marks = [("torquer", ", ".join(map(drawable, torquers)))] if torquers else []
+    marks += [("rate", ", ".join(greek(drawable(name)) for name in sensors))] if sensors else []
+    marks += _unbalance(platform, platform.root_name)
+    return _card(platform.root_name, "root", [("root: axes 1, 2, 3", MUTED)], marks, None, INK, "-")
+
+
+def gimbal_card(platform: Platform, gimbal: Gimbal, level: int) -> Card:
+    """Return the card of a gimbal, `level` joints away from the root."""
+    there = signs(platform, gimbal.name)
+    marks = [("torquer", drawable(t.name)) for t in platform.torquers if t.gimbal == gimbal.name]
+    marks += [("pickoff", "")] * ("pickoff" in there)
+    marks += [("rate", "")] * any(s.gimbal == gimbal.name for s in platform.rate_sensors)
+    if gimbal.stops is not None:
+        marks.append(("stop", _degrees(*gimbal.stops)))
+    marks += [(kind, "") for kind in ("spring", "cage", "erection") if kind in there]
+    marks += [("friction", "")] * any(f.gimbal == gimbal.name for f in platform.frictions)
+    marks += _unbalance(platform, gimbal.name)
+    text = f"{greek(drawable(gimbal.angle))} about {direction_text(gimbal.axis)}"
+    return _card(gimbal.name, "gimbal", [(text, AXIS)], marks, gimbal.axis, LEVELS[(level - 1) % len(LEVELS)], "-")
+
+
+def rotor_card(rotor: Rotor) -> Card:
+    """Return the card of a rotor."""
+    spin = f"{number(abs(rotor.spin) * RPM, 4)} rpm, {rotor.control}"
+    lines = [(f"L = {number(abs(rotor.angular_momentum), 3)} N m s", SPIN), (spin, MUTED)]
+    return _card(rotor.name, "rotor", lines, [], spin_direction(rotor), SPIN, CONTROL[rotor.control])
+
+
+def _card(
+    name: str,
+    kind: str,
+    lines: list[tuple[str, str]],
+    marks: list[tuple[str, str]],
+    arrow: FloatArray | None,
+    edge: str,
+    dashes: Any,
+) -> Card:
+    return Card(drawable(name), kind, tuple(lines), tuple(marks), arrow, edge, dashes)
+
+
+def _unbalance(platform: Platform, body: str) -> list[tuple[str, str]]:
+    return [("unbalance", "")] * any(u.body == body and np.any(u.moment) for u in platform.unbalances)
+
+
+def _degrees(low: float, high: float) -> str:
+    a, b = (number(float(np.degrees(x)), 3) for x in (low, high))
+    return f"±{b}°" if abs(low + high) <= 1e-9 * max(abs(low), abs(high)) else f"{a}° to {b}°"
+
+
+def draw_card(axes: Axes, card: Card, left: float, top: float, rows: FloatArray) -> None:
+    """Draw a card with its upper left corner at a point; `rows` are right, up and toward the viewer in root axes."""
+    radius = 13.0 if card.kind == "rotor" else 3.0
+    box = FancyBboxPatch(
+        (left, top),
+        card.width,
+        HEIGHT,
+        boxstyle=f"round,pad=0,rounding_size={radius}",
+        facecolor=BAND if card.kind == "root" else "none",
+        edgecolor=card.edge,
+        linewidth=1.5,
+        linestyle=card.dashes,
+    )
+    box.set_gid(f"{card.kind} {card.name}")
+    axes.add_patch(box)
+    _cross(axes, np.array([left + 0.5 * CROSS + 4.0, top + 0.5 * HEIGHT]), rows, card)
+    x, room = left + CROSS + _PAD, card.width - CROSS - 2.0 * _PAD
+    y = top + (14.0 if len(card.lines) + bool(card.signs) > 1 else 20.0)
+    colour = SPIN if card.kind == "rotor" else INK
+    axes.text(x, y, fitted(card.name, _NAME, room), fontsize=_NAME, fontweight="bold", color=colour, va="center")
+    for text, ink in card.lines:
+        y += 14.0
+        axes.text(x, y, fitted(text, _LINE, room), fontsize=_LINE, color=ink, va="center")
+    y += 15.0
+    at = x + 6.0
+    for kind, word in card.signs:
+        draw_sign(axes, kind, at, y)
+        at += _SIGN
+        if word:
+            shown = fitted(word, _SMALL, left + card.width - at)
+            axes.text(at - 4.0, y, shown, fontsize=_SMALL, color=MUTED, va="center")
+            at += text_width(shown, _SMALL) + _AFTER - 2.0
+        at += 2.0
+
+
+def _cross(axes: Axes, centre: FloatArray, rows: FloatArray, card: Card) -> None:
+    """Draw axes 1, 2, 3 thinly and the body's own axis over them; a rotor's disc lies across its axis."""
+    flat = rows[:2] * np.array([[1.0], [-1.0]])
+    length = 0.34 * CROSS
+    # The cross fills its square evenly, whichever way its axes point.
+    own = np.zeros((1, 2)) if card.arrow is None else 1.22 * (flat @ card.arrow)[None, :]
+    ends = length * np.vstack([own, flat.T, np.zeros((1, 2))])
+    centre = centre - 0.5 * (ends.min(axis=0) + ends.max(axis=0))
+    if card.kind == "rotor" and card.arrow is not None:
+        across = np.linalg.svd(card.arrow[None, :])[2][1:]
+        turn = np.linspace(0.0, 2.0 * np.pi, 48)
+        ring = 0.26 * CROSS * (np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1]) @ flat.T
+        axes.add_patch(Polygon(centre + ring, closed=True, facecolor=BAND, edgecolor=SPIN, linewidth=1.0))
+    root = card.kind == "root"
+    for k, axis in enumerate(np.eye(3)):
+        tip = centre + length * flat @ axis
+        if root:
+            _arrow(axes, centre, tip, INK, 1.4)
+        else:
+            axes.plot(*np.array([centre, tip]).T, color=FRAME, linewidth=0.9, solid_capstyle="round")
+        beyond = tip + 5.0 * (flat @ axis) / max(float(np.linalg.norm(flat @ axis)), 1e-9)
+        if card.arrow is None or np.linalg.norm(card.arrow - axis) > 0.3:
+            style: dict[str, Any] = {"color": INK if root else MUTED, "fontweight": "bold" if root else "normal"}
+            axes.text(
+                float(beyond[0]),
+                float(beyond[1]),
+                f"{k + 1}",
+                fontsize=7.0 if root else 6.0,
+                ha="center",
+                va="center",
+                **style,
+            )
+    if card.arrow is not None:
+        colour = SPIN if card.kind == "rotor" else AXIS
+        _arrow(axes, centre, centre + 1.22 * length * flat @ card.arrow, colour, 2.0)
+
+
+def _arrow(axes: Axes, tail: FloatArray, tip: FloatArray, colour: str, width: float) -> None:
+    along = tip - tail
+    size = float(np.linalg.norm(along))
+    along = along / size if size > 1e-9 else np.array([1.0, 0.0])
+    head = min(2.2 + 2.0 * width, 0.8 * size + 1.0)
+    back = tip - head * along
+    across = 0.42 * head * np.array([-along[1], along[0]])
+    axes.plot(*np.array([tail, back]).T, color=colour, linewidth=width, solid_capstyle="butt", zorder=3)
+    head_shape = np.array([tip, back + across, back - across])
+    axes.add_patch(Polygon(head_shape, closed=True, facecolor=colour, linewidth=0, zorder=3))
+
+
+def draw_sign(axes: Axes, kind: str, x: float, y: float) -> None:
+    """Draw the sign of what acts or measures."""
+    style: dict[str, Any] = {"edgecolor": ACTS, "facecolor": ACTS if kind in _FILLED else "none", "linewidth": 1.3}
+    if kind in ("pickoff", "unbalance"):
+        axes.add_patch(Circle((x, y), 4.0, **style | {"edgecolor": MUTED if kind == "unbalance" else ACTS}))
+        if kind == "unbalance":
+            axes.add_patch(Circle((x + 1.6, y), 1.4, facecolor=MUTED, linewidth=0))
+        return
+    if kind in ("stop", "friction"):
+        style["edgecolor"] = MUTED
+    axes.add_patch(PathPatch(_path(_SIGNS[kind], x, y), **style))
+
+
+_FILLED = frozenset({"torquer"})
+_TOKEN = re.compile(r"[MLHVZ]|-?\d*\.?\d+")
+
+
+def _path(text: str, x: float, y: float) -> Path:
+    """Return a path of straight lines, in SVG's letters M, L, H, V and Z, about a point."""
+    points: list[tuple[float, float]] = []
+    codes: list[Any] = []
+    command, px, py = "M", 0.0, 0.0
+    tokens = _TOKEN.findall(text)
+    k = 0
+    while k < len(tokens):
+        if tokens[k] in "MLHVZ":
+            command = tokens[k]
+            k += 1
+            if command == "Z":
+                points.append(points[0])
+                codes.append(Path.CLOSEPOLY)
+            continue
+        if command in "ML":
+            px, py = float(tokens[k]), float(tokens[k + 1])
+            k += 2
+        else:
+            px, py = (float(tokens[k]), py) if command == "H" else (px, float(tokens[k]))
+            k += 1
+        points.append((x + 0.9 * px, y + 0.9 * py))
+        codes.append(Path.MOVETO if command == "M" else Path.LINETO)
+        command = "L" if command == "M" else command
+    return Path(points, codes)
+
+
+def fitted(text: str, size: float, room: float) -> str:
+    """Return the beginning of a text that fits, with an ellipsis where something is left out."""
+    if text_width(text, size) <= room + 4.0:
+        return text
+    while text and text_width(text + "…", size) > room + 4.0:
+        text = text[:-1]
+    return text.rstrip() + "…"
+
 
 _BESIDE, _BELOW = 14.0, 24.0  # between cards
 _MARGIN, _HEAD, _ENTRY = 10.0, 30.0, 15.0
@@ -80,10 +306,6 @@ def gimbal_tree(platform: Platform) -> Figure:
     ------
     ArgumentError
         It is no platform.
-
-    References
-    ----------
-    See docs/plant-file.md.
     """
     root = _Node(root_card(platform), _carried(platform, platform.root_name, 1))
     rows = camera(platform)

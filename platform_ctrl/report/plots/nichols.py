@@ -12,10 +12,11 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import positive
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.greek import greek
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
 from platform_ctrl.report.plots.frequencies import grid
@@ -24,7 +25,6 @@ from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone
-from platform_ctrl.signatures import check_arguments, short
 
 if TYPE_CHECKING:
     import control

@@ -13,13 +13,13 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
-from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.axis import boundary_poles
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.analysis.poles import pole_arrays
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import positive
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
 from platform_ctrl.report.plots.curves import channels
 from platform_ctrl.report.plots.frequencies import grid
 from platform_ctrl.report.plots.panels import line_array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,9 +14,10 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.arguments import real_numbers
+from platform_ctrl.common.arguments import real_numbers
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
 from platform_ctrl.report.limit_lines import DASHED
 from platform_ctrl.report.plots.systems import DrawnSystem, near
 from platform_ctrl.report.quantities import HZ, plain
@@ -34,7 +35,9 @@ from platform_ctrl.report.style import (
     legend_rows,
     log_axis,
 )
-from platform_ctrl.signatures import short
+
+if TYPE_CHECKING:
+    import control
 
 # Series that differ by their dashes alone; more have markers.
 _DIFFERENT = 6
@@ -264,13 +267,7 @@ def line_array(axes: NDArray[Any]) -> NDArray[Any]:
 
 
 def bound(name: str, given: ArrayLike | tuple[ArrayLike, ArrayLike] | None) -> tuple[FloatArray, FloatArray] | None:
-    """Return a level over frequency, (frequency, level): a number holds everywhere, two vectors are a polyline.
-
-    Raises
-    ------
-    ArgumentError
-        It is neither a number > 0 nor two vectors of such numbers, frequencies in rad/s ascending.
-    """
+    """Return a level over frequency, (frequency, level): a number holds everywhere, two vectors are a polyline."""
     if given is None:
         return None
     expected = "a number > 0, or a pair (frequencies in rad/s, levels) of ascending and positive numbers"
@@ -334,3 +331,59 @@ def gain_label(words: str, unit: str, dB: bool) -> str:
     if dB:
         return f"{words}, dB" + (f" of {unit}" if unit not in ("", "1") else "")
     return words if unit in ("", "1") else f"{words}, {unit}"
+
+
+def show(*plots: Figure | control.ControlPlot) -> None:
+    """Open a window for each plot, by pyplot's current backend, and wait until they are closed.
+
+    In a notebook they appear below the cell instead, and nothing waits. Until this is called no plot of this package
+    is known to pyplot.
+
+    Parameters
+    ----------
+    *plots
+        Figures, and whatever has one as ``figure``: `control.ControlPlot`.
+
+    Raises
+    ------
+    ArgumentError
+        Something else, nothing at all, or a backend that opens no windows: use ``figure.savefig`` there.
+    """
+    figures = [_figure(plot) for plot in plots]
+    if not figures:
+        raise ArgumentError("show: given no plot; expected at least one Figure or control.ControlPlot")
+    from matplotlib import pyplot
+
+    backend = pyplot.get_backend()
+    if _is_silent(backend):
+        raise ArgumentError(
+            f"show: Matplotlib's backend {backend!r} opens no windows; "
+            "save the figure with figure.savefig('plot.png'), or choose another with matplotlib.use('TkAgg')"
+        )
+    for figure in figures:
+        _attached(pyplot, figure)
+    pyplot.show()
+
+
+def _figure(plot: object) -> Figure:
+    figure = plot if isinstance(plot, Figure) else getattr(plot, "figure", None)
+    if not isinstance(figure, Figure):
+        raise ArgumentError(f"show: given {short(plot)}; expected a Figure or a control.ControlPlot")
+    return figure
+
+
+def _is_silent(backend: str) -> bool:
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    names: list[str] = backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE)  # type: ignore[no-untyped-call]
+    return backend.lower() in {name.lower() for name in names}
+
+
+def _attached(pyplot: Any, figure: Figure) -> None:
+    """Give `figure` the window of a figure that pyplot makes: the way that every version of Matplotlib has."""
+    manager = figure.canvas.manager
+    if manager is not None and pyplot.fignum_exists(manager.num):
+        return
+    manager = pyplot.figure(figsize=figure.get_size_inches(), dpi=figure.dpi).canvas.manager
+    manager.canvas.figure = figure
+    figure.set_canvas(manager.canvas)

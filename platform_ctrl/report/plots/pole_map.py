@@ -10,19 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
-from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.axis import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.plots.loci import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.planes import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, MARKERS, MUTED, SERIES, legend_above, legend_rows, panels, standalone
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
@@ -72,10 +72,6 @@ def pole_map(
     ------
     ArgumentError
         Something that has no poles, or an option without sense.
-
-    References
-    ----------
-    As `damping`.
     """
     import control
 

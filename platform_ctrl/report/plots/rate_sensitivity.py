@@ -12,9 +12,10 @@ from platform_ctrl.analysis.arrays import state_space
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.poles import is_stable
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.description import OMEGA_NAMES, is_rate
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.greek import greek
+from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
 from platform_ctrl.report.plots.bode import chosen
 from platform_ctrl.report.plots.curves import entry_curves
 from platform_ctrl.report.plots.frequencies import grid
@@ -33,7 +34,6 @@ from platform_ctrl.report.plots.panels import (
 )
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems
 from platform_ctrl.report.style import REFERENCE, standalone
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control

@@ -14,22 +14,21 @@ from numpy.typing import ArrayLike
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
 from platform_ctrl.analysis.rational import LinearSystem
-from platform_ctrl.arguments import one_of, positive
+from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.report.plots.loci import Locus, gain_locus, spin_locus
+from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, z_plane
 from platform_ctrl.report.plots.panels import line_array
 from platform_ctrl.report.plots.places import Places
-from platform_ctrl.report.plots.planes import s_plane, z_plane
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone
-from platform_ctrl.signatures import check_arguments
 
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.description import Platform
+    from platform_ctrl.plant.platform import Platform
 
 Plane = Literal["s", "z"]
 

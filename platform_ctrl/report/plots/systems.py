@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.boundary import boundary_poles
+from platform_ctrl.analysis.axis import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.rational import LinearSystem, is_proper, is_rational, linear_arrays, rational_response
 from platform_ctrl.analysis.response import frequency_response_arrays
-from platform_ctrl.description import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.text import LETTERS
+from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.frozen import FloatArray, value
-from platform_ctrl.greek import LETTERS
-from platform_ctrl.signatures import short
+from platform_ctrl.plant.platform import FORCE_NAMES, ROOT_TORQUE_NAMES, is_rate
 
 if TYPE_CHECKING:
     import control
@@ -129,11 +129,6 @@ def drawn_systems(
         Whether as many outputs as inputs are needed (a loop transfer).
     data
         Whether data will do.
-
-    Raises
-    ------
-    ArgumentError
-        No system, another type, no sample period, not finite, not square, or labels that do not fit.
     """
     if isinstance(systems, Mapping):
         if labels is not None:
@@ -341,13 +336,7 @@ def near(places: FloatArray, frequency: FloatArray, within: float) -> NDArray[np
 
 
 def as_state_space(name: str, system: DrawnSystem) -> control.StateSpace:
-    """Return a system as a `control.StateSpace` with its names: what was given, if it is one; `name` begins messages.
-
-    Raises
-    ------
-    ArgumentError
-        An improper transfer function.
-    """
+    """Return a system as a `control.StateSpace` with its names; `name` begins messages."""
     import control
 
     if system.arrays is None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import LANES, compiled, internal, load, store
-from platform_ctrl.simulation.kernel.body import RATE, SERVO, WORK, At, Links
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import LANES, compiled, internal, load, store
+from platform_ctrl.simulation.kernel.arrays import RATE, SERVO, WORK, At, Links
 from platform_ctrl.simulation.kernel.dynamics import joint_momenta, runge_kutta
 
 _ALL: Any = None  # for `lane`: all columns at once

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import (
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import (
     Mask,
     Number,
     anywhere,
@@ -16,23 +16,27 @@ from platform_ctrl.lanes import (
     load,
     store,
 )
-from platform_ctrl.simulation.kernel.body import LOCKED, MOMENT, WORK, At, Links
-from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
-from platform_ctrl.simulation.kernel.flight import (
+from platform_ctrl.simulation.kernel.arrays import (
     AWAY,
     BEGIN,
     CONTACT,
     FAULT,
     FIRST,
     HIGH,
+    LOCKED,
     LOW,
+    MOMENT,
     RESTITUTION,
     STOP,
     TOUCHING,
     WHEN,
+    WORK,
+    At,
     Flight,
+    Links,
     Shared,
 )
+from platform_ctrl.simulation.kernel.dynamics import derivative, joint_momenta, runge_kutta
 
 # A flight of fewer steps than these from a stop back to it ends at most as fast as it began.
 _SHORT = 20.0

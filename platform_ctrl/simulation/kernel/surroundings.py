@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from platform_ctrl.frozen import FloatArray
-from platform_ctrl.lanes import (
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import (
     Number,
     apart,
     choose,
@@ -17,8 +17,7 @@ from platform_ctrl.lanes import (
     load,
     store,
 )
-from platform_ctrl.simulation.kernel.body import SERVO, SPIN, At
-from platform_ctrl.simulation.kernel.flight import (
+from platform_ctrl.simulation.kernel.arrays import (
     AMPLITUDE,
     BEGIN,
     FAULT,
@@ -33,9 +32,12 @@ from platform_ctrl.simulation.kernel.flight import (
     RUN_UP,
     SCALE,
     SECOND,
+    SERVO,
     SHARE,
+    SPIN,
     TURN,
     UNTIL,
+    At,
     Flight,
     Shared,
 )

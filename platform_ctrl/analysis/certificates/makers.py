@@ -1,0 +1,447 @@
+"""How the matrix of a certificate is found: in floating point, without an LMI solver; the proof is made afterwards.
+
+Every matrix is looked for in doubles, in balanced states (powers of two, exact). Where that does not prove the claim,
+it is looked for with hundreds of bits and rounded in the coordinates of the modes (`precise`).
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import ParamSpec
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import StateArrays, state_scaling
+from platform_ctrl.analysis.certificates.certificate import Certificate, Claim
+from platform_ctrl.analysis.certificates.closed_loop import ClosedLoop, closed, matrices_of, modes, stabilising
+from platform_ctrl.analysis.norms import gains, hinf_norm_arrays, resonances, stationary_covariance
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError, NotCertifiedError, PlatformCtrlError
+
+# Shares of the true decay rate that are claimed, and how far above the true norm: the first that can be proved.
+_SHARES = (0.99, 0.9, 0.5, 0.1)
+_ABOVE = (9e-7, 1e-5, 1e-4, 1e-3, 1e-2)
+
+# A norm that is not told from zero.
+_NOTHING = 1e-100
+
+# From a balanced system, in doubles; and from the closed loop, its rounded form and coordinates, with many bits.
+Finder = Callable[[StateArrays], FloatArray]
+PreciseFinder = Callable[[ClosedLoop, StateArrays, FloatArray], FloatArray | None]
+
+
+Given = ParamSpec("Given")
+
+
+def found_in_doubles(make: Callable[Given, Certificate]) -> Callable[Given, Certificate]:
+    """Keep what floating point says on the way from the user: what it finds is proved or refused afterwards."""
+
+    @functools.wraps(make)
+    def made(*args: Given.args, **options: Given.kwargs) -> Certificate:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            try:
+                return make(*args, **options)
+            except PlatformCtrlError:
+                raise
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+                raise NotCertifiedError(
+                    f"{make.__name__}: the matrices hold numbers too large, or too far apart, for floating point; "
+                    "no proof was found; try other units",
+                    args,
+                ) from None
+
+    return made
+
+
+@check_arguments
+@found_in_doubles
+def stability_certificate(
+    A: ArrayLike,
+    dt: float = 0.0,
+    *,
+    decay: float | None = None,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system, or a plant closed by a controller, is stable.
+
+    Parameters
+    ----------
+    A : (n, n)
+        x' = A x, or x(k+1) = A x(k), in the system's units.
+    dt
+        Sample period, s; 0: continuous.
+    decay
+        Rate, 1/s, that is claimed; default 99 % of the slowest pole's, or less where that cannot be proved.
+    B, C, D
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
+    controller
+        K.
+    label
+        What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, does not decay at `decay`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
+
+    Examples
+    --------
+    >>> from platform_ctrl.analysis import certificates
+    >>> proof = certificates.stability_certificate([[-1.0, 2.0], [0.0, -3.0]])
+    >>> proof.verify().proved
+    True
+    """
+    loop = closed(matrices_of(A, B, C, D, dt, "stability_certificate"), controller, label, "stability_certificate")
+    system = _rounded(loop, "stability_certificate")
+    rate = -float(spectral_abscissa(continuous_poles(pole_arrays(system.A), loop.dt))) if len(system.A) else np.inf
+    if not rate > 0.0:
+        raise NotCertifiedError(
+            f"stability_certificate: the slowest pole{_of(label)} grows at {-rate:.3g} 1/s; "
+            "expected a stable closed loop; try another controller",
+            loop,
+        )
+    if decay is not None:
+        claimed = [float(decay)]
+    else:
+        claimed = [share * rate for share in _SHARES] + [0.0] if np.isfinite(rate) else [0.0]
+    made = _first_proved("stability", [one for one in claimed if one < rate], loop, system, _lyapunov)
+    if made is not None:
+        return made
+    raise NotCertifiedError(
+        f"stability_certificate: no proof that the closed loop{_of(label)} decays at {claimed[0]:.6g} 1/s or faster "
+        f"(its slowest pole decays at {rate:.6g} 1/s); try a smaller decay",
+        loop,
+    )
+
+
+@check_arguments
+@found_in_doubles
+def norm_certificate(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike,
+    dt: float = 0.0,
+    gamma: float | None = None,
+    *,
+    controller: StateArrays | None = None,
+    norm: float | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system is stable and its H-infinity norm below `gamma`.
+
+    Parameters
+    ----------
+    A, B, C, D
+        The system in its units; with a controller the plant with inputs [w, u] and outputs [z, y]. Shapes (n, n), (n,
+        m), (p, n), (p, m).
+    dt
+        Sample period, s; 0: continuous.
+    gamma
+        The bound that is claimed, in units of z per w; default the norm and as little above it as can be proved.
+    controller
+        u = K y.
+    norm
+        The norm, in the same units, where it is known already: it is not computed again.
+    label
+        What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, its norm is not below `gamma`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
+    """
+    where = "norm_certificate"
+    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    norm = _hinf(*system) if norm is None else float(norm)
+    return _norm_proved("norm", norm, gamma, loop, system, _bounded_real)
+
+
+@check_arguments
+@found_in_doubles
+def h2_certificate(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    dt: float = 0.0,
+    bound: float | None = None,
+    *,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that a system is stable and its H2 norm below `bound`.
+
+    Parameters
+    ----------
+    A, B, C, D
+        As in `norm_certificate`; D zero if continuous.
+    dt
+        As in `norm_certificate`, s.
+    bound
+        What is claimed, in units of z per w (continuous: times s^-1/2); default the norm and as little above it as can
+        be proved.
+    controller, label
+        As in `norm_certificate`.
+
+    Returns
+    -------
+    Certificate
+        Verified.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        The system is not stable, its norm is not below `bound`, or no proof was found.
+
+    References
+    ----------
+    S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory, 1994.
+
+    See docs/certificates.md.
+    """
+    where = "h2_certificate"
+    loop, system = _stable_loop(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    if dt == 0 and np.any(system.D):
+        raise NotCertifiedError(f"{where}: D is not zero; expected it zero: the H2 norm is infinite", loop)
+    s = state_scaling(*system[:3])
+    balanced = _in_coordinates(system, np.diag(1.0 / s), np.diag(s))
+    X = _gramian(balanced.A, balanced.C.T @ balanced.C, dt)
+    norm = float(np.sqrt(max(np.trace(balanced.B.T @ X @ balanced.B) + np.sum(system.D**2), 0.0)))
+    return _norm_proved("h2", norm, bound, loop, system, _observability)
+
+
+def _hinf(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, dt: float) -> float:
+    # The norm of what transfers nothing is looked for among numbers so small that their inverses overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return hinf_norm_arrays(A, B, C, D, dt)[0]
+
+
+def _just_above(norm: float) -> list[float]:
+    """Return the bounds that are tried where none is asked for."""
+    return [norm * (1.0 + above) for above in _ABOVE] if norm > _NOTHING else [2.0 * _NOTHING]
+
+
+def _of(label: str) -> str:
+    return f" ({label})" if label else ""
+
+
+def _rounded(loop: ClosedLoop, where: str) -> StateArrays:
+    if not loop.finite:
+        raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
+    try:
+        return loop.rounded()
+    except np.linalg.LinAlgError:
+        raise NotCertifiedError(
+            f"{where}: I − D_K D22 is singular; expected a well-posed loop; try another controller", loop
+        ) from None
+
+
+def _require_stable(system: StateArrays, where: str, loop: ClosedLoop) -> None:
+    if len(system.A) == 0:
+        return
+    growth = float(spectral_abscissa(continuous_poles(pole_arrays(system.A), system.dt)))
+    if not growth < 0.0:
+        raise NotCertifiedError(
+            f"{where}: the slowest pole{_of(loop.label)} grows at {growth:.3g} 1/s; expected a stable closed loop; "
+            "try another controller",
+            loop,
+        )
+
+
+def _stable_loop(
+    plant: StateArrays, controller: StateArrays | None, label: str, where: str
+) -> tuple[ClosedLoop, StateArrays]:
+    loop = closed(plant, controller, label, where)
+    system = _rounded(loop, where)
+    _require_stable(system, where, loop)
+    return loop, system
+
+
+def _norm_proved(
+    claim: Claim,
+    norm: float,
+    asked: float | None,
+    loop: ClosedLoop,
+    system: StateArrays,
+    finders: Callable[[float, float], tuple[Finder, PreciseFinder]],
+) -> Certificate:
+    """Return the certificate that a norm lies below what is asked, or as little above `norm` as can be proved."""
+    bounds = [float(asked)] if asked is not None else _just_above(norm)
+    above = [one for one in bounds if one > norm]
+    made = _first_proved(claim, above, loop, system, lambda one: finders(one, norm))
+    if made is not None:
+        return made
+    raise NotCertifiedError(
+        f"{claim}_certificate: no proof that the norm{_of(loop.label)} is below {bounds[0]:.9g} "
+        f"(it is about {norm:.9g}); try a larger {'gamma' if claim == 'norm' else 'bound'}",
+        loop,
+    )
+
+
+def _first_proved(
+    claim: Claim,
+    bounds: Sequence[float],
+    loop: ClosedLoop,
+    system: StateArrays,
+    finders: Callable[[float], tuple[Finder, PreciseFinder]],
+) -> Certificate | None:
+    """Return the certificate of the first bound that is proved, None if none is."""
+    for bound in bounds:
+        for certificate in _attempts(claim, bound, loop, system, *finders(bound)):
+            if certificate.verify().proved:
+                return certificate
+    return None
+
+
+def _attempts(
+    claim: Claim, bound: float, loop: ClosedLoop, system: StateArrays, finder: Finder, precise: PreciseFinder
+) -> Iterator[Certificate]:
+    """Yield candidates: in balanced states by floating point, then in the coordinates of the modes by many bits."""
+    s = state_scaling(*system[:3])
+    first = _tried(finder, _in_coordinates(system, np.diag(1.0 / s), np.diag(s)))
+    if first is not None:
+        X = first / s / s[:, None]
+        if np.all(np.isfinite(X)):
+            yield Certificate(claim=claim, bound=bound, loops=(loop,), X=X)
+    if len(s) == 0:
+        return
+    try:
+        T = modes(system)
+        moved = _in_coordinates(system, T, np.asarray(np.linalg.inv(T), dtype=np.float64))
+    except np.linalg.LinAlgError:
+        return
+    found = precise(loop, moved, T) if np.all(np.isfinite(T)) else None
+    if found is not None:
+        yield Certificate(claim=claim, bound=bound, loops=(loop,), X=found, coordinates=T)
+
+
+def _in_coordinates(system: StateArrays, T: FloatArray, inverse: FloatArray) -> StateArrays:
+    return StateArrays(T @ system.A @ inverse, T @ system.B, system.C @ inverse, system.D, system.dt)
+
+
+def _tried(finder: Finder, system: StateArrays) -> FloatArray | None:
+    with np.errstate(all="ignore"):
+        try:
+            X = finder(system)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+        X = 0.5 * (X + X.T)
+    return X if np.all(np.isfinite(X)) else None
+
+
+def _gramian(A: FloatArray, Q: FloatArray, dt: float) -> FloatArray:
+    """X = A'XA + Q, or A'X + XA + Q = 0."""
+    if len(A) == 0:
+        return np.zeros((0, 0))
+    if dt > 0:
+        values, vectors = np.linalg.eigh(Q)
+        return stationary_covariance(A.T, vectors * np.sqrt(np.maximum(values, 0.0)))
+    from scipy.linalg import solve_continuous_lyapunov
+
+    return np.asarray(solve_continuous_lyapunov(A.T, -Q), dtype=np.float64)
+
+
+def _lyapunov(decay: float) -> tuple[Finder, PreciseFinder]:
+    def find(system: StateArrays) -> FloatArray:
+        A, eye = system.A, np.eye(len(system.A))
+        moved = A * np.exp(decay * system.dt) if system.dt > 0 else A + decay * eye
+        return _gramian(moved, eye, system.dt)
+
+    return find, lambda loop, moved, T: stabilising(loop, T, None, decay=decay)
+
+
+def _slack(system: StateArrays, size: float) -> float:
+    """Return e such that e times the norm from w to the states, added to z, changes the norm by about `size`."""
+    n = len(system.A)
+    states = StateArrays(system.A, system.B, np.eye(n), np.zeros((n, system.B.shape[1])), system.dt)
+    s = continuous_poles(pole_arrays(system.A), system.dt)
+    w = np.append(resonances(s), 0.0)
+    # Near the resonances is near enough: the peak between them is not much higher.
+    found = gains(states, w[w <= np.pi / system.dt] if system.dt > 0 else w)
+    reach = float(found[np.isfinite(found)].max(initial=0.0))
+    return size / reach if reach > _NOTHING else 1.0
+
+
+def _bounded_real(bound: float, norm: float) -> tuple[Finder, PreciseFinder]:
+    """X of the stabilising solution for [z, e x], e so small that the norm stays below the bound.
+
+    Then the inequality for z alone holds with e²I to spare.
+    """
+    # ‖[z, ex]‖² <= norm² + e² reach²: a third of what is between norm² and bound².
+    between = max(bound**2 - norm**2, 0.0)
+    spare, level = np.sqrt(between / 3.0), np.sqrt(norm**2 + 2.0 / 3.0 * between)
+
+    def find(system: StateArrays) -> FloatArray:
+        from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+        A, B, C, D, dt = system
+        n, m = len(A), B.shape[1]
+        if n == 0:
+            return np.zeros((0, 0))
+        e = _slack(system, spare)
+        if not np.any(B):
+            return _gramian(A, np.asarray(C.T @ C + e * e * np.eye(n), dtype=np.float64), dt)
+        # In units of the level: Q, R, S of order one.
+        Q = (C.T @ C + e * e * np.eye(n)) / level**2
+        R = D.T @ D / level**2 - np.eye(m)
+        S = C.T @ D / level**2
+        solve = solve_discrete_are if dt > 0 else solve_continuous_are
+        return np.asarray(solve(A, B, Q, R, s=S) * level**2, dtype=np.float64)
+
+    return find, lambda loop, moved, T: stabilising(loop, T, _slack(moved, spare) ** 2, gamma=level)
+
+
+def _observability(bound: float, norm: float) -> tuple[Finder, PreciseFinder]:
+    def weight(system: StateArrays, spare: FloatArray) -> float:
+        size = float(np.trace(system.B.T @ spare @ system.B))
+        return 0.5 * (bound**2 - norm**2) / size if size > 0 else 1.0
+
+    def find(system: StateArrays) -> FloatArray:
+        spare = _gramian(system.A, np.eye(len(system.A)), system.dt)
+        X = _gramian(system.A, system.C.T @ system.C, system.dt) + weight(system, spare) * spare
+        return np.asarray(X, dtype=np.float64)
+
+    def precise(loop: ClosedLoop, moved: StateArrays, T: FloatArray) -> FloatArray | None:
+        spare = _tried(lambda system: _gramian(system.A, np.eye(len(system.A)), system.dt), moved)
+        return None if spare is None else stabilising(loop, T, weight(moved, spare))
+
+    return find, precise

@@ -1,0 +1,221 @@
+"""The certificates of a sampled loop over its plant set: stable with every plant, and what disk margin it has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.certificates.certificate import Certificate
+from platform_ctrl.analysis.certificates.closed_loop import closed, matrices_of, real_modes
+from platform_ctrl.analysis.certificates.makers import found_in_doubles, norm_certificate, stability_certificate
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError, NotCertifiedError
+
+
+@check_arguments
+def plant_set_certificates(
+    plants: PlantSet, controller: StateArrays, decay: FloatArray, margin: FloatArray, asked: FloatArray
+) -> tuple[tuple[Certificate, ...], tuple[str, ...]]:
+    """Return what is proved of a loop, and what was measured but could not be proved.
+
+    Parameters
+    ----------
+    plants, controller
+        The loop, u = K y.
+    decay, margin : (N,)
+        Decay rate, 1/s, and disk margin, dimensionless, with each plant as measured: exact of the worst, of the others
+        at least the true one. What is unstable is not claimed to be stable.
+    asked : (N,)
+        Disk margin that is asked for with each plant, dimensionless, 0: none. Where the measured one is larger, the
+        asked one is proved; with the nominal plant that which it has.
+
+    Returns
+    -------
+    certificates
+        That the loop with every plant decays, each at its own rate, in the order of the plants; then bounds of the
+        norm of (S − T)/2 at the torques and at the pick-offs, whose larger one is 1/disk margin.
+    unproved
+        A line for each claim without a proof.
+
+    Raises
+    ------
+    ArgumentError
+        Plant and controller do not fit together.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/certificates.md.
+    """
+    for name, numbers in (("decay", decay), ("margin", margin), ("asked", asked)):
+        if numbers.shape != (len(plants.labels),):
+            raise ArgumentError(f"plant_set_certificates: {name} must be ({len(plants.labels)},), got {numbers.shape}")
+    proved: list[Certificate] = []
+    unproved: list[str] = []
+    for k in np.flatnonzero(decay > 0.0):
+        A, B, C, D = (x[k] for x in (plants.A, plants.B, plants.C, plants.D))
+        try:
+            proved.append(
+                stability_certificate(A, plants.period, B=B, C=C, D=D, controller=controller, label=plants.labels[k])
+            )
+        except NotCertifiedError as error:
+            unproved.append(str(error))
+    for k in np.flatnonzero((decay > 0.0) & ((asked < margin) & (asked > 0.0) | (np.arange(len(decay)) == 0))):
+        # With the nominal plant the norm itself; with the others what is asked. Of these the norm is known, or, where
+        # another plant is the worst, known from below.
+        bound = {} if k == 0 else {"gamma": 1.0 / float(asked[k])}
+        known = {} if k == 0 else {"norm": 1.0 / float(margin[k])}
+        for system, where in zip(sensitivity_plants(plants, int(k)), ("torques", "pick-offs"), strict=True):
+            label = f"{plants.labels[k]}, (S − T)/2 at the {where}"
+            for given in (bound | known, bound) if known else (bound,):
+                try:
+                    proved.append(norm_certificate(*system, controller=controller, label=label, **given))
+                    break
+                except NotCertifiedError as error:
+                    reason = str(error)
+            else:
+                unproved.append(reason)
+    return tuple(proved), tuple(unproved)
+
+
+@check_arguments
+def margin_certificates(plant: StateArrays, controller: StateArrays) -> tuple[Certificate, Certificate, Certificate]:
+    """Return the proofs that one loop is stable, and of the norms of (S − T)/2 at its torques and at its pick-offs.
+
+    Parameters
+    ----------
+    plant
+        From torques to angles.
+    controller
+        u = K y, with the plant's sample period.
+
+    Returns
+    -------
+    stability, torques, pickoffs
+        The three certificates.
+
+    Raises
+    ------
+    NotCertifiedError
+        One of them was not found.
+    ArgumentError
+        Plant and controller do not fit together.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/certificates.md.
+    """
+    A, B, C, D, dt = plant
+    torque, pickoff = _sensitivity_plants(plant)
+    return (
+        stability_certificate(A, dt, B=B, C=C, D=D, controller=controller),
+        norm_certificate(*torque, controller=controller, label="(S − T)/2 at the torques"),
+        norm_certificate(*pickoff, controller=controller, label="(S − T)/2 at the pick-offs"),
+    )
+
+
+def sensitivity_plants(plants: PlantSet, k: int = 0) -> tuple[StateArrays, StateArrays]:
+    """Return plant `k` with inputs [w, u] and outputs [z, y] such that u = K y leaves z = (S − T)/2 w.
+
+    First at the torques: z = u + w/2, where w adds to the torque; then at the pick-offs: z = y − w/2, where w adds to
+    what they measure. (S − T)/2 = S − I/2, and nothing is rounded on the way.
+    """
+    return _sensitivity_plants(StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period))
+
+
+def _sensitivity_plants(plant: StateArrays) -> tuple[StateArrays, StateArrays]:
+    A, B, C, D, dt = plant
+    (p, m), n = D.shape, len(A)
+    torque = StateArrays(
+        A,
+        np.hstack([B, B]),
+        np.vstack([np.zeros((m, n)), C]),
+        np.block([[0.5 * np.eye(m), np.eye(m)], [D, D]]),
+        dt,
+    )
+    pickoff = StateArrays(
+        A,
+        np.hstack([np.zeros((n, p)), B]),
+        np.vstack([C, C]),
+        np.block([[0.5 * np.eye(p), D], [np.eye(p), D]]),
+        dt,
+    )
+    return torque, pickoff
+
+
+@check_arguments
+@found_in_doubles
+def region_certificate(
+    A: ArrayLike,
+    L: ArrayLike,
+    M: ArrayLike,
+    dt: float = 0.0,
+    *,
+    B: ArrayLike | None = None,
+    C: ArrayLike | None = None,
+    D: ArrayLike | None = None,
+    controller: StateArrays | None = None,
+    label: str = "",
+) -> Certificate:
+    """Return a proved certificate that every pole lies in the region {s : L + s M + s* M' < 0}.
+
+    X is the identity in the coordinates of the modes, which proves whatever is true of every pole alone.
+
+    Parameters
+    ----------
+    A : (n, n)
+        x' = A x, or x(k+1) = A x(k), in the system's units.
+    L, M : (k, k)
+        The region, L symmetric, s in rad/s. Damping above cos θ: L = 0, M = [[sin θ, cos θ], [−cos θ, sin θ]].
+    dt
+        Sample period, s; > 0: the region is one of the w-plane, w = (2/dt) (z − 1)/(z + 1).
+    B, C, D
+        With a controller u = K y: A, B, C, D are the plant from u to y, in its units. Shapes (n, m), (p, n), (p, m).
+    controller
+        K.
+    label
+        What it is.
+
+    Returns
+    -------
+    Certificate
+        Verified.
+
+    Raises
+    ------
+    ArgumentError
+        Matrices that do not fit together.
+    NotCertifiedError
+        A pole lies outside, or poles are so nearly multiple that the modes do not show it.
+
+    References
+    ----------
+    M. Chilali, P. Gahinet, IEEE Trans. Automatic Control 41, 1996.
+
+    See docs/certificates.md.
+    """
+    where = "region_certificate"
+    loop = closed(matrices_of(A, B, C, D, dt, where), controller, label, where)
+    try:
+        L, M = np.array(L, dtype=np.float64), np.array(M, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{where}: L and M are no matrices of real numbers") from None
+    if not loop.finite:
+        raise ArgumentError(f"{where}: a matrix is not finite; expected finite numbers, dt >= 0")
+    try:
+        T = real_modes(loop.rounded().A)
+    except np.linalg.LinAlgError:
+        T = np.eye(loop.order)
+    certificate = Certificate(claim="region", bound=0.0, loops=(loop,), X=np.eye(loop.order), coordinates=T, L=L, M=M)
+    found = certificate.verify()
+    if not found.proved:
+        raise NotCertifiedError(
+            f"{where}: no proof that {found.statement}: {found.reason}; try a larger region", certificate
+        )
+    return certificate

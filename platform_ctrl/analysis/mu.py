@@ -1,0 +1,277 @@
+"""The largest structured singular value of a system over all frequencies: climbed, then proved to be the largest."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
+from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
+from platform_ctrl.analysis.norms import resonances
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
+
+if TYPE_CHECKING:
+    import control
+
+
+class MuBounds(NamedTuple):
+    """Bounds of mu for each of N matrices of m channels.
+
+    Attributes
+    ----------
+    upper, lower : (N,)
+        Equal to the tolerance up to three channels.
+    D : (N, m)
+        Scalings: `upper` bounds the largest singular value of D M D^-1. Geometric mean 1.
+    Q : complex (N, m)
+        Phases: `lower` is the spectral radius of Q M, to rounding of the power iteration that found it. All but one of
+        them are 0 where one channel alone reaches more than the phases that were found.
+    """
+
+    upper: FloatArray
+    lower: FloatArray
+    D: FloatArray
+    Q: ComplexArray
+
+
+def mu_bounds(M: ComplexArray, tolerance: float = 1e-6) -> MuBounds:
+    """Return both bounds of mu for matrices (N, m, m), faster where each resembles the one before.
+
+    Parameters
+    ----------
+    M : complex (N, m, m)
+        Finite.
+    tolerance
+        Relative, of the upper bound; every returned value is an upper bound whatever the tolerance.
+    """
+    # Compiled, or taken from numba's cache, with the first call.
+    from platform_ctrl.analysis import mu_kernel
+
+    N, m, _ = M.shape
+    upper, lower, D, Q = np.empty(N), np.empty(N), np.empty((N, m)), np.empty((N, m), dtype=np.complex128)
+    mu_kernel.mu_bounds(np.ascontiguousarray(M, dtype=np.complex128), tolerance, upper, lower, D, Q)
+    return MuBounds(upper=upper, lower=lower, D=D, Q=Q)
+
+
+def perturbation(M: ComplexArray, Q: ComplexArray) -> ComplexArray:
+    """Return delta (m,) with |delta_i| = 1/rho(Q M) or 0 for which I - M diag(delta) is singular; M (m, m), Q (m,).
+
+    Real where M is and signs reach as much as the phases; infinite where Q M has no eigenvalue but 0.
+    """
+    largest = _largest_eigenvalue(Q, M)
+    if largest == 0.0:
+        return np.full(len(Q), np.inf + 0j)
+    if np.abs(M.imag).max() <= 1e-13 * np.abs(M.real).max():
+        # Eigenvalues of a matrix of real numbers: those on the real axis are real without rounding.
+        signs = np.sign(np.round((Q / largest * abs(largest)).real))
+        real = _largest_eigenvalue(signs, M.real)
+        if abs(real) >= (1.0 - 1e-9) * abs(largest) and real.imag == 0.0:
+            return np.asarray(signs / real.real, dtype=np.complex128)
+    return Q / largest
+
+
+def _largest_eigenvalue(Q: ComplexArray | FloatArray, M: ComplexArray | FloatArray) -> complex:
+    eigenvalues = np.linalg.eigvals(Q[:, None] * M)
+    return complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
+
+
+def search_grid(system: StateArrays, s: ComplexArray, known: int = 0) -> FloatArray:
+    """Return frequencies that follow the closed loop's poles, and some a decade between and beyond them.
+
+    Fewer where `known` others, a hundred or more, are looked at anyway: a peak between them is found by its proof.
+    """
+    few = known >= 100
+    finite = s[np.isfinite(s)]
+    own = np.concatenate([np.abs(finite.imag), np.abs(finite)]) if few else resonances(s)
+    own = own[own > 0.0]
+    if own.size == 0:
+        own = np.ones(1)
+    low, high = 0.1 * float(own.min()), 10.0 * float(own.max())
+    if system.dt > 0.0:
+        high = math.pi / system.dt
+        low = min(low, 1e-3 * high)
+    low = max(low, 1e-9 * high)
+    fill = np.geomspace(low, high, 2 + int((5.0 if few else 15.0) * math.log10(high / low)))
+    return np.unique(np.concatenate([[0.0], own[(own >= low) & (own <= high)], fill]))
+
+
+# Relative amount by which mu may exceed its peak between the frequencies that were looked at, once that is proved.
+SLACK = 1e-4
+# Where a climb looks between two frequencies.
+FAN = np.linspace(0.0, 1.0, 13)
+
+
+class MuPeak:
+    """The largest mu of a square system over frequency: climbed, then proved.
+
+    Attributes
+    ----------
+    mu, frequency
+        Upper bound of mu at the highest frequency that was looked at.
+    D, Q : (m,)
+        The scalings of that bound, and the phases that reach the lower one.
+    M : complex (m, m)
+        The response there.
+    lower
+        Lower bound of mu there.
+    """
+
+    def __init__(self, system: StateArrays) -> None:
+        m = len(system.D)
+        self.axis = FrequencyAxis(system)
+        self.mu = self.frequency = self.lower = 0.0
+        self.D = np.ones(m)
+        self.Q = np.ones(m, dtype=np.complex128)
+        self.M = np.zeros((m, m), dtype=np.complex128)
+
+    def bounds(self, frequency: FloatArray, response: ComplexArray | None = None, tolerance: float = 1e-8) -> MuBounds:
+        """Return mu's bounds at each frequency, and keep the largest; its response may be known."""
+        response = self.response(frequency) if response is None else response
+        found = mu_bounds(response, tolerance)
+        i = int(np.argmax(found.upper))
+        if found.upper[i] > self.mu:
+            self.mu, self.frequency, self.lower = float(found.upper[i]), float(frequency[i]), float(found.lower[i])
+            self.D, self.Q, self.M = found.D[i], found.Q[i], response[i]
+        return found
+
+    def response(self, frequency: FloatArray) -> ComplexArray:
+        """Return the response, (N, m, m); at infinite frequency the direct term."""
+        return self.axis.response(frequency)
+
+    def climb(self, grid: FloatArray, mu: FloatArray, hills: int = 3) -> None:
+        """Refine the highest local maxima of `mu` on `grid` side by side, the hopeful ones to the end."""
+        padded = np.concatenate([[-np.inf], mu, [-np.inf]])
+        tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+        tops = tops[mu[tops] >= 0.7 * mu.max()]
+        tops = tops[np.argsort(-mu[tops])][:hills]
+        left, right = grid[np.maximum(tops - 1, 0)], grid[np.minimum(tops + 1, len(grid) - 1)]
+        for step in range(6):
+            fan = left[:, None] + (right - left)[:, None] * FAN
+            if step == 0:
+                # What told the hills apart may have been less accurate.
+                fan[:, len(FAN) // 2] = grid[tops]
+                fan.sort(axis=1)
+            found = self.bounds(fan.ravel()).upper.reshape(fan.shape)
+            hopeful = found.max(axis=1) >= 0.999 * self.mu
+            fan, at = fan[hopeful], found[hopeful].argmax(axis=1)
+            row = np.arange(len(fan))
+            below, above = np.maximum(at - 1, 0), np.minimum(at + 1, fan.shape[1] - 1)
+            left, right = fan[row, below], fan[row, above]
+            lowest = np.minimum(found[hopeful][row, below], found[hopeful][row, above])
+            if np.all(lowest >= self.mu * (1.0 - 1e-8)):
+                break
+
+    def prove(self, slack: float = SLACK, most: int = 80) -> bool:
+        """Show that mu exceeds its peak nowhere by more than `slack`; climb where it does.
+
+        The end of the axis has to have been looked at.
+
+        With D fixed, the Hamiltonian of D (S + ...) D^-1 shows where its gain exceeds the peak; another D is needed
+        only there (Ferreres, Magni and Biannic, Int. J. Robust Nonlinear Control 13, 2003).
+        """
+        if len(self.axis.system.A) == 0:
+            return True
+        doubtful = [(0.0, self.axis.edge)]
+        D = self.D
+        for _ in range(most):
+            doubtful = self._exceeding(doubtful, D, self.mu * (1.0 + slack))
+            if not doubtful:
+                return True
+            low, high = max(doubtful, key=lambda part: math.inf if part[0] == 0.0 else part[1] / part[0])
+            middle = _middle(low, high)
+            before = self.mu
+            found = self.bounds(np.array([middle]))
+            D = found.D[0]
+            if found.upper[0] > before:
+                grid = np.array([max(low, 0.5 * middle), middle, min(high, 2.0 * middle)])
+                self.climb(grid, self.bounds(grid).upper)
+        return False
+
+    def _exceeding(
+        self, intervals: list[tuple[float, float]], D: FloatArray, level: float
+    ) -> list[tuple[float, float]]:
+        """Return the parts of `intervals` where the gain of D (S + ...) D^-1 exceeds `level`."""
+        crossings = self.axis.crossings(level, D)
+        parts: list[tuple[float, float]] = []
+        for low, high in intervals:
+            inner = crossings[(crossings > low) & (crossings < high)]
+            edges = [low, *inner.tolist(), high]
+            parts += list(pairwise(edges))
+        response = self.axis.response(np.array([_middle(*part) for part in parts]))
+        exceeds = largest_gains(D[:, None] * response / D) > level
+        kept: list[tuple[float, float]] = []
+        for part, bad in zip(parts, exceeds, strict=True):
+            if not bad:
+                continue
+            if kept and kept[-1][1] == part[0]:
+                kept[-1] = (kept[-1][0], part[1])
+            else:
+                kept.append(part)
+        return kept
+
+
+def _middle(low: float, high: float) -> float:
+    if math.isinf(high):
+        return 3.0 * low if low > 0.0 else 1.0
+    return math.sqrt(low * high) if low > 0.0 else 0.3 * high
+
+
+def disk_factors(delta: ComplexArray, skew: float) -> ComplexArray:
+    """Return the factors f of perturbations delta; infinite where the disk reaches an infinite gain or delta is."""
+    out = np.full(delta.shape, complex(math.inf, 0.0))
+    below = 1.0 - 0.5 * (1.0 + skew) * np.where(np.isfinite(delta), delta, 0.0)
+    finite = np.isfinite(delta) & (np.abs(below) > 1e-12)
+    out[finite] = (1.0 + 0.5 * (1.0 - skew) * delta[finite]) / below[finite]
+    return out
+
+
+def worst_factors(factors: ComplexArray, frequency: float, skew: float, dt: float) -> control.StateSpace:
+    """Return systems with real coefficients, one for each channel, that equal `factors` at `frequency`."""
+    if not np.all(np.isfinite(factors)):
+        raise ArgumentError(
+            "destabilising: no factors make the loop unstable, or one of them is infinite; expected finite ones"
+        )
+    delta = (factors - 1.0) / (0.5 * (1.0 - skew) + 0.5 * (1.0 + skew) * factors)
+    sizes = np.abs(delta)
+    real = np.abs(delta.imag) <= 1e-12 * sizes
+    # The axis, or the circle seen from w = (z - 1)/(z + 1).
+    at = math.tan(0.5 * frequency * dt) if dt else frequency
+    if not np.all(real) and not 0.0 < at < 1e15 * (1.0 if dt else math.inf):
+        raise ArgumentError(
+            f"destabilising: the factors {np.array2string(factors, precision=4)} at {frequency:g} rad/s are complex, "
+            "where a system with real coefficients has a real response; they stand for factors at frequencies nearby"
+        )
+    one = [_all_pass(complex(d), bool(r), at, dt) for d, r in zip(delta, real, strict=True)]
+    A, B, C, D = (np.array(column) for column in zip(*one, strict=True))
+    # f = 1 + delta / (1 - b delta).
+    b = 0.5 * (1.0 + skew)
+    open_loop = 1.0 - b * D
+    dynamic = ~real
+    eye = np.eye(len(delta))
+    arrays = StateArrays(
+        np.diag((A + B * b * C / open_loop)[dynamic]),
+        (eye * (B / open_loop))[dynamic],
+        (eye * (C / open_loop))[:, dynamic],
+        np.diag(1.0 + D / open_loop),
+        dt,
+    )
+    names = [f"f{i + 1}" for i in range(len(delta))]
+    return state_space(arrays, [f"{name}_in" for name in names], [f"{name}_out" for name in names])
+
+
+def _all_pass(delta: complex, real: bool, at: float, dt: float) -> tuple[float, float, float, float]:
+    """Return A, B, C, D of r (s - c)/(s + c), or of the same in w, that equals delta at `at`; of a gain if `real`."""
+    if real:
+        return 0.0, 0.0, 0.0, delta.real
+    r = math.copysign(abs(delta), delta.imag)
+    phase = math.atan2(delta.imag, delta.real)
+    phase = phase if delta.imag > 0.0 else phase + math.pi
+    c = at / math.tan(0.5 * (math.pi - phase))
+    if dt == 0.0:
+        return -c, 1.0, -2.0 * c * r, r
+    q = (1.0 - c) / (1.0 + c)
+    return q, 1.0, r * (q * q - 1.0), r * q

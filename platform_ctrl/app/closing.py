@@ -1,0 +1,386 @@
+"""Loops closed as settings say: plants and controllers put together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.loop_measures import LoopMeasures
+from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
+from platform_ctrl.app.caged import CagedLoop, KeptMeasures
+from platform_ctrl.app.controllers import DesignOptions, classical_arrays, live
+from platform_ctrl.app.free_plants import StabilisedLoop
+from platform_ctrl.app.plants import Bounded, JobPlants
+from platform_ctrl.app.saving import SavedController
+from platform_ctrl.app.tasks import Made
+from platform_ctrl.app.values import Conditions, Settings
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.verification.coupled import sensed_rates
+from platform_ctrl.verification.given import opened, read_controllers
+
+if TYPE_CHECKING:
+    import control
+
+# Designs that are remembered for settings that a page may come back to.
+_ROOM = 64
+
+
+class Store:
+    """Designs by loop, name and all that they depend on. It never answers with one for other conditions."""
+
+    def __init__(self) -> None:
+        self._made: Bounded[Made] = Bounded(_ROOM)
+        self._given: dict[tuple[str, str, Conditions], Made] = {}
+
+    def put(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
+        """Keep a design until there is no room for it."""
+        self._made.put((loop, design, conditions), made)
+
+    def keep(self, loop: str, design: str, conditions: Conditions, made: Made) -> None:
+        """Keep a design that was read from a file: no method makes just this one again."""
+        self._given[loop, design, conditions] = made
+
+    def found(self, loop: str, design: str, conditions: Conditions | None) -> Made | None:
+        """Return the design for just these conditions, or None."""
+        if conditions is None:
+            return None
+        return self._given.get((loop, design, conditions)) or self._made.found((loop, design, conditions))
+
+
+def at_rate(K: StateArrays, period: float, design: str) -> StateArrays:
+    """Return a controller at a sample period, s: by Tustin's rule where it was made for another one."""
+    if abs(K.dt - period) <= 1e-12 * period:
+        return K
+    try:
+        return StateArrays(*from_w_plane(*to_w_plane(*K[:4], K.dt), period), period)
+    except PlatformCtrlError:
+        raise DesignError(
+            f"{design}: Tustin's rule carries it to no controller at {1.0 / period:.4g} Hz; move one of its numbers to "
+            "design it anew"
+        ) from None
+
+
+def given_designs(path: Path, job: Job) -> list[tuple[str, str, str, Made]]:
+    """Return loop, design, method and controller of each entry of a file that fits the job's caging loops."""
+    out = []
+    _, data = opened(path)
+    for part in ("controllers", "alternatives"):
+        read = read_controllers(path, job, part)
+        entries: list[Any] = list(data.get(part, [])) if isinstance(data, dict) else []
+        for K, entry in zip(read, entries, strict=True):
+            spec = _loop_of(job, set(K.output_labels))
+            if spec is None:
+                continue
+            angles = [job.platform.pickoff_on(name).name for name in spec.gimbals]
+            torques = [job.platform.torquer_on(name).name for name in spec.gimbals]
+            if set(K.input_labels) != set(angles):
+                continue
+            arrays = state_arrays(K, str(K.name))
+            at = [list(K.input_labels).index(name) for name in angles]
+            of = [list(K.output_labels).index(name) for name in torques]
+            ordered = StateArrays(arrays.A, arrays.B[:, at], arrays.C[of], arrays.D[of][:, at], arrays.dt)
+            options = entry.get("options")
+            numbers = {
+                str(name): float(x)
+                for name, x in (options.items() if isinstance(options, dict) else ())
+                if isinstance(x, int | float) and not isinstance(x, bool) and x > 0.0
+            }
+            design, method = entry.get("design"), entry.get("method")
+            made = Made(controller=ordered, options=numbers, claims={})
+            out.append((spec.name, design if isinstance(design, str) and design else "given", str(method), made))
+    return out
+
+
+def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
+    for spec in job.loops:
+        if spec.kind == "caging" and outputs == {job.platform.torquer_on(name).name for name in spec.gimbals}:
+            return spec
+    return None
+
+
+class Closing:
+    """The loops of a job, closed as settings say.
+
+    Parameters
+    ----------
+    job
+        As it was read.
+    controllers
+        A file with controllers that exist already, or None.
+    """
+
+    def __init__(self, job: Job, controllers: Path | None) -> None:
+        self.read = job
+        self.plants = JobPlants(job)
+        self.options = DesignOptions(self.plants)
+        self.store = Store()
+        self._specs = {spec.name: spec for spec in job.loops}
+        self._margins: Bounded[dict[str, float]] = Bounded(16)
+        self._measures: Bounded[LoopMeasures] = Bounded(8)
+        self._judged: Bounded[tuple[CheckResult, ...]] = Bounded(8)
+        self._take([] if controllers is None else given_designs(controllers, job))
+
+    @property
+    def start(self) -> Settings:
+        """The settings of the job as it stands, with the controllers that exist already."""
+        return self.options.start
+
+    def _take(self, given: Iterable[tuple[str, str, str, Made]]) -> None:
+        """Start from designs that exist already."""
+        start = self.start
+        for loop, design, method, made in given:
+            spec = self._specs[loop]
+            known = next((d for d in spec.designs if d.name == design), None)
+            if known is None:
+                continue
+            if known.method == "classical" and method == "classical" and known.tune:
+                mine = start.options[loop]
+                options = {name: made.options.get(name, x) for name, x in mine[design].items()}
+                start = start.but(options={**start.options, loop: {**mine, design: options}})
+            elif not live(known):
+                conditions = self.conditions(start, spec, known)
+                self.store.keep(loop, design, conditions, made)
+                start = _designed_for(start, loop, design, conditions)
+        # What the job closes is closed here too wherever there is a controller for it.
+        closed = {
+            spec.name: spec.use if self.there(start, spec, spec.use) else start.closed[spec.name]
+            for spec in self.read.loops
+        }
+        self.options.start = start.but(closed=closed, design=closed[start.loop])
+
+    def there(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
+        """Return whether a design of a loop is there for just these settings."""
+        design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        return live(design) or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
+
+    def spec(self, name: str) -> LoopSpec:
+        """Return a loop of the job."""
+        known_name("loop", name, tuple(self._specs))
+        return self._specs[name]
+
+    def design(self, settings: Settings) -> tuple[LoopSpec, DesignSpec]:
+        """Return the loop and the design that are worked on."""
+        spec = self.spec(settings.loop)
+        return spec, spec.designs[known_name("design", settings.design, tuple(d.name for d in spec.designs))]
+
+    def job(self, settings: Settings) -> Job:
+        """Return the job that the settings stand for."""
+        closed = {**settings.closed, settings.loop: settings.design}
+        loops = tuple(
+            dataclasses.replace(
+                spec, use=closed[spec.name], designs=tuple(self._as_set(settings, spec, d) for d in spec.designs)
+            )
+            for spec in self.read.loops
+        )
+        return dataclasses.replace(self.plants.job(settings), loops=loops)
+
+    def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
+        if not live(design):
+            return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
+        if not self.options.touched(settings, spec.name, design.name):
+            return design
+        return dataclasses.replace(design, options=self.options.used(settings, spec, design), tune=False)
+
+    def conditions(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
+        """Return all that a design of a method depends on, at these settings."""
+        options = settings.options[spec.name][design.name]
+        return Conditions(tuple(sorted(options.items())), *self.plants.key(settings))
+
+    def wanted(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions:
+        """Return the conditions for which the controller of a design is to be made.
+
+        It stays what it was while the plant is moved, and is designed anew when its own options are.
+        """
+        now = self.conditions(settings, spec, design)
+        before = settings.designed_for.get(spec.name, {}).get(design.name)
+        return before if before is not None and before.options == now.options else now
+
+    def seen(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Conditions | None:
+        """Return the conditions of the controller that is there: the wanted one, until then the one before it."""
+        before = settings.designed_for.get(spec.name, {}).get(design.name)
+        found = (self.wanted(settings, spec, design), before)
+        return next((one for one in found if self.store.found(spec.name, design.name, one) is not None), None)
+
+    def holding(self, old: Settings, new: Settings) -> Settings:
+        """Return settings that a slider was moved to, with the designs that the page shows noted as what they are."""
+        shown = [(old.loop, old.design), *((old.loop, name) for name in old.overlays)]
+        if old.mode == "stabilised":
+            shown += [(loop, name) for loop, name in old.closed.items() if loop != old.loop]
+        for loop, name in shown:
+            spec = self.spec(loop)
+            design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+            if live(design):
+                continue
+            first = self.start.designed_for.get(loop, {}).get(name)
+            if self.conditions(new, spec, design) == self.conditions(self.start, spec, design):
+                # Back where it started: nothing of the way is left.
+                new = _designed_for(new, loop, name, first)
+                continue
+            conditions = self.wanted(old, spec, design)
+            known = self.store.found(loop, name, conditions) is not None
+            if known and self.wanted(new, spec, design) != conditions:
+                new = _designed_for(new, loop, name, conditions)
+        return new
+
+    def following(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
+        """Return the settings with the controller of a design that is made for them as they are."""
+        if live(design):
+            return settings
+        return _designed_for(settings, spec.name, design.name, self.conditions(settings, spec, design))
+
+    @staticmethod
+    def at(settings: Settings, spec: LoopSpec, design: DesignSpec, conditions: Conditions) -> Settings:
+        """Return the settings at which a design has some conditions."""
+        mine = {**settings.options[spec.name], design.name: dict(conditions.options)}
+        first, second, third = conditions.Omega
+        return settings.but(
+            design=design.name,
+            options={**settings.options, spec.name: mine},
+            rate_hz=conditions.rate_hz,
+            delay=conditions.delay,
+            spins=dict(conditions.spins),
+            Omega=(first, second, third),
+        )
+
+    def caged(self, settings: Settings) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return the caging loop that is worked on, and lines about its controller."""
+        spec, design = self.design(settings)
+        job = self.job(settings)
+        plants, shown = self.plants.caged(settings, spec)
+        K, note = self.caging(settings, spec, design)
+        loop = CagedLoop(job=job, spec=spec, design=design.name, plants=plants, shown=shown, controller=K)
+        return loop, (note,) if note else ()
+
+    def stabilised(self, settings: Settings) -> tuple[StabilisedLoop, tuple[str, ...]]:
+        """Return all loops closed around the free platform, and lines about their controllers."""
+        spec, _ = self.design(settings)
+        job = self.job(settings)
+        controllers, notes = self.all_controllers(settings)
+        plants, shown = self.plants.free(settings, sensed_rates(job, controllers))
+        loop = StabilisedLoop(
+            job=job,
+            model=self.plants.model(settings),
+            spec=spec,
+            controllers=tuple(controllers),
+            plants=plants,
+            shown=shown,
+        )
+        return loop, notes
+
+    def kept(self, settings: Settings) -> Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]:
+        """Return what keeps figures of the caging loops while only the servo's knobs move."""
+        others = []
+        for spec in self.read.loops:
+            if spec.kind == "caging":
+                name = settings.closed[spec.name]
+                design = next(d for d in spec.designs if d.name == name)
+                seen = None if live(design) else self.seen(settings, spec, design)
+                options = tuple(sorted(settings.options[spec.name][name].items()))
+                others.append((spec.name, name, seen, options, settings.parts_on(spec.name, name)))
+
+        def of(name: str, make: Callable[[], dict[str, float]]) -> dict[str, float]:
+            return self._margins.get((name, tuple(others), self.plants.key(settings)), make)
+
+        return of
+
+    def measured(self, settings: Settings, loop: CagedLoop) -> KeptMeasures:
+        """Return what keeps the measures of a caging loop: a drag that is judged is drawn next."""
+        key = (loop.spec.name, self.plants.key(settings), _content(loop.controller))
+        return lambda make: self._measures.get(key, make)
+
+    def judged(
+        self, settings: Settings, K: StateArrays, make: Callable[[], tuple[CheckResult, ...]]
+    ) -> tuple[CheckResult, ...]:
+        """Return what is found of all loops together with one controller, made where it is not kept."""
+        return self._judged.get((self.plants.key(settings), _content(K)), make)
+
+    def all_controllers(
+        self, settings: Settings, strict: bool = False
+    ) -> tuple[list[control.StateSpace], tuple[str, ...]]:
+        """Return the controller of every loop in the job's order, and lines about them."""
+        saved = self.saved_controllers(settings, strict=strict)
+        out = [state_space(one.controller, one.inputs, one.outputs, name=f"{one.loop}, {one.design}") for one in saved]
+        return out, tuple(one.note for one in saved if one.note)
+
+    def saved_controllers(self, settings: Settings, strict: bool = False) -> list[SavedController]:
+        """Return the controller of every loop; with `strict` only those that are named in `closed` will do."""
+        closed = {**settings.closed, settings.loop: settings.design}
+        return [self._saved(settings, spec, closed[spec.name], strict) for spec in self.read.loops]
+
+    def _saved(self, settings: Settings, spec: LoopSpec, name: str, strict: bool) -> SavedController:
+        design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        note = ""
+        if spec.kind != "caging":
+            made = self.servo(settings, spec, design)
+            K, inputs, outputs = state_arrays(made, name), tuple(made.input_labels), tuple(made.output_labels)
+            options = dict(settings.options[spec.name][name])
+        else:
+            try:
+                K, note = self.caging(settings, spec, design)
+            except DesignError:
+                other = next((d for d in spec.designs if d.method == "classical"), None)
+                if strict or other is None or live(design):
+                    raise
+                note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed in its place"
+                design, (K, _) = other, self.caging(settings, spec, other)
+            if strict and note:
+                raise DesignError(f"{spec.name}, {note}")
+            platform = self.read.platform
+            inputs = tuple(platform.pickoff_on(gimbal).name for gimbal in spec.gimbals)
+            outputs = tuple(platform.torquer_on(gimbal).name for gimbal in spec.gimbals)
+            options = self.options.used(settings, spec, design)
+        return SavedController(
+            loop=spec.name,
+            design=design.name,
+            method=design.method,
+            controller=K,
+            inputs=inputs,
+            outputs=outputs,
+            options=options,
+            note=note,
+        )
+
+    def servo(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> control.StateSpace:
+        """Return the controller of a servo on the platform."""
+        mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
+        job = dataclasses.replace(self.read, sampling=self.plants.sampling(settings))
+        made = platform_servo(job, self.plants.model(settings), spec, mine).controller
+        K = state_arrays(made, design.name)
+        return state_space(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
+
+    def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
+        """Return the controller of a caging loop, and a line about it or an empty text."""
+        period = 1.0 / settings.rate_hz
+        if design.method == "classical":
+            return classical_arrays(
+                self.options.used(settings, spec, design), self.plants.gyros(settings, spec), period
+            ), ""
+        seen = self.seen(settings, spec, design)
+        made = self.store.found(spec.name, design.name, seen)
+        if made is None:
+            raise DesignError(f"{spec.name}, {design.name}: is not designed yet; expected it to be designed first")
+        K, note = at_rate(made.controller, period, design.name), ""
+        if seen != self.conditions(settings, spec, design):
+            carried = "" if K is made.controller else " and carried over to this sample rate by Tustin's rule"
+            note = f"{design.name}: was made for other settings{carried}; moving one of its numbers designs it anew"
+        return K, note
+
+
+def _content(K: StateArrays) -> tuple[object, ...]:
+    """Return the numbers of a controller as part of a key."""
+    return (K.A.shape, *(item.tobytes() for item in K[:4]))
+
+
+def _designed_for(settings: Settings, loop: str, design: str, conditions: Conditions | None) -> Settings:
+    """Return the settings with other conditions of a design, or with none."""
+    own = {name: one for name, one in settings.designed_for.get(loop, {}).items() if name != design}
+    own |= {} if conditions is None else {design: conditions}
+    others = {name: designs for name, designs in settings.designed_for.items() if name != loop}
+    return settings.but(designed_for={**others, **({loop: own} if own else {})})

@@ -1,0 +1,228 @@
+"""The controller that settings stand for: built from its knobs at once, or made by a method beforehand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.app.knobs import CLASSICAL, PARTS, lowest_rate
+from platform_ctrl.app.plants import JobPlants
+from platform_ctrl.app.values import Settings
+from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values
+from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.design.partition import Channels
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.job.job import DesignSpec, LoopSpec
+from platform_ctrl.mechanics.linearisation import linearise
+
+# Which optional parts each method knows.
+OPTIONAL: dict[str, tuple[str, ...]] = {"classical": ("lag", "notch", "spin_notch")}
+# Options that act in gyroscopic pairs alone, beside those of the notch.
+_OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
+# The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
+ALWAYS = "crossover_hz"
+# What pulling and tuning may move.
+MOVABLE: dict[str, frozenset[str]] = {
+    "classical": frozenset(TUNABLE),
+    "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
+}
+
+
+def part_of(option: str) -> str:
+    """Return the optional part that an option of a classical loop belongs to, else an empty text."""
+    kind = CLASSICAL.get(option)
+    return "" if kind is None else kind.part
+
+
+def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the optional parts that a job's options ask for."""
+    return tuple(part for part in PARTS if any(part_of(name) == part for name in options))
+
+
+def acts(option: str, channel: Channels) -> bool:
+    """Return whether the controller of a classical loop with these gyros is made of an option."""
+    if option.startswith("inertial_"):
+        return channel.inertial > 0
+    return len(channel.momenta) > 0 or not (option in _OF_PAIRS or part_of(option) == "notch")
+
+
+def meaningful(options: Mapping[str, float], channel: Channels) -> dict[str, float]:
+    """Return those options that a classical design with these gyros takes."""
+    return {name: x for name, x in options.items() if name == ALWAYS or acts(name, channel)}
+
+
+def full_options(given: Mapping[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of a classical design, those of parts that it does not have as well."""
+    own = meaningful(given, channel)
+    rate_hz = 1.0 / period
+    more = {"lag_hz": 0.1 * starting_values(own, channel, nutation, period)["crossover_hz"], "lag_ratio": 3.0}
+    if len(channel.momenta):
+        more |= {"notch_hz": min(nutation / math.tau, 0.35 * rate_hz), "notch_depth": 0.7, "notch_width": 0.3}
+    if len(channel.spins):
+        spin = float(channel.spins.mean()) / math.tau
+        more |= {"spin_notch_hz": min(spin, 0.4 * rate_hz), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
+    return starting_values(more | own, channel, nutation, period)
+
+
+def acting_options(
+    options: Mapping[str, float], channel: Channels, nutation: Callable[[], float], period: float
+) -> dict[str, float]:
+    """Return the options that a classical loop with these gyros is, or with a part switched on would be, made of.
+
+    Rotors that were set going or stopped since the `options` were put together need others: by rules of thumb.
+    """
+    known = {name: x for name, x in options.items() if acts(name, channel)}
+    wanted = [
+        name
+        for name in CLASSICAL
+        if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
+    ]
+    rules = full_options({}, channel, nutation(), period) if wanted else {}
+    return known | {name: rules[name] for name in wanted}
+
+
+def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
+    """Return the options of a classical design without those of parts that are off."""
+    return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
+
+
+def default_numbers(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of a method that designs, those that are not given by its rules of thumb."""
+    if design.method == "hinf":
+        from platform_ctrl.design.riccati.hinf_loop import default_options
+
+        return default_options(design.options, channel, nutation)
+    if design.method == "lqg":
+        from platform_ctrl.design.riccati.lqg_loop import default_options as of_lqg
+
+        return of_lqg(design.options, channel, nutation)
+    from platform_ctrl.design.structured.caging import default_options as of_structure
+
+    return of_structure(design.options, design.structure or "pid", channel, nutation, period)
+
+
+def classical_arrays(options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
+    """Return the sampled controller of a classical design of complete options."""
+    controller = StateArrays(*classical_controller(dict(options), channel, period), dt=period)
+    if not all(bool((abs(item) < 1e300).all()) for item in controller[:4]):
+        raise DesignError("classical: the options make a controller beyond floating-point numbers; expected others")
+    return controller
+
+
+class DesignOptions:
+    """The options of a job's designs.
+
+    Parameters
+    ----------
+    plants
+        Of the job.
+
+    Attributes
+    ----------
+    start
+        The settings of the job as it stands.
+    """
+
+    def __init__(self, plants: JobPlants) -> None:
+        self.read, self._plants = plants.read, plants
+        self.start = self._first()
+
+    def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
+        """Return the options that a design is made of as the loop is now, those of parts that are off as well."""
+        options = settings.options[spec.name][design.name]
+        if design.method != "classical":
+            return dict(options)
+        return acting_options(
+            options,
+            self._plants.gyros(settings, spec),
+            lambda: self._plants.nutation(settings, spec),
+            1.0 / settings.rate_hz,
+        )
+
+    def slowest(self, settings: Settings) -> float:
+        """Return the sample rate, Hz, from which on all loops can be built with their options as they are."""
+        found = 0.0
+        for spec in self.read.loops:
+            for design in spec.designs:
+                if live(design) or (spec.name, design.name) == (settings.loop, settings.design):
+                    options = self.offered(settings, spec, design)
+                    used = parts_used(options, settings.parts_on(spec.name, design.name))
+                    found = max(found, lowest_rate(design.method, used))
+        return found
+
+    def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
+        """Return the options that a design uses, without those of parts that are off."""
+        offered = self.offered(settings, spec, design)
+        if design.method != "classical":
+            return offered
+        channel, period = self._plants.gyros(settings, spec), 1.0 / settings.rate_hz
+        given = parts_used(offered, settings.parts_on(spec.name, design.name))
+        try:
+            complete = starting_values(given, channel, self._plants.nutation(settings, spec), period)
+        except DesignError as error:
+            # It may be another loop than the one that is worked on.
+            raise DesignError(f"{spec.name}, {error}") from None
+        return {name: x for name, x in complete.items() if acts(name, channel)}
+
+    def touched(self, settings: Settings, loop: str, design: str) -> bool:
+        """Return whether a design's knobs or parts are not as the job has them, or what its defaults rest on."""
+        start = self.start
+        return (
+            dict(settings.options[loop][design]) != dict(start.options[loop][design])
+            or settings.parts_on(loop, design) != start.parts_on(loop, design)
+            or settings.rate_hz != start.rate_hz
+            or dict(settings.spins) != dict(start.spins)
+        )
+
+    def _first(self) -> Settings:
+        options: dict[str, dict[str, dict[str, float]]] = {}
+        optional: dict[str, dict[str, tuple[str, ...]]] = {}
+        closed: dict[str, str] = {}
+        spins = {r.name: float(r.spin) for r in self.read.platform.rotors}
+        sampling = self.read.sampling
+        for spec in self.read.loops:
+            options[spec.name], optional[spec.name] = {}, {}
+            for design in spec.designs:
+                options[spec.name][design.name] = self._options(spec, design, spins)
+                optional[spec.name][design.name] = parts_given(design.options)
+            there = [d.name for d in spec.designs if live(d)]
+            closed[spec.name] = spec.use if spec.use in there or not there else there[0]
+        first = self.read.loops[0]
+        return Settings(
+            axis=self._plants.loading_axis(first, 1),
+            mode="caged" if first.kind == "caging" else "stabilised",
+            loop=first.name,
+            design=closed[first.name],
+            options=options,
+            optional=optional,
+            rate_hz=1.0 / sampling.period,
+            delay=sampling.delay,
+            spins=spins,
+            Omega=(0.0, 0.0, 0.0),
+            channel=self._plants.channels_of(first)[0],
+            closed=closed,
+        )
+
+    def _options(self, spec: LoopSpec, design: DesignSpec, spins: dict[str, float]) -> dict[str, float]:
+        """Return all options of a design, complete, so that they stay while the plant is moved."""
+        period = self.read.sampling.period
+        if spec.kind != "caging":
+            return dict(platform_servo(self.read, linearise(self.read.platform), spec, design).options)
+        quick = self._plants.quick(spec)
+        channel = quick.channels(spins)
+        nutation = quick.nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
+        if design.method == "classical":
+            return full_options(design.options, channel, nutation, period)
+        try:
+            return default_numbers(design, channel, nutation, period)
+        except PlatformCtrlError:
+            # What is wrong with them is told when they are to be designed.
+            return dict(design.options)
+
+
+def live(design: DesignSpec) -> bool:
+    """Return whether a design is built from its knobs at once."""
+    return design.method in ("classical", "platform-servo")

@@ -1,0 +1,233 @@
+"""Designs that their methods make, beside those that knobs build: which are there, and which are being made."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Hashable
+
+import numpy as np
+
+from platform_ctrl.app import background
+from platform_ctrl.app.caged import CagedLoop, caged_overlay
+from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.controllers import live
+from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.stabilised import stabilised_overlay
+from platform_ctrl.app.tasks import Designing
+from platform_ctrl.app.values import Settings
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+from platform_ctrl.job.job import DesignSpec, LoopSpec
+
+Make = Callable[[Callable[[], bool]], None]
+
+# A wish that is followed by another within this time is not begun, s: a slider is still moving.
+_PAUSE = 0.6
+
+
+class Drafting:
+    """What is being designed, and what is wanted next.
+
+    Parameters
+    ----------
+    pause
+        How long a wish has to stand before it is begun, s.
+    """
+
+    def __init__(self, pause: float = _PAUSE) -> None:
+        self._pause = pause
+        self._lock = threading.Condition()
+        self._wanted: dict[tuple[str, str], tuple[Hashable, Make]] = {}
+        self._failed: dict[tuple[str, str], tuple[Hashable, str]] = {}
+        self._listeners: list[Callable[[], None]] = []
+        self._worker: threading.Thread | None = None
+        self._ended = False
+
+    def want(self, loop: str, design: str, key: Hashable, make: Make) -> str:
+        """Ask for a design and return a line about it; the same wish again changes nothing.
+
+        `make` is called in a thread with what tells it that it is not wanted any more.
+        """
+        name = (loop, design)
+        with self._lock:
+            failed = self._failed.get(name)
+            if failed is not None and failed[0] == key:
+                return failed[1]
+            if not self._ended and self._wanted.get(name, (None,))[0] != key:
+                self._wanted[name] = (key, make)
+                self._lock.notify_all()
+                if self._worker is None:
+                    self._worker = threading.Thread(target=self._work, daemon=True)
+                    self._worker.start()
+        return f"{design}: is being designed; it is shown as soon as it is there"
+
+    def wants(self, loop: str, design: str) -> bool:
+        """Whether a design is being made, or will be."""
+        with self._lock:
+            return (loop, design) in self._wanted
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called in a thread after each design, and return what ends that."""
+        with self._lock:
+            self._listeners.append(listener)
+
+        def end() -> None:
+            with self._lock, contextlib.suppress(ValueError):
+                self._listeners.remove(listener)
+
+        return end
+
+    def end(self) -> None:
+        """Give up what is going on and what is wanted."""
+        with self._lock:
+            self._ended = True
+            self._wanted.clear()
+            self._lock.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if self._ended or not self._wanted:
+                    # Nobody waits: the next wish starts another thread.
+                    self._worker = None
+                    return
+                name, wish = next(iter(self._wanted.items()))
+                if self._lock.wait(self._pause) and self._wanted.get(name) is not wish:
+                    continue
+                if self._wanted.get(name) is not wish:
+                    continue
+            self._make(name, *wish)
+
+    def _make(self, name: tuple[str, str], key: Hashable, make: Make) -> None:
+        def unwanted() -> bool:
+            return self._ended or self._wanted.get(name, (None,))[0] != key
+
+        line = ""
+        try:
+            make(unwanted)
+        except PlatformCtrlError as error:
+            line = str(error)
+        with self._lock:
+            if self._wanted.get(name, (None,))[0] == key:
+                del self._wanted[name]
+                if line:
+                    self._failed[name] = (key, line)
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener()
+
+
+def never() -> bool:
+    """Say no: nobody cancels."""
+    return False
+
+
+def silent(line: str) -> None:
+    """Hear a line and tell nobody."""
+    del line
+
+
+class Awaited(DesignError):
+    """Nothing can be shown before a design is there that is being made."""
+
+
+class Designs:
+    """The designs of a job's caging loops; safe in several threads.
+
+    Parameters
+    ----------
+    closing
+        The loops.
+    """
+
+    def __init__(self, closing: Closing) -> None:
+        self._closing = closing
+        self._drafting = Drafting()
+
+    def end(self) -> None:
+        """Give up what is being made."""
+        self._drafting.end()
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called in a thread after each design that pictures wait for, and return what ends that."""
+        return self._drafting.listen(listener)
+
+    def there(self, settings: Settings, design: str | None = None) -> bool:
+        """Return whether a design, or the one that is worked on, is there for just these settings."""
+        spec = self._closing.spec(settings.loop)
+        return self._closing.there(settings, spec, settings.design if design is None else design)
+
+    def make(
+        self,
+        settings: Settings,
+        design: str | None,
+        progress: background.Progress = silent,
+        cancelled: background.Cancelled = never,
+    ) -> Settings:
+        """Have a design made in a process of its own, unless it is there, and return the settings that show it."""
+        closing = self._closing
+        spec, own = closing.design(settings if design is None else settings.but(design=design))
+        if not self.there(settings, own.name):
+            question = Designing(job=closing.job(settings), loop=spec.name, design=own.name)
+            made = background.worked_out(question, progress, cancelled)
+            closing.store.put(spec.name, own.name, closing.conditions(settings, spec, own), made)
+        return closing.following(settings, spec, own)
+
+    def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
+        """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
+        closing = self._closing
+        spec, design = closing.design(settings)
+        if live(design):
+            return closing.caged(settings)
+        conditions, seen = closing.wanted(settings, spec, design), closing.seen(settings, spec, design)
+        if seen == conditions:
+            return closing.caged(settings)
+
+        def wanted() -> str:
+            def make(unwanted: background.Cancelled) -> None:
+                self.make(closing.at(settings, spec, design, conditions), None, cancelled=unwanted)
+
+            return self._drafting.want(spec.name, design.name, conditions, make)
+
+        if seen is None:
+            line = f"{spec.name}, {wanted()}"
+            raise Awaited(line) if self._drafting.wants(spec.name, design.name) else DesignError(line)
+        loop, told = closing.caged(settings)
+        return (loop, (wanted(),)) if again else (loop, told)
+
+    def overlays(
+        self, settings: Settings, spec: LoopSpec, frequency: FloatArray
+    ) -> tuple[tuple[Overlay, ...], tuple[str, ...]]:
+        """Return what lies over a picture, and lines about what does not, or is not quite up to date."""
+        out, notes = [], []
+        for name in dict.fromkeys(settings.overlays):
+            if name == settings.design or name not in {d.name for d in spec.designs}:
+                continue
+            try:
+                found, note = self.overlay(settings, spec, name, frequency)
+            except PlatformCtrlError as error:
+                notes.append(str(error))
+                continue
+            out.append(found)
+            notes += [note] if note else []
+        return tuple(out), tuple(notes)
+
+    def overlay(
+        self, settings: Settings, spec: LoopSpec, name: str, frequency: FloatArray, measured: bool = False
+    ) -> tuple[Overlay, str]:
+        """Return one design of the loop as an overlay at `frequency` (F,), rad/s, and a line about it.
+
+        What all other loops are set to stays. Its limits are empty unless they are to be `measured`.
+        """
+        other: DesignSpec = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
+        own = settings.but(design=name)
+        with np.errstate(all="ignore"):
+            if spec.kind != "caging":
+                # Lines about the other loops are those of the picture below it.
+                free, _ = self._closing.stabilised(own)
+                kept = self._closing.kept(own) if measured else None
+                return stabilised_overlay(free, own, other.method, frequency, kept), ""
+            loop, told = self.caged(own, again=False)
+            return caged_overlay(loop, own, other.method, frequency, measured), " ".join(told)

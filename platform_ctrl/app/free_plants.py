@@ -1,0 +1,327 @@
+"""The whole platform, free to turn, sampled: nominal, at other rates, and with all of a spread moved together."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.analysis.peaks import peak
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse, frequency_response_arrays
+from platform_ctrl.analysis.sampled import held_input, sampled_arrays
+from platform_ctrl.app.curves import arrays_of, dense_grid
+from platform_ctrl.app.parts import EDGE
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.plants import changed
+from platform_ctrl.job.job import Job, LoopSpec, Sampling
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.state_space import state_space as linear_state_space
+from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, Platform
+from platform_ctrl.verification.coupled import measuring
+
+if TYPE_CHECKING:
+    import control
+
+ATTITUDE = ("attitude1", "attitude2", "attitude3")
+# Frequencies of the band: it needs no more to be drawn.
+_BAND_POINTS = 36
+
+
+@value
+class FreePlants:
+    """Sampled plants of the free platform: torquers → sensors, and what acts on the platform itself.
+
+    Attributes
+    ----------
+    labels
+        Of the N plants, the nominal one first.
+    torquers, sensors
+        Names of inputs and outputs that controllers use.
+    arrays
+        A, B, C, D of torquers → sensors, stacks (N, ...).
+    turned
+        The same with the platform's attitude as states and outputs: torques M1 to M3 on the platform, held and not
+        delayed, behind the torquers' inputs; ATTITUDE behind the sensors.
+    period
+        s.
+    frequency : (F,)
+        Of the band, rad/s.
+    response : complex (N, F, sensors + 3, torquers + 3)
+        Of `turned` there.
+    """
+
+    labels: tuple[str, ...]
+    torquers: tuple[str, ...]
+    sensors: tuple[str, ...]
+    arrays: StateArrays
+    turned: StateArrays
+    period: float
+    frequency: FloatArray
+    response: ComplexArray
+
+    def only(self, k: int) -> FreePlants:
+        """Return one of the plants alone, without a band."""
+        part = slice(k, k + 1)
+        arrays, turned = (
+            StateArrays(stack.A[part], stack.B[part], stack.C[part], stack.D[part], stack.dt)
+            for stack in (self.arrays, self.turned)
+        )
+        return dataclasses.replace(
+            self,
+            labels=self.labels[part],
+            arrays=arrays,
+            turned=turned,
+            frequency=self.frequency[:0],
+            response=self.response[part, :0],
+        )
+
+
+def corners(job: Job) -> list[tuple[str, Platform, FloatArray]]:
+    """Return label, platform and rate of the nominal plant, of the corners of Omega, and of those of the spread.
+
+    All inertias move together there, and all momenta: a corner for each sign of each would be hundreds.
+    """
+    platform, still = job.platform, np.zeros(3)
+    out = [("nominal", platform, still)]
+    gimbals, rotors = [g.name for g in platform.gimbals], [r.name for r in platform.rotors]
+    widths = [("J", job.spread.inertia, gimbals), ("L", job.spread.spin, rotors)]
+    widths = [one for one in widths if one[1] > 0.0 and one[2]]
+    for signs in product((-1.0, 1.0), repeat=len(widths)) if widths else ():
+        moved: dict[str, dict[str, float]] = {"J": {}, "L": {}}
+        words = []
+        for (letter, width, names), sign in zip(widths, signs, strict=True):
+            moved[letter] = dict.fromkeys(names, sign * width)
+            words.append(f"all {letter}{sign * width:+.0%}")
+        out.append((" ".join(words), changed(platform, moved["J"], moved["L"]), still))
+    axes = [(-rate, rate) if rate > 0.0 else (0.0,) for rate in map(float, job.Omega)]
+    for rates in product(*axes):
+        if any(rates):
+            label = f"Omega = ({rates[0]:g}, {rates[1]:g}, {rates[2]:g}) rad/s"
+            out.append((label, platform, np.array(rates)))
+    return out
+
+
+@value
+class FreeModels:
+    """The free platform before it is sampled: torquers → sensors, torques on the root, and what Omega is made of.
+
+    Attributes
+    ----------
+    labels
+        Of the N plants.
+    torquers, sensors
+        Names of inputs and outputs.
+    lags : (m,)
+        Of the torquers, s.
+    A, B, C
+        Shapes (N, n, n), (N, n, m), (N, p, n).
+    B_root, C_rate
+        Torques M1 to M3 on the platform, and its rate. Shapes (N, n, 3), (N, 3, n).
+    """
+
+    labels: tuple[str, ...]
+    torquers: tuple[str, ...]
+    sensors: tuple[str, ...]
+    lags: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    B_root: FloatArray
+    C_rate: FloatArray
+
+
+def free_models(job: Job, chosen: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> FreeModels:
+    """Linearise the free platform with all of its torquers, pick-offs, and the rate sensors named in `rates`."""
+    sensors = [*(s.name for s in job.platform.pickoffs), *rates]
+    signals = [t.signal for t in job.platform.torquers]
+    A, B, C, B_root, C_rate = [], [], [], [], []
+    for _, platform, Omega in chosen:
+        system = linear_state_space(linearise(platform, Omega=Omega), root="free")
+        inputs, outputs = list(system.input_labels), list(system.output_labels)
+        A.append(system.A)
+        B.append(system.B[:, [inputs.index(name) for name in signals]])
+        C.append(measuring(system, sensors).C)
+        B_root.append(system.B[:, [inputs.index(name) for name in ROOT_TORQUE_NAMES]])
+        C_rate.append(system.C[[outputs.index(name) for name in OMEGA_NAMES]])
+    return FreeModels(
+        labels=tuple(label for label, _, _ in chosen),
+        torquers=tuple(t.name for t in job.platform.torquers),
+        sensors=tuple(sensors),
+        lags=np.array([t.lag for t in job.platform.torquers]),
+        A=np.array(A),
+        B=np.array(B),
+        C=np.array(C),
+        B_root=np.array(B_root),
+        C_rate=np.array(C_rate),
+    )
+
+
+class SpinningModels:
+    """The same plants again and again at other spins: with constant inertias the equations are affine in momenta.
+
+    Parameters
+    ----------
+    job
+        With the spins that count as nominal.
+    cases
+        Label, platform and rate of each plant.
+    rates
+        Names of the rate sensors.
+    """
+
+    def __init__(self, job: Job, cases: Sequence[tuple[str, Platform, FloatArray]], rates: Sequence[str]) -> None:
+        self._job, self._cases, self._rates = job, cases, rates
+        self._rotors = {r.name: r for r in job.platform.rotors}
+        self._nominal = free_models(job, cases, rates)
+        self._slopes: dict[str, FloatArray] = {}
+
+    def at(self, spins: Mapping[str, float]) -> FreeModels:
+        """Return the plants with these spins, rad/s."""
+        A = self._nominal.A
+        for name, spin in spins.items():
+            rotor = self._rotors[name]
+            if spin != rotor.spin:
+                A = A + (rotor.axial_inertia * spin - rotor.angular_momentum) * self._slope(name)
+        return dataclasses.replace(self._nominal, A=A)
+
+    def _slope(self, name: str) -> FloatArray:
+        """Return how A changes with the nominal momentum of a rotor, (N, n, n)."""
+        if name not in self._slopes:
+            nominal = self._rotors[name].angular_momentum
+            scale = abs(nominal) or max((abs(r.angular_momentum) for r in self._rotors.values()), default=0.0) or 1.0
+            moved = []
+            for label, platform, Omega in self._cases:
+                # A plant of the spread has this rotor's L larger by a factor.
+                own = next(r.angular_momentum for r in platform.rotors if r.name == name)
+                factor = own / nominal if nominal else 1.0
+                rotors = tuple(
+                    dataclasses.replace(r, angular_momentum=own + factor * scale) if r.name == name else r
+                    for r in platform.rotors
+                )
+                moved.append((label, dataclasses.replace(platform, rotors=rotors), Omega))
+            self._slopes[name] = (free_models(self._job, moved, self._rates).A - self._nominal.A) / scale
+        return self._slopes[name]
+
+
+def free_plants(models: FreeModels, sampling: Sampling, band: bool) -> FreePlants:
+    """Sample the free platform; with `band` its responses are worked out on a grid."""
+    N, _, m = models.B.shape
+    period, delay, lags = sampling.period, sampling.delay, models.lags
+    D = np.zeros((N, len(models.sensors), m))
+    arrays = StateArrays(*sampled_arrays(models.A, models.B, models.C, D, period, delay, lags), dt=period)
+    turned = _turned(models, period, delay)
+    nyquist = np.pi / period
+    fastest = float(np.abs(np.linalg.eigvals(models.A[0])).max(initial=0.0)) or 0.1 * nyquist
+    low = min(2e-3 * fastest, 0.01 * nyquist)
+    grid = np.geomspace(low, 0.999 * nyquist, _BAND_POINTS) if band else np.zeros(0)
+    return FreePlants(
+        labels=models.labels,
+        torquers=models.torquers,
+        sensors=models.sensors,
+        arrays=arrays,
+        turned=turned,
+        period=period,
+        frequency=grid,
+        response=_responses(turned, grid),
+    )
+
+
+def _responses(turned: StateArrays, grid: FloatArray) -> ComplexArray:
+    if not grid.size:
+        return np.zeros((len(turned.A), 0, *turned.D.shape[-2:]), dtype=np.complex128)
+    return frequency_response_arrays(*turned, grid, ON_A_GRID)
+
+
+def _turned(models: FreeModels, period: float, delay: float) -> StateArrays:
+    N, n, m = models.B.shape
+    sensors = len(models.sensors)
+    A = np.zeros((N, n + 3, n + 3))
+    A[:, :n, :n], A[:, n:, :n] = models.A, models.C_rate
+    B, acting = (np.concatenate([item, np.zeros((N, 3, item.shape[-1]))], axis=1) for item in (models.B, models.B_root))
+    C = np.zeros((N, sensors + 3, n + 3))
+    C[:, :sensors, :n], C[:, sensors:, n:] = models.C, np.eye(3)
+    D = np.zeros((N, sensors + 3, m))
+    held = held_input(A, acting, period)[1]
+    A, B, C, D = sampled_arrays(A, B, C, D, period, delay, models.lags)
+    both = np.zeros((N, A.shape[-1], m + 3))
+    both[..., :m] = B
+    # The sampled states begin with the plant's own, which lags and held torques do not hear of.
+    both[:, : n + 3, m:] = held
+    return StateArrays(A, both, C, np.concatenate([D, np.zeros((N, sensors + 3, 3))], axis=-1), period)
+
+
+@value
+class StabilisedLoop:
+    """All loops of a job closed around the free platform.
+
+    Attributes
+    ----------
+    job
+        With the settings' spins, sampling and range of Omega.
+    model
+        At rest.
+    spec
+        The stabilisation loop.
+    controllers
+        `control.StateSpace` of each loop, in the job's order.
+    plants, shown
+        The set (the nominal plant alone without a band), and the plant that is shown.
+    """
+
+    job: Job
+    model: LinearModel
+    spec: LoopSpec
+    controllers: tuple[control.StateSpace, ...]
+    plants: FreePlants
+    shown: FreePlants
+
+    def joined(self, plants: FreePlants) -> tuple[StateArrays, list[int], tuple[str, ...]]:
+        """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
+        used = {name for K in self.controllers for name in K.output_labels}
+        torquers = [name for name in plants.torquers if name in used]
+        K = joined_arrays(self.controllers, plants.sensors, torquers, plants.period)
+        return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
+
+
+def used_arrays(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
+    """Return one plant of a stack with the inputs `at` that controllers set."""
+    A, B, C, D, dt = arrays_of(arrays, k)
+    return StateArrays(A, B[:, at], C, D[:, at], dt)
+
+
+def loop_grid(P: StateArrays, s: ComplexArray) -> FloatArray:
+    """Return frequencies at which to look at a plant and a loop with the poles `s`, (F,), rad/s."""
+    nyquist = math.pi / P.dt
+    finite = s[np.isfinite(s)]
+    slowest = float(np.abs(finite).min(initial=nyquist))
+    low = max(min(0.1 * slowest, 0.01 * nyquist), 1e-5 * nyquist)
+    own = continuous_poles(pole_arrays(P.A), P.dt)
+    # Free poles at z = 1 are integrators, no resonances.
+    return dense_grid(np.concatenate([s, own]), low, EDGE * nyquist)
+
+
+class Sensitivity:
+    """S at the plant's input over frequency; what does not depend on the frequency is worked out once."""
+
+    def __init__(self, P: StateArrays, K: StateArrays) -> None:
+        self._P, self._K = AxisResponse(P, ON_A_GRID), AxisResponse(K, ON_A_GRID)
+
+    def at(self, w: FloatArray) -> ComplexArray:
+        """Return S at `w` (F,), rad/s, complex (F, m, m)."""
+        return sensitivities(-self._K.at(w) @ self._P.at(w))[0]
+
+
+def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:
+    """Return 1/max |S_ii - 1/2| over all frequencies of channels of a stable loop, broken one at a time."""
+    A, B, C, D = closed_loop_arrays(*P[:4], *K[:4])
+    # From a torque disturbance to the torque the closed loop is S - 1.
+    parts = [StateArrays(A, B[:, [i]], C[[i]], D[[i]][:, [i]] + 0.5, P.dt) for i in channels]
+    return np.array([1.0 / peak(part)[0] for part in parts])

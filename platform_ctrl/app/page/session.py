@@ -1,0 +1,429 @@
+"""What one page is: its settings, their history, its plots, and what is being worked out for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.app.designs import Awaited
+from platform_ctrl.app.history import History
+from platform_ctrl.app.link import settings_of, text_of
+from platform_ctrl.app.page import telling
+from platform_ctrl.app.page.asking import Ask, ask_of, count_of
+from platform_ctrl.app.page.errands import Errands, words_of
+from platform_ctrl.app.page.wiring import Newest, Wire, chosen
+from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.tree3d.scene import TreeView
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import value
+from platform_ctrl.errors import PlatformCtrlError
+
+if TYPE_CHECKING:
+    from bokeh.document import Document
+
+    from platform_ctrl.app.pictures import Drawing, Picture
+    from platform_ctrl.app.values import Settings
+    from platform_ctrl.app.workbench import Workbench
+
+# Milliseconds without a change after which the influence of the sliders is worked out.
+IDLE = 350
+# Seconds that what is drawn may take on its way to the browser before it is measured in any case.
+_SENDING = 0.05
+Change = Callable[["Settings"], "Settings"]
+
+
+@value
+class Task:
+    """A change of the settings that is to be shown; steps of one gesture are undone together."""
+
+    count: int
+    change: Change
+    gesture: object
+
+
+@value
+class Outcome:
+    """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none.
+
+    `held_by` are the limits that kept a drag from going all the way.
+    """
+
+    settings: Settings
+    picture: Picture | None
+    line: str | None
+    held_by: tuple[str, ...]
+    awaits: bool
+    count: int
+    gesture: object
+    turn: int
+
+
+class Session:
+    """One page. Everything that it holds goes with it when it is closed.
+
+    Its methods run on the server's loop while the document is locked, but `_work`, which runs in a thread.
+
+    Parameters
+    ----------
+    workbench
+        Shared with the other pages.
+    document
+        The page's.
+    state
+        What the address of the page asks for; empty: the job as it is.
+    """
+
+    def __init__(self, workbench: Workbench, document: Document, state: str) -> None:
+        self.workbench = workbench
+        self.document: Document | None = document
+        self.offer = workbench.offer()
+        self.title = workbench.read.name
+        self.settings = workbench.start()
+        self._line: str | None = None
+        if state:
+            try:
+                self.settings = settings_of(workbench, state)
+            except PlatformCtrlError as error:
+                self._line = f"The state in the link was not used: {error}"
+        self.history = History(self.settings)
+        self.picture: Picture | None = None
+        self.wire = Wire(name="wire")
+        self.wire.on_change("asked", self._asked)
+        self.plots = Plots(dark=False)
+        roots: list[Any] = list(self.plots.layout.values())
+        for root in roots:
+            # Beside the headings the template has a button.
+            root.children[0].margin = (0, 24, 0, 0)
+        self.tree = TreeView(workbench.read.platform)
+        self.plots.on_pole_pulled(self._pole_pulled)
+        self.plots.on_crossover_pulled(self._crossover_pulled)
+        self._answered = 0
+        self._gesture: object = None
+        self._newest: Newest[Task] = Newest(self._work)
+        self._lock = threading.Lock()
+        self._outcome: Outcome | None = None
+        # What is to be drawn next; which time of working out that is of, and of which what the plots show.
+        self._drawing: Drawing | None = None
+        self._turn = self._plotted = 0
+        self._sent = threading.Event()
+        # What waits for a design that is being made.
+        self._awaited: Outcome | None = None
+        self._idle: Any = None
+        # Whether a drag may make limits missed that are met, and which of them hold the present one back.
+        self._free = False
+        self._held_by: tuple[str, ...] = ()
+        self._errands = Errands(self)
+        self._deaf = workbench.on_designed(self._designed)
+
+    def roots(self) -> list[Any]:
+        """Return what the document holds, each under the name that the template knows."""
+        return [*self.plots.layout.values(), self.tree.layout, self.wire]
+
+    def close(self, session_context: object) -> None:
+        """End what is going on and let go of everything; the page is gone."""
+        self._deaf()
+        self._newest.close()
+        self._errands.close()
+        self.document = self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
+
+    def later(self, act: Callable[[], None]) -> None:
+        """Have something done on the server's loop; from any thread."""
+        document = self.document
+        if document is not None:
+            # Bokeh takes a document apart before it says that its page is gone.
+            with suppress(AttributeError):
+                document.add_next_tick_callback(lambda: None if self.document is None else act())
+
+    def soon(self, act: Callable[[], None], wait: int) -> None:
+        """Have something done on the server's loop after `wait` milliseconds, if the page is still there."""
+        document = self.document
+        if document is not None:
+            document.add_timeout_callback(lambda: None if self.document is None else act(), wait)
+
+    def say(self, text: str, kind: str = "quiet", count: int | None = None) -> None:
+        """Write the page's line: ``"quiet"``, ``"good"`` or ``"error"``."""
+        self.answer(count, line={"text": text, "kind": kind})
+
+    def answer(self, count: int | None = None, **parts: Any) -> None:
+        """Tell the page something, and up to which of its messages everything is done."""
+        self._answered = max(self._answered, count or 0)
+        self.wire.tell(n=self._answered, **parts)
+
+    def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
+        """Have the settings changed and shown. A change of the same key that still waits is dropped."""
+        self._errands.cancel_tuning()
+        self._no_rest()
+        if gesture is None:
+            gesture = object()
+        self._newest.add(key, Task(count=count, change=change, gesture=gesture))
+
+    # What the page asks for.
+
+    def _asked(self, name: str, old: object, new: object) -> None:
+        """Do what a message asks for; nonsense is answered by a line."""
+        try:
+            ask = ask_of(new)
+            getattr(self, f"_ask_{ask.what}", self._errands.ask)(ask)
+        except PlatformCtrlError as error:
+            # What was typed gives way to what is shown.
+            rows = {} if self.picture is None else self._rows(self.picture.settings)
+            self.answer(count_of(new), line={"text": str(error), "kind": "error"}, **rows)
+
+    def _ask_ready(self, ask: Ask) -> None:
+        self.change("ready", lambda settings: settings, count=ask.count, gesture="ready")
+
+    def _ask_dark(self, ask: Ask) -> None:
+        self.plots.dark(ask.more["dark"])
+        self.answer(ask.count)
+
+    def _ask_move(self, ask: Ask) -> None:
+        moved = self.workbench.moved
+        for knob, number in ask.more["moves"]:
+
+            def change(settings: Settings, knob: str = knob, number: float = number) -> Settings:
+                return moved(settings, knob, number)
+
+            self.change(f"move {knob}", change, count=ask.count, gesture=("move", knob, ask.more["gesture"]))
+        if not ask.more["moves"]:
+            self.answer(ask.count)
+
+    def _ask_fix(self, ask: Ask) -> None:
+        knob, fixed, knobs = ask.more["knob"], ask.more["fixed"], self.workbench.knobs
+
+        def change(settings: Settings) -> Settings:
+            known_name("slider", knob, [one.name for one in knobs(settings)])
+            return settings.but(fixed=settings.fixed | {knob} if fixed else settings.fixed - {knob})
+
+        self.change(f"fix {knob}", change, count=ask.count)
+
+    def _ask_reset(self, ask: Ask) -> None:
+        knob, starts, moved = ask.more["knob"], self._starts, self.workbench.moved
+
+        def change(settings: Settings) -> Settings:
+            first = starts(settings)
+            known_name("slider", knob, list(first))
+            return moved(settings, knob, first[knob])
+
+        self.change(f"move {knob}", change, count=ask.count)
+
+    def _ask_part(self, ask: Ask) -> None:
+        switched, part, on = self.workbench.switched, ask.more["part"], ask.more["on"]
+        self.change(f"part {part}", lambda settings: switched(settings, part, on), count=ask.count)
+
+    def _ask_set(self, ask: Ask) -> None:
+        workbench, name, given = self.workbench, ask.more["name"], ask.more["value"]
+        plants = () if self.picture is None else self.picture.plants
+        self.change(f"set {name}", lambda settings: chosen(workbench, settings, name, given, plants), count=ask.count)
+
+    def _ask_undo(self, ask: Ask) -> None:
+        self._gone_to(ask, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
+
+    def _ask_redo(self, ask: Ask) -> None:
+        self._gone_to(ask, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
+
+    def _gone_to(self, ask: Ask, step: Callable[[], Settings] | None, nothing: str) -> None:
+        if step is None:
+            self.say(nothing, count=ask.count)
+            return
+        there = step()
+        self.change("history", lambda settings: there, count=ask.count, gesture="history")
+
+    def _ask_free(self, ask: Ask) -> None:
+        self._free = ask.more["free"]
+        self.answer(ask.count)
+
+    def _pole_pulled(self, pole: complex, target: complex) -> None:
+        pulled, free = self.workbench.pulled_pole, self._free
+
+        def change(settings: Settings) -> Settings:
+            return pulled(settings, pole, target, free=free, held=self._held)
+
+        self.change("pull", change, gesture=("pole", self.plots.drags))
+
+    def _crossover_pulled(self, frequency: float) -> None:
+        pulled, free = self.workbench.pulled_crossover, self._free
+
+        def change(settings: Settings) -> Settings:
+            return pulled(settings, frequency, free=free, held=self._held)
+
+        self.change("pull", change, gesture=("crossover", self.plots.drags))
+
+    def _held(self, names: tuple[str, ...]) -> None:
+        """Note which limits hold a drag back; called while a change is worked out."""
+        self._held_by = names
+
+    # What comes of it.
+
+    def _designed(self) -> None:
+        """Show the picture again with a design that was waited for, or the one that is waited for; in a thread."""
+
+        def again() -> None:
+            awaited = self._awaited
+            if awaited is None:
+                task = Task(count=0, change=lambda settings: settings, gesture="ready")
+            else:
+                task = Task(count=0, change=lambda settings: awaited.settings, gesture=awaited.gesture)
+            self._newest.add("again", task)
+
+        self.later(again)
+
+    def _work(self, tasks: list[Task]) -> None:
+        """Work out a picture for all tasks together; runs in a thread."""
+        settings, line, picture, awaits = self.settings, None, None, False
+        self._turn += 1
+        self._held_by = ()
+        for task in tasks:
+            try:
+                settings = task.change(settings)
+            except Exception as error:
+                line = words_of(error)
+        try:
+            picture = self.workbench.picture(settings, self._drawn)
+        except Awaited as error:
+            line, awaits = str(error), True
+        except Exception as error:
+            line = words_of(error)
+        # A design that is there now is no step of its own in what a hand does.
+        gesture = next((task.gesture for task in reversed(tasks) if task.gesture != "ready"), "ready")
+        count = max(task.count for task in tasks)
+        with self._lock:
+            if picture is not None:
+                # What the next tasks start from, before it is shown.
+                self.settings = settings
+            scheduled = self._outcome is not None
+            if self._outcome is not None and gesture == "ready":
+                gesture = self._outcome.gesture
+            self._outcome = Outcome(
+                settings=settings,
+                picture=picture,
+                line=line,
+                held_by=self._held_by,
+                awaits=awaits,
+                count=count,
+                gesture=gesture,
+                turn=self._turn,
+            )
+        if not scheduled:
+            self.later(self._show)
+
+    def _drawn(self, drawing: Drawing) -> None:
+        """Show what is drawn before it is measured; called in a thread."""
+        self._sent.clear()
+        with self._lock:
+            scheduled, self._drawing = self._drawing is not None, drawing
+        if not scheduled:
+            self.later(self._draw)
+        # Measuring would only keep it from being sent: the browser paints meanwhile.
+        self._sent.wait(_SENDING)
+
+    def _draw(self) -> None:
+        with self._lock:
+            drawing, self._drawing = self._drawing, None
+            turn = self._turn
+        if drawing is not None:
+            self._plotted = turn
+            self.plots.show(drawing)
+            self.later(self._sent.set)
+
+    def _show(self) -> None:
+        with self._lock:
+            out, self._outcome = self._outcome, None
+        if out is None:
+            return
+        line = self._line or out.line
+        self._line = None
+        notes = () if out.picture is None else out.picture.notes
+        if out.held_by:
+            notes = (f"Held back by {' and '.join(out.held_by)}; with Shift the drag goes on", *notes)
+        kind = "error" if line and not out.awaits else "quiet"
+        told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
+        if out.gesture != "ready" or out.awaits:
+            self._awaited = out if out.awaits else None
+        if out.picture is not None:
+            self._remember(out.settings, out.gesture)
+            self.picture = out.picture
+            told |= self._told(out.picture)
+            self._rest()
+        elif self.picture is not None and out.awaits:
+            # The sliders stay those of what is shown; what was chosen stays chosen.
+            told |= self._rows(self.picture.settings)
+        elif self.picture is not None:
+            # Everything goes back to what is shown.
+            told |= self._told(self.picture)
+            self._rest()
+            if self._plotted == out.turn:
+                # What could not be measured was drawn already.
+                self.plots.show(self.picture)
+        self.answer(out.count, **told)
+
+    def _remember(self, settings: Settings, gesture: object) -> None:
+        if gesture == "ready":
+            return
+        if gesture == self._gesture and gesture != "history":
+            self.history.replace(settings)
+        elif gesture != "history":
+            self.history.put(settings)
+        self._gesture = gesture
+
+    def _told(self, picture: Picture) -> dict[str, Any]:
+        settings = picture.settings
+        knobs = self._knobs(settings)
+        return {
+            "state": {
+                "mode": settings.mode,
+                "loop": settings.loop,
+                "design": settings.design,
+                "channel": settings.channel,
+                "axis": settings.axis,
+                "plant": settings.plant,
+                "band": settings.band,
+                "overlays": list(settings.overlays),
+                "choices": telling.choices_told(self.offer, settings, picture.plants),
+                "undo": self.history.can_undo,
+                "redo": self.history.can_redo,
+                "tunable": any(one["tunable"] and not one["fixed"] for one in knobs),
+                "link": text_of(self.workbench, settings),
+                **self._errands.told(),
+            },
+            "parts": self._parts(settings),
+            "knobs": knobs,
+            "bar": telling.bar_told(picture),
+            "requirements": telling.requirements_told(picture),
+        }
+
+    def _rows(self, settings: Settings) -> dict[str, Any]:
+        return {"knobs": self._knobs(settings), "parts": self._parts(settings)}
+
+    def _knobs(self, settings: Settings) -> list[dict[str, Any]]:
+        return telling.knobs_told(self.workbench.knobs(settings), self._starts(settings))
+
+    def _parts(self, settings: Settings) -> list[dict[str, Any]]:
+        parts = self.workbench.parts(settings)
+        return [{"name": one.name, "label": one.label, "on": one.on, "tip": one.tip} for one in parts]
+
+    def _starts(self, settings: Settings) -> dict[str, float]:
+        """Return where the sliders of these settings stood first: in the job file."""
+        first = self.workbench.start()
+        there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
+        return {one.name: one.value for one in self.workbench.knobs(there)}
+
+    def _rest(self) -> None:
+        """Once nothing has changed for a while, work out what each slider does to each requirement."""
+        document = self.document
+        if document is None:
+            return
+        self._no_rest()
+
+        def rested() -> None:
+            self._idle = None
+            if self.picture is not None:
+                self._errands.influence(self.picture.settings)
+
+        self._idle = document.add_timeout_callback(rested, IDLE)
+
+    def _no_rest(self) -> None:
+        if self._idle is not None and self.document is not None:
+            self.document.remove_timeout_callback(self._idle)
+        self._idle = None

@@ -1,0 +1,264 @@
+"""What a page is told: a picture's verdict, margins and requirements, and the settings, as plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from platform_ctrl.app.pictures import Influence, Margins, Picture
+from platform_ctrl.app.values import Knob, Mode, Offer, Settings
+from platform_ctrl.job.requirements import CheckResult
+from platform_ctrl.report.quantities import BOUND, HZ, compared
+
+# What a knob's value looked like before a page moved it; a start that no knob has is shown as none.
+Starts = Mapping[str, float]
+_MODES = ("caged", "stabilised")
+
+
+def plain_number(number: float | None) -> float | str | None:
+    """Return a number as JSON can say it: infinite ones in words, none for what is no number.
+
+    Parameters
+    ----------
+    number
+        Any float.
+
+    Returns
+    -------
+    float, str or None
+        The number, ``"inf"``, ``"-inf"`` or None.
+
+    References
+    ----------
+    RFC 8259.
+    """
+    if number is None or math.isnan(number):
+        return None
+    if math.isinf(number):
+        return "inf" if number > 0 else "-inf"
+    return float(number)
+
+
+def knobs_told(knobs: Iterable[Knob], starts: Starts) -> list[dict[str, Any]]:
+    """Return the sliders as the page builds them.
+
+    Parameters
+    ----------
+    knobs
+        In the order in which they are shown.
+    starts
+        Name → number at which each stood first.
+
+    Returns
+    -------
+    list of dict
+        One a slider.
+    """
+    return [
+        {
+            "name": one.name,
+            "label": one.label,
+            "unit": one.unit,
+            "group": one.group,
+            "low": one.low,
+            "high": one.high,
+            "value": one.value,
+            "logarithmic": one.logarithmic,
+            "tip": one.tip,
+            "fixed": one.fixed,
+            "tunable": one.tunable,
+            "start": starts.get(one.name, one.value),
+        }
+        for one in knobs
+    ]
+
+
+def choices_told(offer: Offer, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
+    """Return what every list of the page offers.
+
+    Parameters
+    ----------
+    offer
+        What the job has.
+    settings
+        What is shown.
+    plants
+        Labels of the plants of the set.
+
+    Returns
+    -------
+    dict
+        Name of the list → what is in it.
+    """
+    methods = offer.methods.get(settings.loop, {})
+    designs = offer.designs.get(settings.loop, ())
+    others = [one for one in designs if one != settings.design]
+    return {
+        "mode": list(offer_modes(offer)),
+        "loop": list(offer.loops),
+        "design": list(designs),
+        "channel": list(offer.channels.get(settings.loop, ())),
+        "axis": [1, 2, 3],
+        "plant": list(plants),
+        "manoeuvre": list(offer.manoeuvres),
+        "overlays": [{"design": one, "method": methods.get(one, "")} for one in others],
+    }
+
+
+def offer_modes(offer: Offer) -> tuple[str, ...]:
+    """Return the modes in which a job can be shown.
+
+    Parameters
+    ----------
+    offer
+        What the job has.
+
+    Returns
+    -------
+    tuple of str
+        Both, or ``"caged"`` alone where there is no servo on the platform.
+    """
+    servo = any("platform-servo" in methods.values() for methods in offer.methods.values())
+    return _MODES if servo else _MODES[:1]
+
+
+def bar_told(picture: Picture) -> dict[str, Any]:
+    """Return the verdict and the margins.
+
+    Parameters
+    ----------
+    picture
+        What is shown.
+
+    Returns
+    -------
+    dict
+        ``verdict`` ("good" or "bad"), ``words``, ``more``, ``figures``, ``elapsed``.
+    """
+    verdict, words, more = _verdict(picture)
+    return {
+        "verdict": verdict,
+        "words": words,
+        "more": more,
+        "figures": _figures(picture.margins, picture.stable, picture.settings.mode),
+        "elapsed": f"{1e3 * picture.elapsed:.0f} ms",
+    }
+
+
+def requirements_told(picture: Picture) -> list[dict[str, Any]]:
+    """Return the requirements, and the goals after them.
+
+    Parameters
+    ----------
+    picture
+        What is shown.
+
+    Returns
+    -------
+    list of dict
+        One a row: name, what is asked and reached with units, margin, whether it is met and whether it counts.
+    """
+    return [_row(one) for one in (*picture.requirements, *picture.goals)]
+
+
+def influence_told(influence: Influence) -> dict[str, Any]:
+    """Return what the sliders do to the requirements.
+
+    Parameters
+    ----------
+    influence
+        As worked out.
+
+    Returns
+    -------
+    dict
+        ``knobs``, and per requirement the ``change`` of its ratio.
+    """
+    return {
+        "knobs": list(influence.knobs),
+        "change": {
+            name: [plain_number(float(number)) for number in row]
+            for name, row in zip(influence.requirements, influence.change, strict=True)
+        },
+    }
+
+
+def _row(one: CheckResult) -> dict[str, Any]:
+    reached, asked = compared(one)
+    return {
+        "name": one.name,
+        "full": f"{one.subject}, {one.design}: {one.name}" if one.design else f"{one.subject}: {one.name}",
+        "asked": f"{BOUND[one.sense]} {asked}",
+        "reached": reached,
+        "margin": one.margin if math.isfinite(one.margin) else None,
+        "passed": bool(one.passed),
+        "hard": one.hard,
+        "method": one.method,
+    }
+
+
+def _verdict(picture: Picture) -> tuple[str, str, str]:
+    if not picture.stable:
+        return "bad", "Unstable", f"plant shown: {picture.settings.plant}"
+    missed = [one.name for one in picture.requirements if not one.passed]
+    count = len(picture.requirements)
+    if not picture.all_stable:
+        return "bad", "Unstable for a plant of the set", picture.margins.worst_plant
+    if missed:
+        return "bad", f"{len(missed)} of {count} missed", ", ".join(missed)
+    if count == 0:
+        return "good", "Stable", "nothing is asked of this loop"
+    least = min(picture.requirements, key=lambda one: one.margin)
+    # What lies between the frequencies of a grid is no verdict.
+    sampled = any(one.method == "sampled" for one in picture.requirements)
+    met = "met on a frequency grid" if sampled else "met" if count == 1 else "requirements met"
+    left = f"least left: {least.name}, {100 * least.margin:.1f} %"
+    return "good", met.capitalize() if count == 1 else f"All {count} {met}", left
+
+
+# What the numbers are of, caged and stabilised: channels, angles, and what poles have to be faster than to count.
+_OF = {
+    "caged": ("all channels of the loop at once", "all angles of the loop", "nutation frequency"),
+    "stabilised": ("broken at the torquer that is shown, all others closed", "the platform's axes", "crossover"),
+}
+
+
+def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]:
+    def figure(label: str, value: float | str | None, unit: str, tip: str, bad: bool = False) -> dict[str, Any]:
+        shown = value if isinstance(value, str) else plain_number(value)
+        return {"label": label, "value": shown, "unit": unit, "tip": tip, "bad": bad}
+
+    none = math.nan
+    crossover = none if margins.crossover is None else HZ * margins.crossover
+    channels, axes, above = _OF[mode]
+    return [
+        figure("Disk margin", margins.disk, "", f"Of the plant shown, {channels}", not stable),
+        figure(
+            "Worst of the set",
+            margins.worst_disk,
+            "",
+            f"Disk margin of {margins.worst_plant}",
+            margins.worst_disk <= 0.0,
+        ),
+        figure("Gain margin", _decibels(margins, stable), "dB", "How far the shown channel's gain may rise and fall"),
+        figure("Phase margin", margins.phase if stable else none, "°", "What the shown channel may lose"),
+        figure("Delay margin", 1e3 * margins.delay if stable else none, "ms", "How much later the torque may come"),
+        figure("Crossover", crossover, "Hz", "Highest frequency at which the shown channel's gain is 1"),
+        figure("Bandwidth", HZ * margins.bandwidth if stable else none, "Hz", f"S of {axes} reaches 1/√2"),
+        figure(
+            "Damping",
+            margins.damping,
+            "",
+            f"Least of the closed-loop poles beyond a tenth of the {above}",
+            margins.damping <= 0.0,
+        ),
+    ]
+
+
+def _decibels(margins: Margins, stable: bool) -> str | None:
+    if not stable:
+        return None
+    up = "∞" if math.isinf(margins.gain_up) else f"{20 * math.log10(margins.gain_up):.1f}"
+    down = "−∞" if margins.gain_down <= 0.0 else f"{20 * math.log10(margins.gain_down):.1f}".replace("-", "−")
+    return f"+{up} {down}" if margins.gain_up > 0.0 else None

@@ -1,0 +1,154 @@
+"""What the lists and switches of a page change in its settings; each choice is judged."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from bokeh.core.properties import Any as AnyProperty
+from bokeh.core.properties import String
+from bokeh.model import DataModel
+
+from platform_ctrl.common.arguments import known_name, known_names, whole
+from platform_ctrl.common.signatures import short
+from platform_ctrl.errors import InputError
+
+if TYPE_CHECKING:
+    from platform_ctrl.app.values import Settings
+    from platform_ctrl.app.workbench import Workbench
+
+NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band", "overlays")
+
+
+def chosen(workbench: Workbench, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
+    """Return the settings with something else chosen.
+
+    Parameters
+    ----------
+    workbench
+        Knows what there is.
+    settings
+        As they are.
+    name
+        What is chosen, one of `NAMES`.
+    given
+        What the page sent for it, of any type.
+    plants
+        Labels of the plants that may be shown.
+
+    Returns
+    -------
+    Settings
+        New ones.
+    """
+    offer = workbench.offer()
+    known_name("choice", name, NAMES)
+    if name == "axis":
+        return settings.but(axis=whole("axis", given, 1, 3))
+    if name == "band":
+        if not isinstance(given, bool):
+            raise InputError(f"band: given {short(given)}; expected true or false")
+        return settings.but(band=given)
+    if name == "overlays":
+        others = [one for one in offer.designs[settings.loop] if one != settings.design]
+        if not isinstance(given, list):
+            raise InputError(f"overlays: given {short(given)}; expected a list of designs")
+        return settings.but(overlays=tuple(others[k] for k in known_names("overlays", given, others)))
+    text = _text(name, given)
+    if name == "loop":
+        return workbench.chosen(settings, loop=text)
+    if name == "design":
+        return workbench.chosen(settings, design=text)
+    if name == "channel":
+        known_name("channel", text, offer.channels[settings.loop])
+        return settings.but(channel=text)
+    if name == "plant":
+        known_name("plant", text, plants)
+        return settings.but(plant=text)
+    if text == settings.mode:
+        return settings
+    for loop in offer.loops:
+        other = workbench.chosen(settings, loop=loop)
+        if other.mode == text:
+            return other
+    raise InputError(f"mode: given {short(given)}; expected one that this job has a loop for")
+
+
+def _text(name: str, given: object) -> str:
+    if not isinstance(given, str):
+        raise InputError(f"{name}: given {short(given)}; expected a text")
+    return given
+
+
+T = TypeVar("T")
+
+
+class Newest(Generic[T]):
+    """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
+
+    The thread lives as long as there is something to do.
+
+    Parameters
+    ----------
+    work
+        Called in the thread with all that waits, oldest first.
+    """
+
+    def __init__(self, work: Callable[[list[T]], None]) -> None:
+        self._work = work
+        self._lock = threading.Lock()
+        self._waiting: dict[str, T] = {}
+        self._working = False
+        self._closed = False
+
+    def add(self, key: str, task: T) -> None:
+        """Have a task done; the one of the same key that waits is dropped."""
+        with self._lock:
+            if self._closed:
+                return
+            self._waiting.pop(key, None)
+            self._waiting[key] = task
+            if self._working:
+                return
+            self._working = True
+        threading.Thread(target=self._run, name="designer", daemon=True).start()
+
+    def close(self) -> None:
+        """Drop what waits; nothing more is taken."""
+        with self._lock:
+            self._closed = True
+            self._waiting.clear()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._working = False
+                    return
+                tasks = list(self._waiting.values())
+                self._waiting.clear()
+            self._work(tasks)
+
+
+class Wire(DataModel):
+    """What was asked last by the page, and told last by the session."""
+
+    # Of any type: what is nonsense is refused by `asking.ask_of`, with a line.
+    asked = AnyProperty(default="")
+    told = String(default="")
+
+    def tell(self, **parts: Any) -> None:
+        """Tell the page parts of what it shows, each under its name.
+
+        Parameters
+        ----------
+        **parts
+            JSON-able; numbers finite.
+
+        References
+        ----------
+        RFC 8259.
+        """
+        self.update(told=json.dumps(parts, allow_nan=False, separators=(",", ":")))

@@ -1,0 +1,386 @@
+"""The plants of a loop again and again, for other rotor speeds, sample rates and platform rates, in milliseconds.
+
+The linear equations are affine in the momenta of the rotors and linear in the platform rate with them,
+
+    G = G0 + sum L_r G_r,        K = K0 + sum L_r sum Omega_a K_ra,        G_Omega = G_Omega0 + sum L_r G_Omega_r,
+
+whatever the inertias: what a rotor contributes is found once, and every plant of the set is changed by it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
+from platform_ctrl.app.values import Settings
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import Channels, channels
+from platform_ctrl.design.plants import (
+    Case,
+    LinearPlants,
+    cases,
+    linear_plants,
+    reference_frequency,
+    rows_of,
+    sampled_plants,
+    with_spins,
+)
+from platform_ctrl.job.job import Job, LoopSpec, Sampling
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.state_space import whole_subsystems
+from platform_ctrl.plant.platform import Platform
+
+T = TypeVar("T")
+
+
+class Bounded(Generic[T]):
+    """A cache of at most `room` items; safe in several threads.
+
+    Parameters
+    ----------
+    room
+        Most items.
+    """
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self._items: OrderedDict[Hashable, T] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        """Return how many items are kept."""
+        return len(self._items)
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return the item of `key`, made when it is not there: two threads may both make it."""
+        with self._lock:
+            if key in self._items:
+                self._items.move_to_end(key)
+                return self._items[key]
+        made = make()
+        self.put(key, made)
+        return made
+
+    def put(self, key: Hashable, item: T) -> None:
+        """Keep an item, and let the oldest go."""
+        with self._lock:
+            self._items[key] = item
+            self._items.move_to_end(key)
+            while len(self._items) > self.room:
+                self._items.popitem(last=False)
+
+    def found(self, key: Hashable) -> T | None:
+        """Return the item of `key`, or None."""
+        with self._lock:
+            return self._items.get(key)
+
+
+# Share of the strongest axis below which a rate about an axis does nothing to a loop.
+_LOAD = 1e-6
+
+
+@value
+class _Share:
+    """What 1 N m s of a rotor's momentum adds: G (n, n), K for unit rates about each root axis (3, n, n), G_Omega."""
+
+    G: FloatArray
+    K: FloatArray
+    G_Omega: FloatArray
+
+
+class QuickPlants:
+    """Plants of one caging loop.
+
+    Parameters
+    ----------
+    job
+        As it was read.
+    gimbals
+        Of the loop.
+    """
+
+    def __init__(self, job: Job, gimbals: tuple[str, ...]) -> None:
+        self.job, self.gimbals = job, gimbals
+        self.model = linearise(job.platform)
+        self.rows = whole_subsystems(self.model, gimbals)
+        self.momenta = {r.name: r.angular_momentum for r in job.platform.rotors}
+        self.shares = {name: self._share(name) for name in self.momenta}
+        self._linear: Bounded[LinearPlants] = Bounded(4)
+        self._cases: Bounded[tuple[Case, ...]] = Bounded(4)
+        self._moved: Bounded[LinearPlants] = Bounded(4)
+        self._sets: Bounded[PlantSet] = Bounded(6)
+        self._shown: Bounded[PlantSet] = Bounded(6)
+        self._spun: Bounded[LinearModel] = Bounded(6)
+
+    def plants(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> PlantSet:
+        """Return the set of plants: `loop_plants` of the job with these spins, sampling and largest platform rate."""
+        key = (*self._key(spins), sampling.period, sampling.delay, *map(float, Omega))
+        return self._sets.get(key, lambda: sampled_plants(self.linear(spins, Omega), sampling, Omega))
+
+    def shown(
+        self, label: str, at: FloatArray, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray
+    ) -> PlantSet:
+        """Return one plant of that set alone, by its label, linearised at the rate `at` on top of its own."""
+        key = (label, *map(float, at), *self._key(spins), sampling.period, sampling.delay, *map(float, Omega))
+        return self._shown.get(key, lambda: self._one(label, at, spins, sampling, Omega))
+
+    def labels(self, Omega: FloatArray) -> tuple[str, ...]:
+        """Return the labels of the set."""
+        return tuple(one.label for one in self._all(Omega))
+
+    def nutation(self, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray) -> float:
+        """Return the nutation frequency of the nominal plant, rad/s, as the set has it."""
+        return reference_frequency(self.linear(spins, Omega).A[0], sampling.period)
+
+    def channels(self, spins: Mapping[str, float]) -> Channels:
+        """Return how the gyros couple the gimbals at these spins."""
+        return channels(self.spun(spins), rows_of(self.model, self.gimbals))
+
+    def spun(self, spins: Mapping[str, float]) -> LinearModel:
+        """Return the linear model of the whole platform at rest at these spins."""
+        return self._spun.get(self._key(spins), lambda: linearise(with_spins(self.job.platform, spins)))
+
+    def loading_axis(self, axis: int) -> int:
+        """Return the axis about which a turn loads these gimbals: `axis` where it does, else that of most.
+
+        By its rate, or, where no rotor feels that, by the change of its rate.
+        """
+        load = np.linalg.norm(self.model.G_Omega[self.rows], axis=0)
+        load = load if load.any() else np.linalg.norm(self.model.M_Omega[self.rows], axis=0)
+        return axis if load[axis - 1] > _LOAD * load.max() or not load.any() else 1 + int(np.argmax(load))
+
+    def linear(self, spins: Mapping[str, float], Omega: FloatArray) -> LinearPlants:
+        """Return the plants before they are sampled."""
+        return self._moved.get(
+            (*self._key(spins), *map(float, Omega)), lambda: self._with_spins(self._base(Omega), spins)
+        )
+
+    def _one(
+        self, label: str, at: FloatArray, spins: Mapping[str, float], sampling: Sampling, Omega: FloatArray
+    ) -> PlantSet:
+        every = self._all(Omega)
+        case = next((one for one in every if one.label == label), every[0])
+        turned = dataclasses.replace(case, Omega=case.Omega + at)
+        return sampled_plants(
+            self._with_spins(linear_plants(self.job.platform, self.gimbals, (turned,)), spins), sampling, Omega
+        )
+
+    def _all(self, Omega: FloatArray) -> tuple[Case, ...]:
+        key = tuple(map(float, Omega))
+        return self._cases.get(key, lambda: tuple(cases(dataclasses.replace(self.job, Omega=Omega), self.gimbals)))
+
+    def _base(self, Omega: FloatArray) -> LinearPlants:
+        key = tuple(map(float, Omega))
+        return self._linear.get(key, lambda: self._widened(Omega))
+
+    def _widened(self, Omega: FloatArray) -> LinearPlants:
+        """Linearise all plants; with another range of Omega only those that it moves."""
+        plants = self._all(Omega)
+        if np.array_equal(Omega, self.job.Omega):
+            return linear_plants(self.job.platform, self.gimbals, plants)
+        own = self._base(np.asarray(self.job.Omega))
+        known = {case.label: k for k, case in enumerate(own.cases)}
+        new = tuple(case for case in plants if case.label not in known)
+        fresh = linear_plants(self.job.platform, self.gimbals, new) if new else own
+        place = {case.label: k for k, case in enumerate(fresh.cases)} if new else {}
+
+        def picked(name: str) -> FloatArray:
+            old, other = getattr(own, name), getattr(fresh, name)
+            return np.array([other[place[c.label]] if c.label in place else old[known[c.label]] for c in plants])
+
+        return dataclasses.replace(
+            own, cases=plants, A=picked("A"), B=picked("B"), C=picked("C"), D=picked("D"), B_Omega=picked("B_Omega")
+        )
+
+    def _changes(self, spins: Mapping[str, float]) -> dict[str, float]:
+        """Return by how much the momentum of each rotor is larger than the job's, N m s."""
+        inertias = {r.name: r.axial_inertia for r in self.job.platform.rotors}
+        nominal = {r.name: r.spin for r in self.job.platform.rotors}
+        return {
+            name: inertias[name] * spin - self.momenta[name]
+            for name, spin in spins.items()
+            if name in inertias and spin != nominal[name]
+        }
+
+    def _key(self, spins: Mapping[str, float]) -> tuple[float, ...]:
+        changes = self._changes(spins)
+        return tuple(changes.get(name, 0.0) for name in self.momenta)
+
+    def _with_spins(self, linear: LinearPlants, spins: Mapping[str, float]) -> LinearPlants:
+        changes = self._changes(spins)
+        if not any(changes.values()):
+            return linear
+        n = len(self.rows)
+        A, B_Omega = linear.A.copy(), linear.B_Omega.copy()
+        mobility = A[:, :n, n:]
+        # q̇ = M⁻¹ (p − M_Omega ω): the upper rows of the input of Omega are −M⁻¹ M_Omega.
+        turned = B_Omega[:, :n]
+        rates = np.array([case.Omega for case in linear.cases])
+        for name, change in changes.items():
+            share = self.shares[name]
+            # A plant of the spread has this rotor's L larger by a factor.
+            factor = np.array([_factor(case.platform, name, self.momenta[name]) for case in linear.cases]) * change
+            G = factor[:, None, None] * share.G
+            K = factor[:, None, None] * np.einsum("ka,aij->kij", rates, share.K)
+            A[:, n:, :n] -= K
+            A[:, n:, n:] -= G @ mobility
+            B_Omega[:, n:] -= G @ turned + factor[:, None, None] * share.G_Omega
+        return dataclasses.replace(linear, A=A, B_Omega=B_Omega)
+
+    def _share(self, rotor: str) -> _Share:
+        platform, unit = self.job.platform, 1.0
+        scale = max((abs(x) for x in self.momenta.values()), default=0.0) or unit
+        with_it, without = (
+            _with_momentum(platform, rotor, momentum) for momentum in (self.momenta[rotor] + scale, self.momenta[rotor])
+        )
+        part = np.ix_(self.rows, self.rows)
+        still = linearise(with_it), linearise(without)
+        K = []
+        for axis in range(3):
+            rate = np.eye(3)[axis]
+            more, less = linearise(with_it, Omega=rate), linearise(without, Omega=rate)
+            K.append((more.K[part] - less.K[part]) / scale)
+        return _Share(
+            G=(still[0].G[part] - still[1].G[part]) / scale,
+            K=np.array(K),
+            G_Omega=(still[0].G_Omega[self.rows] - still[1].G_Omega[self.rows]) / scale,
+        )
+
+
+def _with_momentum(platform: Platform, rotor: str, momentum: float) -> Platform:
+    rotors = tuple(dataclasses.replace(r, angular_momentum=momentum) if r.name == rotor else r for r in platform.rotors)
+    return dataclasses.replace(platform, rotors=rotors)
+
+
+def _factor(platform: Platform, rotor: str, nominal: float) -> float:
+    momentum = next(r.angular_momentum for r in platform.rotors if r.name == rotor)
+    return momentum / nominal if nominal else 1.0
+
+
+class JobPlants:
+    """The plants of a job; safe in several threads.
+
+    Parameters
+    ----------
+    job
+        As it was read.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.read = job
+        self._quick: dict[str, QuickPlants] = {}
+        self._lock = threading.Lock()
+        self._channels: Bounded[Channels] = Bounded(12)
+        self._models: Bounded[LinearModel] = Bounded(6)
+        self._free: Bounded[FreePlants] = Bounded(6)
+        self._free_models: Bounded[SpinningModels] = Bounded(4)
+        self._corner: Bounded[list[tuple[str, Platform, FloatArray]]] = Bounded(4)
+
+    def quick(self, spec: LoopSpec) -> QuickPlants:
+        """Return what makes the plants of a caging loop."""
+        with self._lock:
+            if spec.name not in self._quick:
+                self._quick[spec.name] = QuickPlants(self.read, spec.gimbals)
+            return self._quick[spec.name]
+
+    def channels_of(self, spec: LoopSpec) -> tuple[str, ...]:
+        """Return the torquers of a loop."""
+        if spec.kind == "caging":
+            return tuple(self.read.platform.torquer_on(gimbal).name for gimbal in spec.gimbals)
+        return tuple(t.name for t in self.read.platform.torquers if t.root_axis is not None)
+
+    def loading_axis(self, spec: LoopSpec, axis: int) -> int:
+        """Return the axis of Omega to look at: `axis` unless a rate about it does nothing to this loop."""
+        return self.quick(spec).loading_axis(axis) if spec.kind == "caging" else axis
+
+    def job(self, settings: Settings) -> Job:
+        """Return the job with the settings' rotors, sampling and range of Omega; its designs are as they were read."""
+        return dataclasses.replace(
+            self.read,
+            platform=with_spins(self.read.platform, settings.spins),
+            sampling=self.sampling(settings),
+            Omega=self.range(settings),
+        )
+
+    def labels(self, settings: Settings, spec: LoopSpec) -> tuple[str, ...]:
+        """Return the labels of a loop's plants that may be shown, the nominal one first."""
+        if spec.kind == "caging":
+            return self.quick(spec).labels(self.range(settings))
+        return tuple(label for label, _, _ in self._corners(settings))
+
+    def caged(self, settings: Settings, spec: LoopSpec) -> tuple[PlantSet, PlantSet]:
+        """Return the plants of a caging loop, and the one that is shown alone."""
+        quick, at = self.quick(spec), np.array(settings.Omega)
+        sampling, widest = self.sampling(settings), self.range(settings)
+        plants = quick.plants(settings.spins, sampling, widest)
+        if at.any():
+            return plants, quick.shown(settings.plant, at, settings.spins, sampling, widest)
+        return plants, plants.only([plants.labels.index(settings.plant) if settings.plant in plants.labels else 0])
+
+    def free(self, settings: Settings, rates: Sequence[str]) -> tuple[FreePlants, FreePlants]:
+        """Return the plants of the free platform with sensors of the `rates`, and the one that is shown alone."""
+        sampling, widest = self.sampling(settings), self.range(settings)
+        key = (self.key(settings), tuple(rates), settings.band)
+        base = (tuple(map(float, widest)), tuple(rates), settings.band)
+
+        def models() -> SpinningModels:
+            start = corners(dataclasses.replace(self.read, Omega=widest))
+            return SpinningModels(job=self.read, cases=start if settings.band else start[:1], rates=tuple(rates))
+
+        plants = self._free.get(
+            key,
+            lambda: free_plants(self._free_models.get(base, models).at(settings.spins), sampling, settings.band),
+        )
+        every = self._corners(settings)
+        label, at = settings.plant, np.array(settings.Omega)
+        if not at.any() and label in plants.labels:
+            return plants, plants.only(plants.labels.index(label))
+        case = next((one for one in every if one[0] == label), every[0])
+        turned = (case[0], case[1], case[2] + at)
+        shown = self._free.get(
+            ("shown", key, label, settings.Omega),
+            lambda: free_plants(free_models(self.job(settings), [turned], tuple(rates)), sampling, False),
+        )
+        return plants, shown
+
+    def sampling(self, settings: Settings) -> Sampling:
+        """Return the sampling of the settings."""
+        return Sampling(period=1.0 / settings.rate_hz, delay=settings.delay)
+
+    def nutation(self, settings: Settings, spec: LoopSpec) -> float:
+        """Return the nutation frequency of a caging loop's nominal plant, rad/s."""
+        return self.quick(spec).nutation(settings.spins, self.sampling(settings), self.range(settings))
+
+    def gyros(self, settings: Settings, spec: LoopSpec) -> Channels:
+        """Return how the gyros couple the gimbals of a caging loop."""
+        key = (spec.name, tuple(sorted(settings.spins.items())))
+        return self._channels.get(key, lambda: self.quick(spec).channels(settings.spins))
+
+    def model(self, settings: Settings) -> LinearModel:
+        """Return the linear model of the whole platform at rest."""
+        key = tuple(sorted(settings.spins.items()))
+        return self._models.get(key, lambda: linearise(with_spins(self.read.platform, settings.spins)))
+
+    def range(self, settings: Settings) -> FloatArray:
+        """Return the largest platform rate about each axis: the job's, or what is shown where that is more."""
+        return np.maximum(self.read.Omega, np.abs(settings.Omega))
+
+    def key(self, settings: Settings) -> tuple[float, float, tuple[tuple[str, float], ...], tuple[float, ...]]:
+        """Return all that the plants depend on: rate, delay, spins and range of Omega, as `Conditions` has them."""
+        return (
+            settings.rate_hz,
+            settings.delay,
+            tuple(sorted(settings.spins.items())),
+            tuple(map(float, self.range(settings))),
+        )
+
+    def _corners(self, settings: Settings) -> list[tuple[str, Platform, FloatArray]]:
+        key = (tuple(sorted(settings.spins.items())), *map(float, self.range(settings)))
+        return self._corner.get(key, lambda: corners(self.job(settings)))

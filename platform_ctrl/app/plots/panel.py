@@ -1,0 +1,411 @@
+"""A panel of the page: a heading in HTML, one or two figures below it, all in the page's colours and type."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from bokeh.events import DoubleTap
+from bokeh.models import (
+    AdaptiveTicker,
+    BasicTickFormatter,
+    Column,
+    CrosshairTool,
+    HoverTool,
+    InlineStyleSheet,
+    LinearAxis,
+    LogAxis,
+    LogTicker,
+    LogTickFormatter,
+    Model,
+    Node,
+    NoOverlap,
+    PanTool,
+    ResetTool,
+    Row,
+    WheelZoomTool,
+)
+from bokeh.models.annotations.geometry import Span
+from bokeh.models.annotations.labels import Label
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.markups import Div
+from bokeh.plotting import figure
+
+from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.plots.sources import (
+    FONT,
+    NORMAL,
+    SMALL,
+    Sources,
+    colours,
+    column,
+    dashes,
+    decibels,
+    inner_height,
+    inner_width,
+    series,
+)
+from platform_ctrl.app.plots.views import View
+from platform_ctrl.common.values import FloatArray
+
+# Key of a curve: words, name of its colour, dashes, width.
+Key = tuple[str, str, Sequence[int], float]
+
+# More keys than this stand closer together.
+_FEW = 5
+# Steps between ticks, times powers of 360 degrees, or of 10 dB: a phase is read in parts of a turn.
+_TURNS, _DECIBELS = (1.0, 2.0, 5.0, 15.0, 45.0, 90.0, 180.0), (1.0, 2.0, 4.0)
+# Numbers at an axis that would come closer than this are left out, pixels.
+_APART = 2
+# What numbers and words below a figure take from its frame, pixels.
+_BELOW = 28
+_LEFT, _RIGHT, _TOP = 54, 12, 7
+
+_HEADING = f"""
+.line {{ display: flex; gap: 10px; white-space: nowrap; overflow: hidden; font: {NORMAL}/18px {FONT};
+  font-variant-numeric: tabular-nums; }}
+.bk-clearfix {{ display: block; max-width: 100%; }} .title {{ font-weight: 650; flex: none; }}
+.detail {{ min-width: 0; overflow: hidden; text-overflow: ellipsis; }}
+.keys {{ position: relative; font-size: {SMALL}; gap: 14px; height: 16px; line-height: 16px; }}
+.keys span {{ flex: none; }} .keys .more {{ position: absolute; top: 0; }}
+.keys.many {{ gap: 8px; }} .keys.many svg {{ width: 10px; margin-right: 3px; }}
+.keys svg {{ width: 22px; height: 8px; margin-right: 5px; overflow: visible; vertical-align: 0; }}
+"""
+
+_BUTTON = """
+:host {{ flex: none; }}
+.bk-btn {{ padding: 0 7px; height: 18px; line-height: 16px; border: 1px solid transparent; border-radius: 3px;
+  background: transparent; color: {muted}; font: {small} {font}; box-shadow: none; cursor: pointer; }}
+.bk-btn:hover, .bk-btn:focus-visible {{ border-color: {frame}; background: transparent; color: {ink}; }}
+.bk-btn:focus, .bk-btn:active {{ outline: none; }}
+.bk-btn:focus-visible {{ outline: 2px solid var(--accent, currentColor); outline-offset: 1px; }}
+.bk-btn.bk-active {{ border-color: {frame}; background: {panel}; color: {ink}; }}
+"""
+
+
+_TIP = """
+:host {{ background-color: {page}; color: {ink}; border: 1px solid {frame}; border-radius: 3px; padding: 4px 8px;
+  opacity: 1; }}
+.tip {{ display: grid; grid-template-columns: auto auto; gap: 0 10px; font: {small}/16px {font};
+  font-variant-numeric: tabular-nums; }}
+.word {{ color: {muted}; }} .number {{ text-align: right; }}
+"""
+
+
+class Theme:
+    """Which property of which model has which colour of the palette, so that all can change in place.
+
+    Parameters
+    ----------
+    dark
+        Theme at the beginning.
+    """
+
+    def __init__(self, dark: bool) -> None:
+        self.dark = dark
+        self.colours = colours(dark)
+        self._properties: list[tuple[Model, str, str]] = []
+        self._sheets: list[tuple[Model, str, str]] = []
+
+    def paint(self, model: Model, **roles: str) -> None:
+        """Give properties of a model their colours by name, now and after every change of the theme."""
+        for name, role in roles.items():
+            self._properties.append((model, name, role))
+            setattr(model, name, self.colours[role])
+
+    def sheet(self, css: str) -> InlineStyleSheet:
+        """Return a style sheet whose ``{names}`` are the theme's colours."""
+        out = InlineStyleSheet()
+        self.words(out, "css", css)
+        return out
+
+    def words(self, model: Model, name: str, text: str) -> None:
+        """Give a property a text whose ``{names}`` are the theme's colours."""
+        self._sheets.append((model, name, text))
+        setattr(model, name, self._filled(text))
+
+    def change(self, dark: bool) -> None:
+        """Switch all that was painted."""
+        self.dark, self.colours = dark, colours(dark)
+        for model, name, role in self._properties:
+            setattr(model, name, self.colours[role])
+        for model, name, text in self._sheets:
+            setattr(model, name, self._filled(text))
+
+    def _filled(self, text: str) -> str:
+        names = {name.replace("-", "_"): colour for name, colour in self.colours.items()}
+        return text.format(small=SMALL, font=FONT, **names)
+
+
+class Panel:
+    """Heading, keys of the curves, button that shows everything again, and figures.
+
+    Parameters
+    ----------
+    name
+        Of the plot.
+    title
+        Its heading.
+    theme
+        Colours it follows.
+    """
+
+    def __init__(self, name: str, title: str, theme: Theme) -> None:
+        self.name, self._title, self.theme = name, title, theme
+        self.figures: list[Any] = []
+        self.views: list[View] = []
+        colour = theme.sheet(
+            ":host {{ color: {ink}; }} .detail, .keys {{ color: {muted}; }} .bad {{ color: {limit}; }}"
+        )
+        common: dict[str, Any] = {
+            "margin": 0,
+            "styles": {"min-width": "0", "overflow": "hidden"},
+            "stylesheets": [InlineStyleSheet(css=_HEADING), colour],
+        }
+        self._head = Div(sizing_mode="stretch_width", height=18, tags=["heading"], **common)
+        self._keys = Div(sizing_mode="stretch_width", height=16, tags=["heading"], **common)
+        self._reset = self.button("reset", f"{name}-reset")
+        self._reset.on_click(self.reset)
+        self.row: Any = Row(
+            children=[self._head, self._reset], sizing_mode="stretch_width", margin=(0, 20, 0, 0), spacing=4
+        )
+        self.layout: Any = Column(
+            children=[self.row, self._keys],
+            sizing_mode="stretch_both",
+            margin=0,
+            spacing=2,
+            name=name,
+            css_classes=[f"plot-{name}"],
+        )
+        self.say("")
+        self.keys([])
+
+    def reset(self) -> None:
+        """Show everything again."""
+        for view in self.views:
+            view.reset()
+
+    def button(self, label: str, name: str) -> Button:
+        """Return a small button in the page's style."""
+        return Button(
+            label=label, name=name, margin=0, height=18,
+            stylesheets=[self.theme.sheet(_BUTTON)],
+        )  # fmt: skip
+
+    def add(self, x: View, y: View, x_label: str, y_label: str, *, log_x: bool = False, log_y: bool = False) -> Any:
+        """Return a new figure below the others, styled, with zoom, pan and reset but without a tool bar."""
+        out = figure(
+            name=f"{self.name}-figure-{len(self.figures)}",
+            x_range=x.range,
+            y_range=y.range,
+            x_axis_type="log" if log_x else "linear",
+            y_axis_type="log" if log_y else "linear",
+            x_axis_label=x_label,
+            y_axis_label=y_label,
+            toolbar_location=None,
+            tools=[],
+            sizing_mode="stretch_both",
+            min_height=50,
+            min_width=200,
+            min_border_left=_LEFT,
+            min_border_right=_RIGHT,
+            min_border_top=_TOP,
+            min_border_bottom=0,
+            output_backend="canvas",
+            # Nothing is thinned out.
+            lod_threshold=None,
+            margin=0,
+            # Of two figures the frames are equally high, whether words stand below them or not.
+            styles={"flex-grow": "1", "flex-basis": f"{_BELOW}px" if x_label else "0"},
+        )
+        pan, wheel = PanTool(), WheelZoomTool(zoom_on_axis=True)
+        out.add_tools(pan, wheel, ResetTool())
+        out.toolbar.active_drag, out.toolbar.active_scroll = pan, wheel
+        for view in (x, y):
+            if view not in self.views:
+                self.views.append(view)
+        # Two clicks show everything again, as the button does.
+        out.on_event(DoubleTap, lambda event: self.reset())
+        self._style(out)
+        for name in ("inner_width", "inner_height"):
+            out.on_change(name, lambda attr, old, new: self._ticks(out))
+        self.figures.append(out)
+        self.layout.children = [*self.layout.children, out]
+        return out
+
+    def _style(self, plot: Any) -> None:
+        paint = self.theme.paint
+        # The page shows through: half of the outermost pixels would keep the colour of the theme before.
+        plot.background_fill_color = plot.border_fill_color = plot.outline_line_color = None
+        for axis in (*plot.xaxis, *plot.yaxis):
+            self.style_axis(axis)
+        for grid in (*plot.xgrid, *plot.ygrid):
+            paint(grid, grid_line_color="grid")
+            grid.grid_line_width = 1
+
+    def _ticks(self, plot: Any) -> None:
+        """Let a figure have as many ticks as its size on the screen has room for."""
+        for axes, pixels, each in ((plot.xaxis, inner_width(plot), 58.0), (plot.yaxis, inner_height(plot), 24.0)):
+            for axis in axes:
+                if isinstance(axis, LinearAxis):
+                    # One number alone tells no scale.
+                    axis.ticker.desired_num_ticks = max(3, min(9, round(pixels / each)))
+
+    def style_axis(self, axis: Any) -> None:
+        """Give an axis the page's type, ticks and colours."""
+        self.theme.paint(
+            axis,
+            axis_line_color="frame",
+            major_tick_line_color="frame",
+            major_label_text_color="muted",
+            axis_label_text_color="muted",
+        )
+        axis.minor_tick_line_color = None
+        axis.major_tick_in, axis.major_tick_out = 0, 4
+        axis.major_label_standoff, axis.axis_label_standoff = 3, 4
+        axis.major_label_text_font = axis.axis_label_text_font = FONT
+        axis.major_label_text_font_size = axis.axis_label_text_font_size = SMALL
+        axis.axis_label_text_font_style = "normal"
+        if isinstance(axis, LogAxis):
+            axis.ticker = LogTicker(desired_num_ticks=8, num_minor_ticks=0)
+            axis.formatter = LogTickFormatter(ticker=axis.ticker, min_exponent=4)
+            # Within a decade numbers come closer and closer together.
+            axis.major_label_policy = NoOverlap(min_distance=_APART)
+        elif isinstance(axis, LinearAxis):
+            axis.ticker.desired_num_ticks = 5
+            axis.formatter = BasicTickFormatter(use_scientific=False)
+
+    def degrees(self, axis: Any) -> None:
+        """Have ticks of an axis at parts of a turn."""
+        axis.ticker = AdaptiveTicker(base=360, mantissas=_TURNS, desired_num_ticks=4, num_minor_ticks=0)
+
+    def decibels(self, axis: Any) -> None:
+        """Have ticks of an axis at round decibels."""
+        axis.ticker = AdaptiveTicker(base=10, mantissas=_DECIBELS, desired_num_ticks=5, num_minor_ticks=0)
+
+    def label_ticks(self, plot: Any, shown: bool, words: str = "") -> None:
+        """Write numbers and words below a figure, or leave them to the figure under it."""
+        axis = plot.xaxis[0]
+        # A size of 0 is no size for a power of ten.
+        axis.major_label_text_font_size, axis.major_label_text_alpha = (SMALL, 1.0) if shown else ("1px", 0.0)
+        axis.axis_label = words if shown else ""
+        axis.major_tick_out = 4 if shown else 0
+        # Room for half a number of the vertical axis.
+        plot.min_border_bottom = 0 if shown else 8
+
+    def crosshair(self, *plots: Any) -> None:
+        """Let figures have a cross at the mouse; its vertical line goes through all of them."""
+        vertical = Span(dimension="height", line_width=1, line_dash=[3, 3])
+        self.theme.paint(vertical, line_color="reference")
+        for plot in plots:
+            across = Span(dimension="width", line_width=1, line_dash=[3, 3])
+            self.theme.paint(across, line_color="reference")
+            plot.add_tools(CrosshairTool(overlay=(across, vertical), visible=False))
+
+    def hover(self, plot: Any, renderers: Sequence[Any], rows: Sequence[tuple[str, str]], **settings: Any) -> None:
+        """Let curves tell their numbers: rows of words and Bokeh's fields, which hold the unit."""
+        tool = HoverTool(
+            renderers=list(renderers),
+            tooltips="",
+            visible=False,
+            show_arrow=False,
+            **settings,
+        )
+        self.theme.words(tool, "tooltips", _tip(rows))
+        plot.add_tools(tool)
+
+    def message(self, plot: Any) -> Any:
+        """Return a line of text at the top left of a figure, empty at first, that says what is the matter."""
+        corner = Node(target="frame", symbol="top_left")
+        out: Any = Label(
+            x=corner, y=corner, x_offset=8, y_offset=-5, text="", text_baseline="top", text_font=FONT,
+            text_font_size=NORMAL, level="annotation", visible=False,
+        )  # fmt: skip
+        out.padding = 3
+        self.theme.paint(out, text_color="limit", background_fill_color="page")
+        out.background_fill_alpha = 0.85
+        plot.add_layout(out)
+        return out
+
+    def say(self, detail: str) -> None:
+        """Write what stands beside the heading."""
+        self._head.text = (
+            f'<div class="line" title="{escape(detail)}"><span class="title" role="heading" aria-level="2">'
+            f'{escape(self._title)}</span><span class="detail">{escape(detail)}</span></div>'
+        )
+
+    def keys(self, entries: Sequence[Key]) -> None:
+        """Write what each curve is: words, name of the colour, dashes, width.
+
+        What there is no room for is counted by the page's script; all of it stands in the title.
+        """
+        parts = []
+        many = len(entries) > _FEW
+        for words, role, dash, width in entries:
+            written = escape(words.replace("attitude", "att.") if many else words)
+            dashing = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
+            parts.append(
+                f'<span><svg aria-hidden="true"><line x1="0" x2="100%" y1="4" y2="4" '
+                f'stroke="{self.theme.colours[role]}" stroke-width="{width:g}"{dashing}/></svg>{written}</span>'
+            )
+        every = escape(", ".join(words for words, _, _, _ in entries))
+        self._keys.text = (
+            f'<curve-keys class="line keys{" many" if many else ""}" title="{every}">{"".join(parts)}</curve-keys>'
+        )
+
+
+def tell(label: Any, text: str) -> None:
+    """Write a message into a figure; an empty one hides it."""
+    label.update(text=text, visible=bool(text))
+
+
+def _tip(rows: Sequence[tuple[str, str]]) -> str:
+    """Return the words of a tooltip with places for the theme's colours; Bokeh's own fields stay as they are."""
+    cells = "".join(
+        f'<span class="word">{escape(words)}</span><span class="number">{number}</span>' for words, number in rows
+    )
+    # A style inside the tooltip is one for its host: Bokeh's is white in any theme.
+    return '<div class="tip">' + cells.replace("{", "{{").replace("}", "}}") + f"<style>{_TIP}</style></div>"
+
+
+_WIDTH = 1.5
+
+
+class OverlayCurves:
+    """Loop transfers of other designs, for the Bode and the Nichols diagram.
+
+    Parameters
+    ----------
+    sources
+        Where their data go: the source ``overlays``.
+    theme
+        Colours.
+    """
+
+    def __init__(self, sources: Sources, theme: Theme) -> None:
+        self._sources, self._theme = sources, theme
+        self._source = sources.new("overlays", lists=("xs", "gains", "phases", "colour", "dash", "name"))
+
+    def draw(self, plot: Any, x: str, y: str) -> Any:
+        """Draw two of the columns against one another."""
+        return plot.multi_line(x, y, source=self._source, line_color="colour", line_dash="dash", line_width=_WIDTH)
+
+    def show(self, overlays: Sequence[Overlay], frequency: FloatArray) -> None:
+        """Follow the overlays of a picture; `frequency` in rad/s."""
+        f = column(frequency / math.tau)
+        self._sources.put(
+            "overlays",
+            xs=[f] * len(overlays),
+            gains=[decibels(one.magnitude) for one in overlays],
+            phases=[column(one.phase) for one in overlays],
+            colour=[self._theme.colours[series(1 + k)] for k in range(len(overlays))],
+            dash=[list(dashes(1 + k)) for k in range(len(overlays))],
+            name=[one.design for one in overlays],
+        )
+
+
+def overlay_keys(overlays: Sequence[Overlay]) -> list[Key]:
+    """Return the keys of other designs: name, colour, dashes, width."""
+    return [(one.design, series(1 + k), dashes(1 + k), _WIDTH) for k, one in enumerate(overlays)]

@@ -1,0 +1,289 @@
+"""Signals over time with the set's band, other designs, what acts, and what the job allows; a figure for each unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models.annotations.geometry import BoxAnnotation, Span
+
+from platform_ctrl.app.pictures import Drawing, Overlay, TimeResponse
+from platform_ctrl.app.plots.panel import Key, Panel, Theme, tell
+from platform_ctrl.app.plots.sources import (
+    ASKED,
+    Column,
+    Sources,
+    Unit,
+    column,
+    dashes,
+    extent,
+    finite,
+    quantity,
+    series,
+    thinned,
+)
+from platform_ctrl.app.plots.views import View
+from platform_ctrl.common.text import greek
+from platform_ctrl.common.values import FloatArray
+
+# Points of a curve, signals in a figure; how far the set's band may widen the view beyond the plant shown.
+_POINTS, _SIGNALS, _WIDER = 400, 9, 3.0
+# Share of a limit, and size in the plain unit, below which a signal is nothing.
+_NOTHING, _ROUNDING = 1e-4, 1e-12
+# Share of the others below which a signal is as good as nothing: then they are looked at.
+_DWARFED = 0.03
+# What grows without bound is shown to this many times its size in the first eighth.
+_BEGUN = 2.0
+# Of a curve, pixels.
+_WIDTH = 2.0
+# Figures: the first unit of a response, and the second.
+_FIGURES = 2
+
+
+class TimePanel:
+    """A response over time: angles, and torques below them.
+
+    Parameters
+    ----------
+    panel
+        Where the figures go.
+    name
+        Of the sources.
+    sources
+        Where the data of all plots stand.
+    theme
+        Colours.
+    """
+
+    def __init__(self, panel: Panel, name: str, sources: Sources, theme: Theme) -> None:
+        time = View(0.0, 1.0, _whole)
+        self._panel = panel
+        self._time = time
+        self._traces = [_Trace(panel, f"{name}_{k}" if k else name, time, sources, theme, last=k > 0) for k in (0, 1)]
+        panel.crosshair(*self.plots)
+        self._shown = True
+
+    @property
+    def plots(self) -> list[Any]:
+        """The figures."""
+        return [one.plot for one in self._traces]
+
+    def visible(self, shown: bool) -> None:
+        """Show the figures, or hide them."""
+        self._shown = shown
+        self._arrange()
+
+    def show(self, picture: Drawing, response: TimeResponse, own: str) -> list[Key]:
+        """Follow a response.
+
+        Parameters
+        ----------
+        picture
+            That it belongs to.
+        response
+            What is drawn.
+        own
+            Attribute of `Overlay` that holds the same of other designs.
+
+        Returns
+        -------
+        list of (words, colour, dashes, width)
+            Keys of the curves.
+        """
+        units = list(dict.fromkeys(response.units))[:_FIGURES] or [""]
+        overlays = picture.bode.overlays
+        words: dict[str, list[str]] = {}
+        limits: list[Key] = []
+        for k, trace in enumerate(self._traces):
+            rows = [i for i, unit in enumerate(response.units) if k < len(units) and unit == units[k]][:_SIGNALS]
+            trace.show(picture, response, rows, units[k] if k < len(units) else "", None if k else response.limit, own)
+            for name, colour in trace.signals:
+                words.setdefault(colour, []).append(name)
+            limits += trace.limits
+        self._time.fit(extent([column(response.t)]))
+        self._arrange()
+        # A gimbal's torque has the colour of its angle. Other designs have the colours of the signals, and dashes.
+        keys: list[Key] = [(", ".join(names), colour, (), _WIDTH) for colour, names in words.items()]
+        return [*keys, *limits, *((one.design, "muted", dashes(1 + j), 1.3) for j, one in enumerate(overlays))]
+
+    def _arrange(self) -> None:
+        first, second = self._traces
+        first.plot.visible = self._shown
+        second.plot.visible = self._shown and second.used
+        # Times are written once, below the lower figure.
+        self._panel.label_ticks(first.plot, not second.used, "time, s")
+
+
+class _Trace:
+    """One figure of signals in one unit."""
+
+    def __init__(self, panel: Panel, name: str, time: View, sources: Sources, theme: Theme, *, last: bool) -> None:
+        self._name, self._sources, self._theme, self._last = name, sources, theme, last
+        self._size = View(-1.0, 1.0)
+        self.plot = plot = panel.add(time, self._size, "time, s" if last else "", "")
+        lines: ColumnDataSource = sources.new(name, lists=("xs", "ys", "name", "unit", "colour"))
+        bands = sources.new(f"{name}_bands", lists=("xs", "ys", "colour"))
+        others = sources.new(f"{name}_overlays", lists=("xs", "ys", "name", "colour", "dash"))
+        drive = sources.new(f"{name}_drive", "t", "share")
+        self._limits, self._edges = [], []
+        for edge in ("bottom", "top"):
+            line = Span(dimension="width", location=None, line_width=1.5, line_dash=list(ASKED))
+            theme.paint(line, line_color="limit")
+            plot.add_layout(line)
+            self._edges.append(line)
+            beyond: Any = BoxAnnotation(visible=False, level="underlay", fill_alpha=1.0, line_alpha=0.0)
+            setattr(beyond, edge, 0.0)
+            theme.paint(beyond, fill_color="beyond")
+            plot.add_layout(beyond)
+            self._limits.append(beyond)
+        plot.extra_y_ranges = {"share": Range1d(start=-1.1, end=1.1)}
+        acts = plot.line("t", "share", source=drive, line_width=1, line_dash=[2, 3], y_range_name="share")
+        theme.paint(acts.glyph, line_color="reference")
+        plot.patches("xs", "ys", source=bands, fill_color="colour", fill_alpha=0.16, line_alpha=0.0)
+        plot.multi_line("xs", "ys", source=others, line_color="colour", line_dash="dash", line_width=1.3)
+        curves = plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width=_WIDTH)
+        rows = [("@name", "$snap_y{0.[000]} @unit"), ("time", "$snap_x{0.[0000]} s")]
+        panel.hover(plot, [curves], rows, line_policy="interp")
+        self._message = panel.message(plot)
+        self._unit = Unit()
+        self._begun = False
+        self.used = True
+        # Names of the signals with their colours, and the key of the limit.
+        self.signals: list[tuple[str, str]] = []
+        self.limits: list[Key] = []
+
+    def show(
+        self, picture: Drawing, response: TimeResponse, rows: list[int], unit: str, limit: float | None, own: str
+    ) -> None:
+        self.used = bool(rows)
+        at = thinned(len(response.t), _POINTS)
+        t = column(response.t[at])
+        values = response.values[rows][:, at]
+        band = response.low.size > 0 and response.low.shape == response.high.shape == response.values.shape
+        low, high = (response.low[rows][:, at], response.high[rows][:, at]) if band else (values, values)
+        limit = limit if limit is not None and 0.0 < limit < math.inf else None
+        others = [(j, _fitting(one, own, response)) for j, one in enumerate(picture.bode.overlays)]
+        fitting = [(j, one) for j, one in others if one is not None and rows]
+        wider = [low, high, *(one.values[rows] for _, one in fitting)]
+        if not picture.stable:
+            # What grows without bound is looked at where it begins; the set's band says nothing any more.
+            band, wider = False, []
+        seen = _seen(values if picture.stable else _BEGUN * values[:, : 1 + len(at) // 8], wider, limit)
+        if self._begun and not picture.stable:
+            seen = None
+        self._begun = self._begun or seen is not None
+        plain = unit
+        self._unit.follow(unit, max(abs(seen[0]), abs(seen[1])) if seen is not None else math.nan)
+        scale, unit = self._unit.scale, self._unit.name
+        own_series = [series(response.series[i]) for i in rows]
+        colours = [self._theme.colours[one] for one in own_series]
+        names = [greek(response.signals[i]) for i in rows]
+        put = self._sources.put
+        put(
+            self._name,
+            xs=[t] * len(rows),
+            ys=[column(one, scale) for one in values],
+            name=names,
+            unit=[unit] * len(rows),
+            colour=colours,
+        )
+        areas = [_area(t, column(a, scale), column(b, scale)) for a, b in zip(low, high, strict=True)] if band else []
+        put(f"{self._name}_bands", xs=[x for x, _ in areas], ys=[y for _, y in areas], colour=colours[: len(areas)])
+        drawn = [
+            (j, k, column(one.t[some]), one.values[i, some])
+            for j, one in fitting
+            for some in [thinned(len(one.t), _POINTS)]
+            for k, i in enumerate(rows)
+        ]
+        put(
+            f"{self._name}_overlays",
+            xs=[x for _, _, x, _ in drawn],
+            ys=[column(y, scale) for _, _, _, y in drawn],
+            name=[picture.bode.overlays[j].design for j, _, _, _ in drawn],
+            colour=[colours[k] for _, k, _, _ in drawn],
+            dash=[list(dashes(1 + j)) for j, _, _, _ in drawn],
+        )
+        # What stands all the time needs no curve.
+        acts = len(response.drive) == len(response.t) and not self._last and len(np.unique(response.drive[1:])) > 1
+        put(f"{self._name}_drive", t=t if acts else column([]), share=column(response.drive[at] if acts else []))
+        if seen is not None:
+            self._size.fit((scale * seen[0], scale * seen[1]))
+        self.plot.yaxis[0].axis_label = unit
+        above, below = self._limits
+        if limit is not None:
+            above.bottom, below.top = scale * limit, -scale * limit
+        above.visible = below.visible = limit is not None
+        for sign, line in zip((1.0, -1.0), self._edges, strict=True):
+            line.location = None if limit is None else sign * scale * limit
+        if rows and not np.isfinite(column(values)).any():
+            tell(self._message, "no finite response")
+        else:
+            troubled = not (picture.stable or self._last)
+            tell(self._message, "closed loop not stable" if troubled else "")
+        self.signals = list(zip(names, own_series, strict=True))
+        self.limits = [] if limit is None else [(f"limit {quantity(limit, plain)}", "limit", ASKED, 1.5)]
+
+
+def _fitting(overlay: Overlay, own: str, response: TimeResponse) -> TimeResponse | None:
+    out: TimeResponse = getattr(overlay, own)
+    return out if out.signals == response.signals and out.units == response.units else None
+
+
+def _whole(low: float, high: float) -> tuple[float, float]:
+    return low, high if high > low else low + 1.0
+
+
+def _seen(values: FloatArray, wider: Sequence[FloatArray], limit: float | None) -> tuple[float, float] | None:
+    """Return what the view has to show: the plant shown, the others as long as they do not dwarf it, a limit nearby."""
+    own = extent([values])
+    if own is None:
+        return None
+    size = max(abs(own[0]), abs(own[1]))
+    if limit is None and max(map(abs, extent([values, *wider]) or own)) < _ROUNDING:
+        return -1e-6, 1e-6
+    if limit is not None and size < _NOTHING * limit:
+        # Rounding, or as good as nothing: against the limit it is a straight line.
+        return -1.1 * limit, 1.1 * limit
+    low, high = extent(wider) or own
+    low, high = min(own[0], low), max(own[1], high)
+    if size > _DWARFED * max(-low, high):
+        low, high = max(low, -_WIDER * size), min(high, _WIDER * size)
+    if limit is not None:
+        # An unstable loop leaves its limit far behind: what happens near the limit is of interest.
+        low, high = max(low, -4.0 * limit), min(high, 4.0 * limit)
+        if low < -0.5 * limit:
+            low = min(low, -1.1 * limit)
+        if high > 0.5 * limit:
+            high = max(high, 1.1 * limit)
+    return low, high
+
+
+def _area(t: Column, low: Column, high: Column) -> tuple[Column, Column]:
+    """Return the closed outline of a band."""
+    t, low, high = finite(t, low, high)
+    return np.concatenate([t, t[::-1]]), np.concatenate([low, high[::-1]])
+
+
+class StepPanel:
+    """Step response: a torque step to the angles, or to the attitude.
+
+    Parameters
+    ----------
+    theme
+        Colours.
+    sources
+        Where the data of all plots stand.
+    """
+
+    def __init__(self, theme: Theme, sources: Sources) -> None:
+        self.panel = Panel("step", "Step response", theme)
+        self.over_time = TimePanel(self.panel, "step", sources, theme)
+
+    def show(self, picture: Drawing) -> None:
+        """Follow a picture."""
+        keys = self.over_time.show(picture, picture.step, "step")
+        self.panel.say(picture.step.title)
+        self.panel.keys(keys)

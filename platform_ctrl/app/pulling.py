@@ -1,0 +1,408 @@
+"""Pulling a closed-loop pole or the crossover somewhere: the knobs that may move follow, as little as they can.
+
+The logarithms of the knobs take Gauss-Newton steps of least norm, dx = W Jᵀ (J W Jᵀ)⁻¹ r, along a straight path from
+where the pole is to where it is wanted, so that it stays the same pole. Where a requirement that is met would be
+missed, steps that keep its linearisation go on along it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.app.curves import channel_response
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import DesignError, PlatformCtrlError
+
+Build = Callable[[Mapping[str, float]], StateArrays]
+Ratios = Callable[[Mapping[str, float]], FloatArray]
+Residual = Callable[[StateArrays], FloatArray]
+
+# Most steps along the way, and the share of a frequency that one of fewer may be.
+_WAY, _STRIDE = 8, 0.05
+# Gauss-Newton steps for each, and the largest change of a logarithm in one.
+_MOST, _LONGEST = 12, 0.3
+# Relative distance to the target that counts as there.
+_THERE = 1e-9
+# Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
+_CROSSED, _HALVINGS = 1e-6, 5
+# Relative distance at which it is above on one side and below on the other.
+_BESIDE = 1e-3
+_DIFFERENCE = 1e-6
+# Share of the way to the goal that a step along a limit has to make for another to follow, and the relative distance to
+# the goal that nobody sees.
+_PROGRESS, _ARRIVED = 0.02, 5e-4
+# By how much a ratio on a grid may be wrong.
+_GROSS = 0.02
+# How much more a relative distance to the place wanted counts than the logarithm of a knob.
+_PULL = 100.0
+# By how much less than a limit a step along it aims at, for its curvature, and how often it is halved where that is
+# not enough.
+_INSIDE, _SHORTER = 1e-3, 4
+
+
+@value
+class Reins:
+    """The knobs that may move, and what they make.
+
+    Attributes
+    ----------
+    names
+        Of the knobs.
+    start, low, high : (k,)
+        Where they stand, and as far as they may go.
+    weights : (k,)
+        How readily each moves.
+    build
+        Knobs → sampled controller.
+    """
+
+    names: tuple[str, ...]
+    start: FloatArray
+    low: FloatArray
+    high: FloatArray
+    weights: FloatArray
+    build: Build
+
+    def controller(self, x: FloatArray) -> StateArrays:
+        """Return the controller for logarithms of the knobs."""
+        return self.build(self.numbers(x))
+
+    def numbers(self, x: FloatArray) -> dict[str, float]:
+        """Return the knobs for their logarithms; one that has not moved has exactly the number that it started with."""
+        moved = self.start * np.exp(x - np.log(self.start))
+        return {name: float(v) for name, v in zip(self.names, moved, strict=True)}
+
+
+@value
+class Limits:
+    """The requirements that are met where a pull begins, and that it must not make missed.
+
+    Attributes
+    ----------
+    names
+        Of the k requirements.
+    bound : (k,)
+        Ratios up to which they count as met.
+    exact, rough, near, local
+        Knobs → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
+        with its error where the pull begins taken out; the same of the plants that decide alone, good for slopes.
+    steps
+        Most steps along a limit that a pull takes: a hand that drags asks for more of them.
+    """
+
+    names: tuple[str, ...]
+    bound: FloatArray
+    exact: Ratios
+    rough: Ratios
+    near: Ratios
+    local: Ratios
+    steps: int = 2
+
+    def broken(self, ratios: Ratios, numbers: Mapping[str, float], slack: float = 0.0) -> tuple[str, ...]:
+        """Return the names of the requirements that these knobs make missed; all of them where there is no loop."""
+        if not self.names:
+            return ()
+        try:
+            beyond = ~(ratios(numbers) <= self.bound + slack)
+        except PlatformCtrlError:
+            return self.names
+        return tuple(name for name, one in zip(self.names, beyond, strict=True) if one)
+
+
+NO_LIMITS = Limits(
+    names=(),
+    bound=np.zeros(0),
+    exact=lambda _: np.zeros(0),
+    rough=lambda _: np.zeros(0),
+    near=lambda _: np.zeros(0),
+    local=lambda _: np.zeros(0),
+)
+
+
+@value
+class Pulled:
+    """Where a pull has brought the knobs, and which requirements kept it from going all the way."""
+
+    numbers: dict[str, float]
+    held_by: tuple[str, ...] = ()
+
+
+def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex, limits: Limits = NO_LIMITS) -> Pulled:
+    """Return the knobs that bring the closed-loop pole nearest to `pole` to `target`, or as near as they can.
+
+    Poles are s-plane equivalents ln(z)/T, rad/s. No requirement of `limits` is missed on the way: where one would be,
+    the pole goes on along the limit.
+    """
+    _expect_knobs(reins)
+
+    def poles(x: FloatArray) -> ComplexArray:
+        return _poles(reins.controller(x), plant)
+
+    low, high = np.log(reins.low), np.log(reins.high)
+    x = np.log(reins.start)
+    here = _nearest(poles(x), pole)
+    real = abs(here.imag) < 1e-9 * abs(here)
+    goal = complex(target.real, 0.0 if real else abs(target.imag))
+    here = here if here.imag >= 0.0 else here.conjugate()
+    scale = max(abs(here), abs(goal), 1e-12)
+
+    def residual(wanted: complex) -> Residual:
+        def of(K: StateArrays) -> FloatArray:
+            away = _nearest(_poles(K, plant), wanted) - wanted
+            return np.array([away.real] if real else [away.real, away.imag]) / scale
+
+        return of
+
+    what = f"the pole at {here:.4g} rad/s"
+    path, first, held_by = [x], here, NO_LIMITS.names
+    shares = _shares(abs(goal - here) / scale)
+    for share in shares:
+        last = share == shares[-1]
+        wanted = first + (goal - first) * share
+        new = _reached(reins, path[-1], residual(wanted), low, high, what, _THERE if last else 1e-3)
+        numbers = reins.numbers(new)
+        held_by = limits.broken(limits.rough, numbers, _GROSS)
+        if last and not held_by:
+            # As the page judges it, which then need not be done again.
+            held_by = limits.broken(limits.exact, numbers)
+        if held_by:
+            path += _along(reins, limits, path[-1], goal, residual, poles, here)
+            break
+        path.append(new)
+        here = wanted
+    return _met(reins, limits, path, held_by)
+
+
+def _along(
+    reins: Reins,
+    limits: Limits,
+    x: FloatArray,
+    goal: complex,
+    residual: Callable[[complex], Residual],
+    poles: Callable[[FloatArray], ComplexArray],
+    here: complex,
+) -> list[FloatArray]:
+    """Return the places of the knobs at which the pole comes nearer to the goal while every limit is kept, in turn."""
+    out: list[FloatArray] = []
+    here = _nearest(poles(x), here)
+    for _ in range(limits.steps):
+        away = abs(goal - here)
+        wanted = here + (goal - here) * min(1.0, _STRIDE * abs(goal) / max(away, 1e-300))
+        found = _kept_step(reins, limits, x, residual(wanted))
+        if found is None:
+            break
+        x, here = found, _nearest(poles(found), wanted)
+        out.append(x)
+        if abs(goal - here) < _ARRIVED * abs(goal) or abs(goal - here) > (1.0 - _PROGRESS) * away:
+            break
+    return out
+
+
+def _met(reins: Reins, limits: Limits, path: list[FloatArray], held_by: tuple[str, ...]) -> Pulled:
+    """Return the last place of a path at which every limit is met as the page measures it, and what holds it there."""
+    while len(path) > 1 and (narrow := limits.broken(limits.exact, reins.numbers(path[-1]))):
+        # A peak between the points of a grid.
+        held_by = narrow
+        path.pop()
+    numbers = reins.numbers(path[-1])
+    if held_by:
+        # A long step breaks much at once: what is next to its limit is what holds.
+        tight = limits.local(numbers) > limits.bound - 5.0 * _INSIDE
+        held_by = tuple(name for name, one in zip(limits.names, tight, strict=True) if one) or held_by
+    return Pulled(numbers=numbers, held_by=held_by)
+
+
+def _kept_step(reins: Reins, limits: Limits, x: FloatArray, residual: Residual) -> FloatArray | None:
+    """Return a step towards a smaller residual that keeps all limits, by their slopes and then in truth, or None."""
+    numbers = reins.numbers
+    r = residual(reins.controller(x))
+    J = _slopes(reins, x, residual, r)
+    ratios = limits.local(numbers(x))
+    G = np.zeros((len(ratios), len(x)))
+    for k in np.flatnonzero(reins.weights > 0.0):
+        moved = x.copy()
+        moved[k] += _DIFFERENCE
+        G[:, k] = (limits.local(numbers(moved)) - ratios) / _DIFFERENCE
+    low, high = np.log(reins.low), np.log(reins.high)
+    reach = np.minimum(high - x, _LONGEST), np.minimum(x - low, _LONGEST)
+    A = np.vstack([_PULL * J, np.diag(1.0 / np.sqrt(np.maximum(reins.weights, 1e-12)))])
+    b = np.concatenate([-_PULL * r, np.zeros(len(x))])
+    within = np.vstack([np.nan_to_num(G), np.eye(len(x)), -np.eye(len(x))])
+    room = np.concatenate([np.maximum(limits.bound - _INSIDE - ratios, 0.0), *reach])
+    dx = constrained_least_squares(A, b, within, room)
+    for _ in range(_SHORTER):
+        new = np.clip(x + dx, low, high)
+        try:
+            nearer = bool(np.linalg.norm(residual(reins.controller(new))) < np.linalg.norm(r))
+        except PlatformCtrlError:
+            nearer = False
+        if nearer and not limits.broken(limits.near, numbers(new)):
+            return new
+        dx = 0.5 * dx
+    return None
+
+
+def constrained_least_squares(A: FloatArray, b: FloatArray, G: FloatArray, h: FloatArray) -> FloatArray:
+    """Return the x (n,) of least |A x - b| with G x <= h, h >= 0; A has full column rank.
+
+    With A = Q R and z = R x - Qᵀ b it is the least z within other half spaces, which non-negative least squares finds.
+
+    References
+    ----------
+    C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
+    """
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import nnls
+
+    Q, R = np.linalg.qr(A)
+    u = Q.T @ b
+    M = solve_triangular(R, G.T, trans="T").T
+    rhs = M @ u - h
+    E = np.vstack([-M.T, rhs])
+    wanted = np.zeros(len(E))
+    wanted[-1] = 1.0
+    y, rest = nnls(E, wanted)
+    away = E @ y - wanted
+    z = -away[:-1] / away[-1] if rest > 1e-12 else np.zeros(len(u))
+    return np.asarray(solve_triangular(R, z + u))
+
+
+def crossover_pulled(
+    reins: Reins, plant: StateArrays, channel: int, now: float, target: float, limits: Limits = NO_LIMITS
+) -> Pulled:
+    """Return the knobs that bring the gain of one channel, all others closed, to 1 at `target` rad/s.
+
+    It stops where a requirement of `limits` would be missed.
+    """
+    _expect_knobs(reins)
+    nyquist = math.pi / plant.dt
+    if not 0.0 < target < nyquist:
+        raise DesignError(f"crossover: pulled to {target:.4g} rad/s; expected up to {nyquist:.4g} rad/s, Nyquist's")
+
+    def residual(w: float) -> Residual:
+        grid = np.array([w])
+        P = frequency_response_arrays(*plant, grid)
+
+        def of(K: StateArrays) -> FloatArray:
+            L = channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+            return np.log(np.maximum(np.abs(L), 1e-300))
+
+        return of
+
+    what = f"the gain at {target:.4g} rad/s"
+    held_by: tuple[str, ...] = ()
+
+    def crossing(x: FloatArray, w: float) -> FloatArray | None:
+        nonlocal held_by
+        found = _crossing(reins, x, residual, w, what)
+        broken = () if found is None else limits.broken(limits.near, reins.numbers(found))
+        held_by = broken or held_by
+        return None if broken else found
+
+    path, here, beyond = [np.log(reins.start)], now, math.nan
+    for share in _shares(abs(math.log(target / now))):
+        w = now * (target / now) ** share
+        found = crossing(path[-1], w)
+        if found is None:
+            beyond = w
+            break
+        path.append(found)
+        here = w
+    # Where it cannot go all the way it goes as far as it can: a gain that passes 1 nowhere is not taken hold of again.
+    for _ in range(0 if math.isnan(beyond) else _HALVINGS):
+        middle = math.sqrt(here * beyond)
+        found = crossing(path[-1], middle)
+        if found is None:
+            beyond = middle
+        else:
+            path.append(found)
+            here = middle
+    return _met(reins, limits, path, held_by)
+
+
+def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
+    return continuous_poles(pole_arrays(closed_loop_arrays(*plant[:4], *K[:4])[0]), plant.dt)
+
+
+def _nearest(s: ComplexArray, wanted: complex) -> complex:
+    return complex(s[int(np.nanargmin(_distance(s, wanted)))])
+
+
+def _shares(distance: float) -> list[float]:
+    """Return the shares of a way at which to be in turn: a hand that drags asks for a little again and again."""
+    count = min(_WAY, max(1, math.ceil(distance / _STRIDE)))
+    return [(k + 1) / count for k in range(count)]
+
+
+def _crossing(
+    reins: Reins, x: FloatArray, residual: Callable[[float], Residual], w: float, what: str
+) -> FloatArray | None:
+    """Return where the gain passes 1 at w, from x on; None where it does not get there, or only touches 1."""
+    found = _reached(reins, x, residual(w), np.log(reins.low), np.log(reins.high), what, _THERE)
+    K = reins.controller(found)
+    below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _BESIDE, 1.0, 1.0 + _BESIDE))
+    return found if abs(at) <= _CROSSED and below * above < 0.0 else None
+
+
+def _distance(s: ComplexArray, wanted: complex) -> FloatArray:
+    return np.asarray(np.where(np.isfinite(s), np.abs(s - wanted), np.nan))
+
+
+def _expect_knobs(reins: Reins) -> None:
+    if not reins.names:
+        raise DesignError("no knob may move: all are fixed, or the design has none; expected at least one that is free")
+
+
+def _reached(
+    reins: Reins, x: FloatArray, residual: Residual, low: FloatArray, high: FloatArray, what: str, near: float
+) -> FloatArray:
+    r = residual(reins.controller(x))
+    for _ in range(_MOST):
+        if np.abs(r).max() <= near:
+            break
+        J = _slopes(reins, x, residual, r)
+        # A knob at its end does not move further out.
+        free = reins.weights.copy()
+        for _ in range(len(x)):
+            W = J * free
+            normal = W @ J.T
+            ridge = 1e-12 * np.trace(normal)
+            if not ridge > 0.0:
+                raise DesignError(f"{what} does not move with any knob that is free; expected others to be freed")
+            dx = -W.T @ np.linalg.solve(normal + ridge * np.eye(len(r)), r)
+            out = ((x + dx < low) & (x <= low + 1e-12)) | ((x + dx > high) & (x >= high - 1e-12))
+            out &= free > 0.0
+            if not out.any():
+                break
+            free[out] = 0.0
+        dx *= min(1.0, _LONGEST / max(float(np.abs(dx).max()), 1e-300))
+        better = False
+        for _ in range(6):
+            new = np.clip(x + dx, low, high)
+            try:
+                found = residual(reins.controller(new))
+            except PlatformCtrlError:
+                found = np.full(len(r), np.inf)
+            if np.linalg.norm(found) < np.linalg.norm(r):
+                x, r, better = new, found, True
+                break
+            dx = 0.5 * dx
+        if not better:
+            break
+    return x
+
+
+def _slopes(reins: Reins, x: FloatArray, residual: Residual, r: FloatArray) -> FloatArray:
+    out = np.zeros((len(r), len(x)))
+    for k in np.flatnonzero(reins.weights > 0.0):
+        moved = x.copy()
+        moved[k] += _DIFFERENCE
+        out[:, k] = (residual(reins.controller(moved)) - r) / _DIFFERENCE
+    return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)

@@ -1,0 +1,132 @@
+"""What a pull moves, and what it must not break: the free knobs of a design, and the limits that are met."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.app.caged import loop_measures
+from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.free_measures import requirements
+from platform_ctrl.app.influence import deciding, largest_ratios
+from platform_ctrl.app.knobs import with_options
+from platform_ctrl.app.pulling import Limits, Ratios, Reins
+from platform_ctrl.app.values import Knob, Settings
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.loop import asked_of
+from platform_ctrl.job.requirements import CheckResult
+
+# By how much less than its limit a ratio has to be that is climbed on a grid.
+_GRID = 2e-3
+# How readily a pull moves each group of knobs.
+_WEIGHTS = {"gains": 1.0, "lead": 0.25, "notch": 0.05, "lag": 0.05}
+
+
+def limits_of(closing: Closing, settings: Settings, reins: Reins) -> Limits:
+    """Return the hard limits that are met with these settings, as the page measures them: a pull must keep them."""
+    spec, _ = closing.design(settings)
+    if spec.kind != "caging":
+        return _coupled_limits(closing, settings)
+    loop, _ = closing.caged(settings)
+
+    def exact(K: StateArrays) -> LoopMeasures:
+        now = dataclasses.replace(loop, controller=K)
+        return closing.measured(settings, now)(lambda: loop_measures(now))
+
+    whole = exact(loop.controller)
+    hard = [one for one in asked_of(spec) if one.hard]
+    met = [one for one, ratio in zip(hard, largest_ratios(whole, hard), strict=True) if ratio <= 1.0]
+    first = largest_ratios(whole, met)
+
+    def on_a_grid(plants: PlantSet) -> Ratios:
+        return lambda numbers: largest_ratios(measure(plants, reins.build(numbers), met), met)
+
+    def corrected(ratios: Ratios) -> Ratios:
+        @cache
+        def factor() -> FloatArray:
+            # Nearby a grid is wrong by about the same factor as here.
+            here = ratios({})
+            return np.asarray(np.where(here > 0.0, first / np.maximum(here, np.finfo(float).tiny), 1.0))
+
+        return lambda numbers: factor() * ratios(numbers)
+
+    return Limits(
+        names=tuple(one.name for one in met),
+        bound=np.ones(len(met)),
+        exact=lambda numbers: largest_ratios(exact(reins.build(numbers)), met),
+        rough=on_a_grid(loop.plants),
+        near=corrected(on_a_grid(loop.plants)),
+        local=corrected(on_a_grid(loop.plants.only(deciding(whole, met)))),
+    )
+
+
+def _coupled_limits(closing: Closing, settings: Settings) -> Limits:
+    """Return the coupled limits that are met; the page climbs their peaks on a grid, to about a thousandth."""
+    spec, design = closing.design(settings)
+    # All limits are those of the nominal plant.
+    whole, _ = closing.stabilised(settings.but(band=False))
+    kept = closing.kept(settings)
+
+    def results(numbers: Mapping[str, float]) -> tuple[CheckResult, ...]:
+        servo = closing.servo(with_options(settings, numbers), spec, design)
+        others = [servo if one.name == servo.name else one for one in whole.controllers]
+        now = dataclasses.replace(whole, controllers=tuple(others))
+        return closing.judged(settings, now.joined(whole.plants)[0], lambda: requirements(now, kept))
+
+    first = results({})
+    met = [k for k, one in enumerate(first) if one.passed]
+
+    def ratios(numbers: Mapping[str, float]) -> FloatArray:
+        found = results(numbers)
+        return np.array([found[k].ratio for k in met])
+
+    return Limits(
+        names=tuple(first[k].name for k in met),
+        bound=np.maximum(1.0 - _GRID, ratios({})),
+        exact=ratios,
+        rough=ratios,
+        near=ratios,
+        local=ratios,
+        steps=1,
+    )
+
+
+def reins_of(closing: Closing, settings: Settings, knobs: Sequence[Knob]) -> tuple[Reins, StateArrays, int]:
+    """Return the free knobs of the design, the plant that is shown, and the channel."""
+    spec, design = closing.design(settings)
+    free = [knob for knob in knobs if knob.tunable and not knob.fixed]
+    if spec.kind == "caging":
+        loop, _ = closing.caged(settings)
+        P = loop.shown
+        plant = StateArrays(P.A[0], P.B[0], P.C[0], P.D[0], P.period)
+        torquers: Sequence[str] = P.torques
+    else:
+        whole, _ = closing.stabilised(settings)
+        _, at, torquers = whole.joined(whole.shown)
+        here = whole.controllers[[one.name for one in closing.read.loops].index(spec.name)].name
+        A, B, C, D, dt = whole.shown.arrays
+        plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
+
+    def build(numbers: Mapping[str, float]) -> StateArrays:
+        new = with_options(settings, numbers)
+        if spec.kind == "caging":
+            return closing.caging(new, spec, design)[0]
+        servo = closing.servo(new, spec, design)
+        others = [servo if one.name == here else one for one in whole.controllers]
+        return dataclasses.replace(whole, controllers=tuple(others)).joined(whole.shown)[0]
+
+    reins = Reins(
+        names=tuple(knob.name for knob in free),
+        start=np.array([knob.value for knob in free]),
+        low=np.array([min(knob.low, knob.value) / 20.0 for knob in free]),
+        high=np.array([knob.high if knob.high < np.inf else 20.0 * knob.value for knob in free]),
+        weights=np.array([_WEIGHTS.get(knob.group, 1.0) for knob in free]),
+        build=build,
+    )
+    return reins, plant, list(torquers).index(settings.channel) if settings.channel in torquers else 0

@@ -1,0 +1,295 @@
+"""The server behind `platform-ctrl serve`: listens, hands out pages, ends cleanly. Bokeh is loaded when it starts."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import gc
+import logging
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from platform_ctrl.app.hosts import Hosts, is_loopback
+from platform_ctrl.errors import InputError, PlatformCtrlError
+
+if TYPE_CHECKING:
+    import socket
+
+    from platform_ctrl.app.web import PageApplication
+
+# The port that is tried first, and how many after it before any free one is taken.
+PORT = 5006
+_TRIED = 16
+# Seconds between looks whether it is to end.
+_LOOK = 0.2
+_LIBRARIES = ("asyncio", "bokeh", "tornado")
+
+Make = Callable[[Any, Any], None]
+
+
+class Building:
+    """A workbench that is being made in a thread of its own: meanwhile the browser opens.
+
+    Parameters
+    ----------
+    make
+        Makes it.
+    """
+
+    def __init__(self, make: Callable[[], object]) -> None:
+        self._make = make
+        self._made: object = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def result(self) -> object:
+        """Return the workbench; waits for it.
+
+        Returns
+        -------
+        object
+            What `make` returned.
+        """
+        self._thread.join()
+        self.heed()
+        return self._made
+
+    def close(self) -> None:
+        """Close the workbench, if it is there: what it works out in other processes ends."""
+        if self._made is not None:
+            getattr(self._made, "close", lambda: None)()
+
+    def heed(self) -> None:
+        """Raise what `make` raised, if it did."""
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        try:
+            _page()
+            self._made = self._make()
+        except BaseException as error:
+            self._error = error
+            return
+        # What is there now stays: looking through it whenever a page is closed would hold up the others.
+        gc.collect()
+        gc.freeze()
+
+
+class PageServer:
+    """A server that is bound to its port; it answers once it runs.
+
+    Parameters
+    ----------
+    workbench
+        `Workbench` that all pages share, or a `Building` one; handed on to `make`.
+    host
+        Address to listen on.
+    port
+        Port; None: the first free one from `PORT` on; 0: any.
+    allow
+        Names by which browsers may ask, besides this machine's own ones where it listens to itself alone.
+    make
+        Called with the workbench and every new document, which it fills; default: `designer.page.app.page`.
+    """
+
+    def __init__(
+        self,
+        workbench: object,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        allow: Sequence[str] = (),
+        make: Make | None = None,
+    ) -> None:
+        self.hosts = Hosts.of(host, allow)
+        require_bokeh()
+        self._socket = _bound(host, port)
+        self.port: int = self._socket.getsockname()[1]
+        self.application: PageApplication | None = None
+        self._workbench, self._make = workbench, make
+        self._ended = threading.Event()
+
+    @property
+    def address(self) -> str:
+        """Address of the page: what is opened in a browser."""
+        name = self.hosts.listening
+        if not is_loopback(name):
+            name = sorted(self.hosts.names)[0]
+        elif ":" in name:
+            name = f"[{name.strip('[]')}]"
+        return f"http://{name}:{self.port}/"
+
+    @property
+    def sessions(self) -> int:
+        """Number of sessions: pages that are open, or were a moment ago."""
+        return 0 if self.application is None else len(self.application.sessions)
+
+    def run(self, ready: Callable[[], None] | None = None, heed: Callable[[], None] | None = None) -> None:
+        """Answer until `end` is called, or `heed` raises.
+
+        Parameters
+        ----------
+        ready
+            Called once it answers.
+        heed
+            Called some times a second.
+        """
+        # Not asyncio.run: at the end it would wait for whatever the pages still work out in threads.
+        loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(loop)
+        with _one_line_each(), self._socket:
+            try:
+                loop.run_until_complete(self._answer(ready, heed))
+            finally:
+                if isinstance(self._workbench, Building):
+                    self._workbench.close()  # nobody else has it; one that is given may be used further
+                for task in asyncio.all_tasks(loop):
+                    task.cancel()
+                loop.run_until_complete(asyncio.sleep(0))
+                asyncio.set_event_loop(None)
+                loop.close()
+
+    def end(self) -> None:
+        """Let `run` return; from any thread."""
+        self._ended.set()
+
+    async def _answer(self, ready: Callable[[], None] | None, heed: Callable[[], None] | None) -> None:
+        from bokeh.server.server import BaseServer
+        from tornado.ioloop import IOLoop
+
+        from platform_ctrl.app.web import BODY_BYTES, HEADER_BYTES, PATIENCE, Listening, PageApplication
+
+        self.application = PageApplication(self._filled, self.hosts)
+        listening = Listening(
+            self.application,
+            max_body_size=BODY_BYTES,
+            max_header_size=HEADER_BYTES,
+            max_buffer_size=HEADER_BYTES + (1 << 20),
+            idle_connection_timeout=PATIENCE,
+            body_timeout=PATIENCE,
+        )
+        server = BaseServer(IOLoop.current(), self.application, listening)
+        listening.add_socket(self._socket)
+        server.start()
+        try:
+            if ready is not None:
+                ready()
+            while not self._ended.is_set():
+                if isinstance(self._workbench, Building):
+                    self._workbench.heed()
+                if heed is not None:
+                    heed()
+                await asyncio.sleep(_LOOK)
+        finally:
+            server.stop()
+            self.application.close_pages()
+            await listening.close_all_connections()
+
+    def _filled(self, document: Any) -> None:
+        """Fill a new document; where that fails the page says so in a line, and so does the terminal."""
+        from platform_ctrl.app.web import FAILED
+
+        shared, told = self._workbench, False
+        try:
+            if isinstance(shared, Building):
+                told = True  # what went wrong there ends the server, which says so
+                shared = shared.result()
+                told = False
+            (self._make or _page())(shared, document)
+        except Exception as error:
+            words = str(error) if isinstance(error, PlatformCtrlError) else f"{type(error).__name__}: {error}"
+            if not told:
+                _say(f"a page could not be made: {words}")
+            document.clear()
+            document.template_variables[FAILED] = f"This page could not be made: {_line(words)}"
+
+
+def require_bokeh() -> None:
+    """Make sure that the pages' library is there."""
+    try:
+        import bokeh.server.tornado  # noqa: F401
+        import tomlkit  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"the designer's page needs {error.name}, which is not installed: pip install 'platform_ctrl[designer]'"
+        ) from None
+
+
+def _page() -> Make:
+    from platform_ctrl.app.page.app import page
+
+    made: Make = page
+    return made
+
+
+def _bound(host: str, port: int | None) -> socket.socket:
+    """Return the socket, bound: the port that was asked for, or a free one."""
+    ports = [*range(PORT, PORT + _TRIED), 0] if port is None else [port]
+    for tried in ports:
+        try:
+            return _listening(host, tried)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE and tried != ports[-1]:
+                continue
+            if error.errno == errno.EADDRINUSE:
+                raise InputError(
+                    f"--port {tried}: taken by another program; expected a free one, or no --port: then one is found"
+                ) from None
+            what = f"--port {tried}" if error.errno == errno.EACCES else f"--host {host}"
+            raise InputError(f"{what}: cannot be listened on: {error.strerror or error}") from None
+    raise AssertionError("the last port ends the loop")
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    import socket
+
+    bare = host.strip("[]")
+    try:
+        made = socket.create_server((bare, port), family=socket.AF_INET6 if ":" in bare else socket.AF_INET)
+    except UnicodeError:
+        raise OSError(errno.EINVAL, "not a host's name or address") from None
+    made.setblocking(False)
+    return made
+
+
+def _say(words: str) -> None:
+    print(f"platform-ctrl: {_line(words)}", file=sys.stderr, flush=True)
+
+
+def _line(words: str) -> str:
+    return " ".join(words.split())[:400]
+
+
+class _Telling(logging.Handler):
+    """A line where the page's own code failed; nothing about what others send."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error = record.exc_info[1] if record.exc_info else None
+        trace = None if error is None else error.__traceback__
+        while trace is not None:
+            if trace.tb_frame.f_globals.get("__name__", "").startswith("platform_ctrl.app.page"):
+                words = f"{type(error).__name__}: {error} ({trace.tb_frame.f_code.co_name}, line {trace.tb_lineno})"
+                _say(f"a page failed: {words}")
+                return
+            trace = trace.tb_next
+
+
+@contextmanager
+def _one_line_each() -> Iterator[None]:
+    """Have the libraries' loggers tell what matters here, and nothing besides."""
+    loggers = [logging.getLogger(name) for name in _LIBRARIES]
+    before = [(logger.handlers[:], logger.propagate, logger.level) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [_Telling(logging.ERROR)], False
+        logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        for logger, (handlers, propagate, level) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+            logger.setLevel(level)

@@ -1,0 +1,302 @@
+"""The picture of the loop on a free platform: all caging loops closed, the servo broken at one root torquer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
+from platform_ctrl.app.curves import channel_response, degrees, gain_locus, held_responses, moved_by_gain, sample_times
+from platform_ctrl.app.free_measures import Kept, requirements
+from platform_ctrl.app.free_plants import (
+    ATTITUDE,
+    FreePlants,
+    Sensitivity,
+    StabilisedLoop,
+    disk_margins,
+    loop_grid,
+    used_arrays,
+)
+from platform_ctrl.app.parts import (
+    POINTS,
+    Band,
+    Measured,
+    Parts,
+    around_in_time,
+    channel_margins,
+    frequency_parts,
+    settling,
+    step_size,
+)
+from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
+from platform_ctrl.app.values import Settings
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import DesignError
+from platform_ctrl.report.quantities import signal_series
+
+
+def turning(
+    loop: StabilisedLoop,
+    settings: Settings,
+    K: StateArrays,
+    at: list[int],
+    grid: FloatArray,
+    s: ComplexArray,
+    stable: bool,
+    banded: bool,
+) -> tuple[TimeResponse, FrequencyGain]:
+    """Return how a torque on the platform turns it: over time after a step, and over the frequencies of `grid`."""
+    axis, period = settings.axis, loop.shown.period
+    size, title, limit = _acting(loop, axis)
+    slow = s[np.isfinite(s) & (np.abs(s) < math.pi / period)]
+    t, every = sample_times(settling(slow, 50.0 / period, period, stable), period, POINTS)
+    u = np.full(every * (len(t) - 1) + 1, size)
+    own = _responses(loop.shown, K, at, axis, u, every)[0]
+    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
+    torquers = [loop.shown.torquers[k] for k in at]
+    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
+    signals, colour = (*ATTITUDE, *loop.shown.sensors, *torquers), signal_series(loop.job.platform)
+    step = TimeResponse(
+        title=title,
+        t=t,
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
+        units=("rad",) * 3
+        + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors)
+        + ("N m",) * len(torquers),
+        values=own,
+        low=low,
+        high=high,
+        drive=np.ones(len(t)),
+        limit=limit,
+    )
+    m, p, k = len(loop.shown.torquers), len(loop.shown.sensors), len(at)
+    column = slice(m + axis - 1, m + axis)
+
+    def attitude(one: int, w: FloatArray, plants: FreePlants) -> FloatArray:
+        A, B, C, D, dt = plants.turned
+        a, b, c, d = closed_loop_arrays(A[one], B[one], C[one], D[one], *K[:4], torques=at, angles=list(range(p)))
+        found = frequency_response_arrays(a, b[:, column], c[k + p :], d[k + p :, column], dt, w, ON_A_GRID)
+        return np.asarray(np.linalg.norm(found[..., 0], axis=-1))
+
+    none = np.zeros(0)
+    w_band, low_gain, high_gain = none, none, none
+    if banded:
+        w_band = loop.plants.frequency
+        whole = loop.plants.response
+        # What acts moves the sensors, these the torques, and both the attitude.
+        k_at = frequency_response_arrays(*K, w_band, ON_A_GRID)
+        seen, acting = whole[..., :p, at], whole[..., :p, column]
+        torque = np.linalg.solve(np.eye(k) - k_at @ seen, k_at @ acting)
+        moved = whole[..., p:, column] + whole[..., p:, at] @ torque
+        gains = np.linalg.norm(moved[..., 0], axis=-1)
+        low_gain, high_gain = gains.min(axis=0), gains.max(axis=0)
+    return step, FrequencyGain(
+        title=f"torque M{axis} on the platform → attitude",
+        unit="rad/(N m)",
+        frequency=grid,
+        gain=attitude(0, grid, loop.shown),
+        band_frequency=w_band,
+        low=low_gain,
+        high=high_gain,
+    )
+
+
+def rate_step(
+    loop: StabilisedLoop, settings: Settings, K: StateArrays, at: list[int], s: ComplexArray, stable: bool, banded: bool
+) -> TimeResponse:
+    """The attitude after an impulse of torque that would turn the free platform by 1 mrad/s about the axis."""
+    axis, period = settings.axis, loop.shown.period
+    t, every = sample_times(settling(s, 50.0 / period, period, stable), period, POINTS)
+    u = np.zeros(every * (len(t) - 1) + 1)
+    u[0] = 1e-3 * float(loop.model.root_inertia[axis - 1, axis - 1]) / period
+    own = _responses(loop.shown, K, at, axis, u, every)[0]
+    low, high = around_in_time(_responses(loop.plants, K, at, axis, u, every) if banded else None, own)
+    kept = slice(0, 3 + len(loop.shown.sensors))
+    rates = [name for name in loop.shown.sensors if name not in loop.job.platform.angle_names]
+    drive = np.zeros(len(t))
+    drive[0] = 1.0
+    signals, colour = (*ATTITUDE, *loop.shown.sensors), signal_series(loop.job.platform)
+    return TimeResponse(
+        title=f"impulse of torque: 1 mrad/s about axis {axis}",
+        t=t,
+        signals=signals,
+        series=tuple(colour[name] for name in signals),
+        units=("rad",) * 3 + tuple("rad/s" if name in rates else "rad" for name in loop.shown.sensors),
+        values=own[kept],
+        low=low[kept],
+        high=high[kept],
+        drive=drive,
+    )
+
+
+def _responses(plants: FreePlants, K: StateArrays, at: list[int], axis: int, u: FloatArray, every: int) -> FloatArray:
+    """Return attitude (3), angles and torques after a torque on the platform about `axis`."""
+    A, B, C, D, _ = plants.turned
+    m, p = len(plants.torquers), len(plants.sensors)
+    loops = closed_loop_arrays(A, B, C, D, *K[:4], torques=at, angles=list(range(p)))
+    a, b, c, d = loops
+    k = len(at)
+    order = [*range(k + p, k + p + 3), *range(k, k + p), *range(k)]
+    column = slice(m + axis - 1, m + axis)
+    return held_responses(a, b[..., column], c[..., order, :], d[..., order, column], u, every)
+
+
+def _acting(loop: StabilisedLoop, axis: int) -> tuple[float, str, float | None]:
+    """Return the torque step of the job's stabilised manoeuvre about an axis, or one that the torquer can hold."""
+    for one in loop.job.manoeuvres:
+        if one.mode == "stabilised" and one.axis == axis and one.torque:
+            return one.torque, one.name, one.limits.get("attitude")
+    limits = [t.limit for t in loop.job.platform.torquers if t.root_axis == axis]
+    size = step_size(math.inf if not limits or limits[0] is None else limits[0])
+    return size, f"{1e3 * size:g} mN m step about axis {axis}", None
+
+
+def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Parts:
+    """Return what is drawn for the free platform, and what measures it."""
+    K, at, torquers = loop.joined(loop.shown)
+    roots, name = _roots(loop, settings, torquers)
+    channel = torquers.index(name)
+    P = used_arrays(loop.shown.arrays, 0, at)
+    z = pole_arrays(closed_loop_arrays(*P[:4], *K[:4])[0])
+    s = continuous_poles(z, P.dt)
+    stable = bool(spectral_abscissa(s) < 0.0)
+    grid = np.union1d(loop_grid(P, s), loop.plants.frequency)
+    sensitivity = Sensitivity(P, K)
+    S = sensitivity.at(grid)
+    response = channel_response(S, channel)
+    banded = bool(settings.band and len(loop.plants.labels) > 1)
+    poles = _set_poles(loop, K, at) if banded else s[None]
+    channel_own = channel_margins(grid, response, stable)
+    reference = max(channel_own.crossover or 1.0, 1.0)
+    at_rest = settings.plant == loop.plants.labels[0] and not any(settings.Omega)
+    inside = bool(np.all(spectral_abscissa(poles) < 0.0)) if banded else stable
+    band, worst, worst_plant = _band(loop, K, at, channel) if banded else (None, math.inf, settings.plant)
+    bode, nichols = frequency_parts(
+        name, grid, response, math.pi / P.dt, settings.plant, band, loop.job.coupled.disk_margin
+    )
+    step, low_frequency = turning(loop, settings, K, at, grid, s, stable, banded)
+
+    def measured() -> Measured:
+        own = float(disk_margins(P, K, [channel])[0]) if stable else 0.0
+        return Measured(
+            margins=Margins(
+                disk=own,
+                worst_disk=min(own, worst) if inside else 0.0,
+                worst_plant=worst_plant if worst < own else settings.plant,
+                **channel_own._asdict(),
+                bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
+                damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),
+            ),
+            requirements=requirements(loop, kept, (s, grid, sensitivity, S) if at_rest else None),
+        )
+
+    drawn = Drawn(
+        bode=bode,
+        nichols=nichols,
+        locus=_locus(loop, P, K, s, poles, reference),
+        step=step,
+        Omega_time=rate_step(loop, settings, K, at, s, stable, banded),
+        Omega_frequency=low_frequency,
+        bandwidth=None,
+        stable=stable,
+        all_stable=inside,
+    )
+    return drawn, measured
+
+
+def stabilised_overlay(
+    loop: StabilisedLoop, settings: Settings, method: str, frequency: FloatArray, kept: Kept | None = None
+) -> Overlay:
+    """Return what is drawn of another servo, over the picture with the bode diagram at `frequency`.
+
+    Its limits are measured with `kept` alone.
+    """
+    K, at, torquers = loop.joined(loop.shown)
+    _, name = _roots(loop, settings, torquers)
+    P = used_arrays(loop.shown.arrays, 0, at)
+    s = continuous_poles(pole_arrays(closed_loop_arrays(*P[:4], *K[:4])[0]), P.dt)
+    stable = bool(spectral_abscissa(s) < 0.0)
+    response = channel_response(Sensitivity(P, K).at(frequency), torquers.index(name))
+    step, over_frequency = turning(loop, settings, K, at, frequency, s, stable, False)
+    return Overlay(
+        design=settings.design,
+        method=method,
+        response=response,
+        magnitude=np.abs(response),
+        phase=degrees(response),
+        poles=s,
+        step=step,
+        Omega_step=rate_step(loop, settings, K, at, s, stable, False),
+        Omega_gain=over_frequency.gain,
+        requirements=() if kept is None else requirements(loop, kept),
+    )
+
+
+def _roots(loop: StabilisedLoop, settings: Settings, torquers: tuple[str, ...]) -> tuple[list[str], str]:
+    """Return the torquers on the platform that are set, and the one at which the loop is shown broken."""
+    roots = [t.name for t in loop.job.platform.torquers if t.root_axis is not None and t.name in torquers]
+    if not roots:
+        raise DesignError(f"{loop.spec.name}: no controller sets a torque on the platform; expected a servo")
+    return roots, settings.channel if settings.channel in roots else roots[0]
+
+
+def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> tuple[Band, float, str]:
+    """Return the loops of all plants broken at a channel, and the least of their margins there with its plant."""
+    w = loop.plants.frequency
+    S = sensitivities(-frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at])[0]
+    peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
+    k = int(np.argmax(peaks))
+    return Band(loop.plants.labels, w, channel_response(S, channel)), 1.0 / float(peaks[k]), loop.plants.labels[k]
+
+
+def _set_poles(loop: StabilisedLoop, K: StateArrays, at: list[int]) -> ComplexArray:
+    A, B, C, D, dt = loop.plants.arrays
+    return continuous_poles(pole_arrays(closed_loop_arrays(A, B[..., at], C, D[..., at], *K[:4])[0]), dt)
+
+
+def _locus(
+    loop: StabilisedLoop, P: StateArrays, K: StateArrays, s: ComplexArray, poles: ComplexArray, crossover: float
+) -> Locus:
+    """The servo's gain varies on all root axes; the caging loops stay closed as they are."""
+    roots = {t.name for t in loop.job.platform.torquers if t.root_axis is not None}
+    names = loop.joined(loop.shown)[2]
+    moving = np.array([name in roots for name in names])
+    inner = StateArrays(K.A, K.B, np.where(moving[:, None], 0.0, K.C), np.where(moving[:, None], 0.0, K.D), K.dt)
+    # Both halves read the same states of the controller: close the inner rows first, then the rest as feedback.
+    A, B, _, _ = closed_loop_arrays(*P[:4], *inner[:4])
+    m = P.B.shape[1]
+    feedback = np.hstack([K.D @ P.C, K.C]) * moving[:, None]
+    if P.D.any():
+        gains, branches = gain_locus(P, K, points=32)
+    else:
+        closed = StateArrays(A, B[:, :m], feedback, np.zeros((m, m)), P.dt)
+        static = StateArrays(np.zeros((0, 0)), np.zeros((0, m)), np.zeros((m, 0)), np.eye(m), P.dt)
+        gains, branches = gain_locus(closed, static, points=32)
+    finite = np.isfinite(s)
+    size = np.where(finite, np.abs(s), np.inf)
+    nyquist = math.pi / P.dt
+    reach = min(8.0 * crossover, nyquist)
+    others = poles.ravel()
+    return Locus(
+        gains=gains,
+        branches=branches,
+        present=s,
+        draggable=np.asarray(
+            finite & (s.imag > 1e-6 * size) & (size < 0.9 * nyquist) & moved_by_gain(gains, branches, s)
+        ),
+        others=others[np.isfinite(others) & (np.abs(others) < 4.0 * reach)],
+        reach=reach,
+        damping=None,
+    )
+
+
+def _bandwidth(grid: FloatArray, S: ComplexArray, rows: list[int]) -> float:
+    """Lowest frequency at which the largest singular value of S on the root axes reaches 1/sqrt(2), rad/s."""
+    sizes = np.linalg.norm(S[:, rows][:, :, rows], 2, axis=(-2, -1))
+    above = np.flatnonzero(sizes >= math.sqrt(0.5))
+    return float(grid[above[0]]) if above.size else float(grid[-1])

@@ -1,0 +1,152 @@
+"""Flying runs of a plan: the columns that a campaign keeps of them, and one run again with all that it recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from platform_ctrl.campaign.table import ENDED, FIGURES, NOT_FLOWN, PASSED, RUN, Array, arrow
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.plant.mistakes import one_line
+
+if TYPE_CHECKING:
+    from platform_ctrl.campaign.plan import Plan
+    from platform_ctrl.job.scenario import Scenario
+    from platform_ctrl.simulation import Figures, Trajectory
+
+
+def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
+    """Fly runs of a plan and return their columns, each with one entry a run.
+
+    Parameters
+    ----------
+    plan
+        What is flown.
+    runs
+        Numbers of the runs.
+    threads
+        On how many threads.
+    device
+        ``"cpu"`` or ``"cuda"``.
+
+    Returns
+    -------
+    dict
+        ``run``; the inputs by their names; ``angle``, ``attitude``, ``torque_share``: largest figures, infinite where
+        the run diverged; ``stop_contacts``; ``saturated``: largest share of samples at a torquer's limit;
+        ``angle_passed`` and so on: bool, None where nothing is asked; ``passed``; ``ended``.
+    """
+    from platform_ctrl import simulation
+
+    columns = inputs_of(plan, runs)
+    scenarios = plan.scenarios_with(columns, runs)
+    flown = simulation.fly(
+        scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
+    )
+    return {**columns, **_outcomes(scenarios, flown)}
+
+
+def inputs_of(plan: Plan, runs: Sequence[int]) -> dict[str, Array]:
+    """Return the columns ``run`` and inputs of some runs."""
+    numbers = np.asarray(runs, dtype=np.int64)
+    first, last = (int(numbers.min()), int(numbers.max()) + 1) if len(numbers) else (0, 0)
+    inputs = plan.inputs(first, last)
+    return {RUN: numbers, **{name: np.asarray(column)[numbers - first] for name, column in inputs.items()}}
+
+
+def trajectory(plan: Plan, scenario: Scenario) -> Trajectory:
+    """Fly one scenario and return all that it recorded."""
+    from platform_ctrl import simulation
+
+    used = simulation.acting(plan.controllers, scenario.platform, scenario.mode)
+    return simulation.flight(scenario, used, period=plan.job.sampling.period, step=plan.step)
+
+
+def _outcomes(scenarios: Sequence[Scenario], flown: Figures) -> dict[str, Array]:
+    """What the runs came to, by the names of the columns."""
+    done = flown.completed
+    found = {
+        "angle": flown.angle.max(axis=1, initial=0.0),
+        "attitude": flown.attitude.max(axis=1, initial=0.0),
+        "torque_share": flown.torque_share.max(axis=1, initial=0.0),
+    }
+    figures = {name: np.where(done, found[name], np.inf) for name in FIGURES}
+    passed = done.copy()
+    answers: dict[str, Array] = {}
+    for name in FIGURES:
+        limits = np.array([one.limits.get(name, np.nan) for one in scenarios])
+        asked = ~np.isnan(limits)
+        met = figures[name] <= np.where(asked, limits, np.inf)
+        passed &= met | ~asked
+        told = [bool(one) if wanted else None for one, wanted in zip(met, asked, strict=True)]
+        answers[f"{name}_passed"] = np.array(told, dtype=object)
+    return {
+        **figures,
+        "stop_contacts": flown.stop_contacts.sum(axis=1),
+        "saturated": flown.saturated.max(axis=1, initial=0) / np.maximum(flown.samples, 1),
+        **answers,
+        PASSED: passed,
+        ENDED: np.array(flown.ended, dtype=object),
+    }
+
+
+Columns = dict[str, Array]
+Kind = Literal["whole", "number", "answer", "word"]
+# Flies runs of a plan as `flight.fly` does.
+Fly = Callable[..., Columns]
+
+_LONGEST = 200
+_KINDS: dict[str, Kind] = {"i": "whole", "u": "whole", "f": "number", "b": "answer", "U": "word", "O": "word"}
+
+
+def kinds_of(plan: Plan) -> dict[str, Kind]:
+    """Return the kinds of all columns by their names, in the table's order."""
+    inputs = {name: _KINDS[np.asarray(column).dtype.kind] for name, column in plan.inputs(0, 1).items()}
+    figures: dict[str, Kind] = dict.fromkeys(FIGURES, "number")
+    answers: dict[str, Kind] = {f"{name}_passed": "answer" for name in FIGURES}
+    rest: dict[str, Kind] = {"stop_contacts": "whole", "saturated": "number", **answers, PASSED: "answer"}
+    return {RUN: "whole", **inputs, **figures, **rest, ENDED: "word"}
+
+
+def flown(plan: Plan, runs: Sequence[int], fly: Fly, threads: int = 1, device: str = "cpu") -> Columns:
+    """Fly runs; those that cannot be flown become rows that say why, the others are flown all the same."""
+    try:
+        return fly(plan, runs, threads=threads, device=device)
+    except Exception as error:
+        if len(runs) > 1:
+            middle = len(runs) // 2
+            halves = [flown(plan, part, fly, threads, device) for part in (runs[:middle], runs[middle:])]
+            return {name: np.concatenate([half[name] for half in halves]) for name in halves[0]}
+        return not_flown(plan, runs[0], _reason(error))
+
+
+def not_flown(plan: Plan, run: int, why: str) -> Columns:
+    """Return the row of a run that has its inputs, as far as they are known, and no outcome."""
+    nothing = np.array([None], dtype=object)
+    columns = dict.fromkeys(kinds_of(plan), nothing) | {RUN: np.array([run], dtype=np.int64)}
+    with suppress(PlatformCtrlError):  # where the draws themselves are what cannot be made
+        columns |= inputs_of(plan, [run])
+    return columns | {ENDED: np.array([f"{NOT_FLOWN}: {why}"], dtype=object)}
+
+
+def _reason(error: Exception) -> str:
+    text = one_line(" ".join(str(error).split()))
+    title = "" if isinstance(error, PlatformCtrlError) else type(error).__name__ + (": " if text else "")
+    return (title + text)[:_LONGEST]
+
+
+def schema_of(kinds: Mapping[str, Kind], metadata: Mapping[str, str]) -> Any:
+    """Return the Arrow schema; every column may hold nulls."""
+    pa = arrow()
+    types = {"whole": pa.int64(), "number": pa.float64(), "answer": pa.bool_(), "word": pa.string()}
+    return pa.schema([(name, types[kind]) for name, kind in kinds.items()], metadata=dict(metadata))
+
+
+def table_of(columns: Columns, schema: Any) -> Any:
+    """Return columns as an Arrow table; a number that is no number is null."""
+    pa = arrow()
+    arrays = [pa.array(columns[field.name], type=field.type, from_pandas=True) for field in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)

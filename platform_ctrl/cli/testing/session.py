@@ -1,0 +1,283 @@
+"""What a test session knows of its jobs: each is designed and checked once, however many tests ask for it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from platform_ctrl.cli.testing.assertions import assert_baseline, assert_met
+from platform_ctrl.design import loops
+from platform_ctrl.errors import PlatformCtrlError
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.requirements import STABLE, CheckResult, loop_requirements
+from platform_ctrl.report.failure_text import margin_text
+from platform_ctrl.verification import JobResult, checked, outcomes_from, read_controllers
+from platform_ctrl.verification.baselines import Comparison, Update
+from platform_ctrl.verification.baselines.figures import ALL_LOOPS, COST
+from platform_ctrl.verification.simulated import RUN_FIGURES
+from platform_ctrl.verification.verdict import PROVED
+
+if TYPE_CHECKING:
+    import control
+
+Asked = tuple[str, str]
+
+
+def asked_of(job: Job) -> tuple[Asked, ...]:
+    """Return subject and name of every requirement that the verdict on `job` will rest on, in its order."""
+    out: list[Asked] = []
+    for spec in job.loops:
+        if spec.kind == "caging":
+            out += [(spec.name, one.name) for one in loop_requirements(spec.limits)]
+            out.append((spec.name, PROVED.name))
+    out.append((ALL_LOOPS, STABLE.name))
+    if job.coupled.disk_margin is not None:
+        out.append((ALL_LOOPS, "simultaneous disk margin"))
+    if job.coupled.coupling_cost is not None:
+        out.append((ALL_LOOPS, COST))
+    for spec in job.loops:
+        if spec.kind == "stabilisation" and spec.limits.torque_noise is not None:
+            out.append((spec.name, "torque noise, rms"))
+    out.append((ALL_LOOPS, PROVED.name))
+    out += [(manoeuvre.name, RUN_FIGURES[key][0]) for manoeuvre in job.manoeuvres for key in manoeuvre.limits]
+    return tuple(out)
+
+
+JobSource = Job | str | os.PathLike[str] | Mapping[str, Any]
+Given = str | os.PathLike[str] | Mapping[str, Any] | Sequence["control.StateSpace"] | None
+Recorder = Callable[[str, object], None]
+
+
+class JobSession:
+    """The jobs of a test session, its options, and what it has to tell at the end.
+
+    Parameters
+    ----------
+    update, plots
+        ``--update-baselines``, ``--platform-plots``.
+    """
+
+    def __init__(self, update: bool, plots: Path | None) -> None:
+        self.update, self.plots = update, plots
+        self._notes: dict[Path, str] = {}
+        self._done: dict[str, JobResult | PlatformCtrlError] = {}
+
+    @property
+    def notes(self) -> list[str]:
+        """A line for every baseline that was written, or that could be."""
+        return list(self._notes.values())
+
+    def closed(self, source: JobSource, controllers: Given = None, folder: Path | None = None) -> JobResult:
+        """Return what a job comes to, from this session's memory where the same was asked for before.
+
+        Parameters
+        ----------
+        source
+            The job, or what `read_job` reads.
+        controllers
+            As for the fixture ``closed_loop``.
+        folder
+            Where relative paths start.
+        """
+        __tracebackhide__ = True
+        start = folder or Path()
+        job = (
+            source if isinstance(source, Job) else read_job(placed(source, start), folder=_plant_folder(source, start))
+        )
+        given = _controllers(controllers, job, start)
+        from platform_ctrl.campaign.identity import digest  # loads what only campaigns need
+
+        key = digest([job, given])
+        if key not in self._done:
+            try:
+                self._done[key] = checked(job, loops(job) if given is None else outcomes_from(job, given))
+            except PlatformCtrlError as error:
+                self._done[key] = error
+        found = self._done[key]
+        if isinstance(found, PlatformCtrlError):
+            # Where in the library it was found out is of no use to who reads a failed test.
+            raise found.with_traceback(None) from None
+        return found
+
+    def compare(self, result: JobResult, file: Path) -> Comparison | Update:
+        """Hold a result against its baseline, or update that; note what has to be told at the end."""
+        __tracebackhide__ = True
+        here = Path.cwd()
+        file = file.relative_to(here) if file.is_relative_to(here) else file
+        found = assert_baseline(result, file, update=self.update, plots=self.plots)
+        if isinstance(found, Update):
+            if found.written or file not in self._notes:
+                self._notes[file] = found.summary
+        else:
+            counts = {state: len(found.of(state)) for state in ("better", "new")}
+            if any(counts.values()):
+                words = [f"{number} {state}" for state, number in counts.items() if number]
+                self._notes[file] = f"{file}: {', '.join(words)}; pytest --update-baselines accepts this"
+        return found
+
+
+class JobUnderTest:
+    """A job that is tested, and what its tests are.
+
+    Parameters
+    ----------
+    session
+        The test session's jobs.
+    source, controllers, folder
+        As for `JobSession.closed`.
+    baseline
+        File of accepted figures; None: no comparison.
+    """
+
+    def __init__(
+        self, session: JobSession, source: JobSource, controllers: Given, folder: Path, baseline: Path | None
+    ) -> None:
+        self.session, self.controllers, self.folder, self.baseline = session, controllers, folder, baseline
+        # Read once: what the tests are called and what they measure belongs together.
+        self.job = (
+            source
+            if isinstance(source, Job)
+            else read_job(placed(source, folder), folder=_plant_folder(source, folder))
+        )
+
+    @property
+    def result(self) -> JobResult:
+        """What the job comes to; designed and checked when it is first asked for."""
+        __tracebackhide__ = True
+        return self.session.closed(self.job, self.controllers, self.folder)
+
+    def tests(self) -> tuple[RequirementTest | BaselineTest, ...]:
+        """Return a test for every requirement, and one for the baseline."""
+        own = [RequirementTest(self, asked) for asked in asked_of(self.job)]
+        return (*own, *([] if self.baseline is None else [BaselineTest(self, self.baseline)]))
+
+
+class RequirementTest:
+    """One requirement of a job as a test.
+
+    Attributes
+    ----------
+    subject, name
+        Which requirement.
+    """
+
+    def __init__(self, job: JobUnderTest, asked: Asked) -> None:
+        self._job = job
+        self.subject, self.name = asked
+        self.record: Recorder | None = None
+
+    def __repr__(self) -> str:
+        return f"<requirement {self.id!r} of {self._job.job.name!r}>"
+
+    @property
+    def id(self) -> str:
+        """What the test is called."""
+        return f"{self.subject}: {self.name}"
+
+    @property
+    def result(self) -> CheckResult:
+        """The requirement held against its value."""
+        __tracebackhide__ = True
+        judged = self._job.result.requirements
+        found = next((one for one in judged if (one.subject, one.name) == (self.subject, self.name)), None)
+        if found is None:
+            raise AssertionError(f"{self._job.job.name}: {self.id}: could not be judged; the closed loop is not stable")
+        return found
+
+    def assert_met(self) -> None:
+        """Assert that it is met; the message has value, limit, margin and evidence."""
+        __tracebackhide__ = True
+        one = self.result
+        if self.record is not None:
+            for name in ("value", "limit", "unit", "sense"):
+                self.record(name, getattr(one, name))
+            self.record("margin", margin_text(one))
+        assert_met(one)
+
+
+class BaselineTest:
+    """The baseline of a job as a test: no figure is worse than accepted.
+
+    Attributes
+    ----------
+    file
+        The baseline.
+    """
+
+    id = "baseline"
+
+    def __init__(self, job: JobUnderTest, file: Path) -> None:
+        self._job, self.file = job, file
+        self.record: Recorder | None = None
+
+    def __repr__(self) -> str:
+        return f"<baseline {self.file.name!r} of {self._job.job.name!r}>"
+
+    def assert_met(self) -> None:
+        """Assert that nothing is worse; with ``--update-baselines`` accept what there is."""
+        __tracebackhide__ = True
+        self._job.session.compare(self._job.result, self.file)
+
+
+def placed(source: JobSource, folder: Path) -> Any:
+    """Return a path relative to `folder`; anything else as it is."""
+    return folder / source if isinstance(source, str | os.PathLike) else source
+
+
+def _plant_folder(source: JobSource, folder: Path) -> Path | None:
+    """Return where the plant of a job given as a dict is looked for; that of a file stands beside it."""
+    return folder if isinstance(source, Mapping) else None
+
+
+def _controllers(given: Given, job: Job, folder: Path) -> list[control.StateSpace] | None:
+    if given is None:
+        return None
+    if isinstance(given, str | os.PathLike):
+        return read_controllers(folder / given, job)
+    return read_controllers(given, job) if isinstance(given, Mapping) else list(given)
+
+
+class JobFile(pytest.File):
+    """A job file; the plugin collects those that ``--platform-jobs`` names, or the command line itself."""
+
+    jobs: JobSession
+
+    def collect(self) -> Iterator[pytest.Item]:
+        """Read the job and walk its requirements; nothing is designed yet."""
+        baseline: Path | None = self.path.with_name(f"{self.path.stem}.baseline.json")
+        if baseline is not None and not (self.jobs.update or baseline.exists()):
+            baseline = None
+        try:
+            job = JobUnderTest(self.jobs, self.path, None, self.path.parent, baseline)
+        except PlatformCtrlError as error:
+            raise self.CollectError(str(error)) from None
+        for test in job.tests():
+            yield JobItem.from_parent(self, name=test.id, asked=test)
+
+
+class JobItem(pytest.Item):
+    """One requirement of a job file, or its baseline."""
+
+    def __init__(self, *, asked: RequirementTest | BaselineTest, **keywords: object) -> None:
+        super().__init__(**keywords)  # type: ignore[arg-type]  # pytest's own: name and parent
+        self.asked = asked
+
+    def runtest(self) -> None:
+        """Design and check the job, unless another item did, and judge."""
+        self.asked.record = lambda name, item: self.user_properties.append((name, item))
+        self.asked.assert_met()
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: object = None) -> str:
+        """Return what failed, without the way there; an error that nobody raised on purpose with it."""
+        if excinfo.errisinstance((AssertionError, PlatformCtrlError)):
+            return str(excinfo.value)
+        return str(super().repr_failure(excinfo))
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        """Return file and name for reports."""
+        return self.path, None, self.name

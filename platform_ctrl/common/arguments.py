@@ -1,0 +1,176 @@
+"""Judging the arguments of Python calls: shape, finiteness, names. One line says what was given and expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.common.signatures import LARGEST, LONGEST, short
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
+
+
+def real_array(name: str, given: ArrayLike | None, shape: tuple[int, ...], default: float | None = None) -> FloatArray:
+    """Return `given` as a finite float64 array of `shape`.
+
+    Parameters
+    ----------
+    name
+        What the caller calls the argument.
+    given
+        The argument; None stands for an array filled with `default` where there is one.
+    shape
+        The expected shape.
+    default
+        Fill value for None.
+    """
+    if given is None and default is not None:
+        return np.full(shape, default)
+    array = np.array(real_numbers(name, given, f" of shape {shape}"))
+    if array.shape != shape:
+        raise ArgumentError(f"{name}: given shape {array.shape}; expected {shape}")
+    if not np.all(np.isfinite(array)):
+        raise ArgumentError(f"{name}: given a number that is not finite; expected {shape} finite numbers")
+    return array
+
+
+def real_numbers(name: str, given: object, more: str = "") -> FloatArray:
+    """Return `given` as a float64 array of any shape, `given` itself if it is one; finite or not."""
+    return _numbers(name, given, "iuf", f"real numbers{more}").astype(np.float64, copy=False)
+
+
+def complex_numbers(name: str, given: object, nan: bool = False) -> NDArray[np.complex128]:
+    """Return `given`, real or complex, as a complex128 array of any shape; it may be infinite and, with `nan`, NaN."""
+    array = _numbers(name, given, "iufc", "numbers").astype(np.complex128, copy=False)
+    if not nan and np.isnan(array).any():
+        raise ArgumentError(f"{name} must be numbers, got NaN among them")
+    return array
+
+
+def _numbers(name: str, given: object, kinds: str, expected: str) -> NDArray[Any]:
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind in kinds:
+            return array
+    except Exception:  # what numpy calls to read an object of another library may raise anything
+        pass
+    raise ArgumentError(f"{name}: given {short(given)}; expected {expected}")
+
+
+def number(name: str, given: object, finite: bool = True) -> float:
+    """Return a (finite) float of a Python or numpy number or an array without axes, not of a complex one or a bool."""
+    real = isinstance(given, Real) and not isinstance(given, bool)
+    if not real and not (isinstance(given, np.ndarray) and given.ndim == 0 and given.dtype.kind in "iuf"):
+        raise ArgumentError(f"{name}: given {short(given)}; expected a number")
+    try:
+        out = float(given)  # type: ignore[arg-type]
+    except OverflowError:
+        raise ArgumentError(f"{name}: too large for a floating-point number; expected a finite one") from None
+    if finite and not math.isfinite(out):
+        raise ArgumentError(f"{name}: given {given!r}; expected a finite number")
+    return out
+
+
+def positive(name: str, given: float, zero: bool = False) -> float:
+    """Return a finite float above zero (or, with `zero`, not below it)."""
+    out = number(name, given, finite=False)
+    if not math.isfinite(out) or out < 0.0 or (out == 0.0 and not zero):
+        raise ArgumentError(f"{name}: given {given!r}; expected a finite number {'>=' if zero else '>'} 0")
+    return out
+
+
+def within(name: str, given: float, least: float, most: float) -> float:
+    """Return a float from `least` to `most`."""
+    out = number(name, given)
+    if not least <= out <= most:
+        raise ArgumentError(f"{name} must be a number from {least:g} to {most:g}, got {out:g}")
+    return out
+
+
+def not_negative(name: str, given: ArrayLike, size: int) -> FloatArray:
+    """Return `size` finite numbers >= 0, all alike where one is given."""
+    array = real_numbers(name, given)
+    if array.shape not in ((), (size,)) or not np.isfinite(array).all() or (array < 0.0).any():
+        raise ArgumentError(f"{name} must be {size} finite numbers >= 0, or one for all, got {short(given)}")
+    return np.full(size, array)
+
+
+def whole(name: str, given: object, least: int, most: int | None = None) -> int:
+    """Return a whole number from `least` to `most`; None: what 64 bits hold."""
+    number = int(given) if isinstance(given, int | np.integer) and not isinstance(given, bool) else None
+    if number is None or not least <= number <= (LARGEST - 1 if most is None else most):
+        expected = f">= {least}" if most is None else f"from {least} to {most}"
+        raise ArgumentError(f"{name}: given {short(given)}; expected a whole number {expected}")
+    return number
+
+
+def indices(name: str, given: Sequence[int] | None, size: int) -> list[int]:
+    """Return indices from 0 to `size` - 1, each at most once; None stands for all of them."""
+    if given is None:
+        return list(range(size))
+    if not isinstance(given, list | tuple | range) and not (isinstance(given, np.ndarray) and given.ndim == 1):
+        raise ArgumentError(f"{name} must be a sequence of whole numbers, got {short(given)}")
+    out = [whole(name, one, 0, size - 1) for one in given]
+    if len(set(out)) < len(out):
+        raise ArgumentError(f"{name} must differ from one another, got {short(out)}")
+    return out
+
+
+def one_of(name: str, given: object, options: Sequence[str]) -> None:
+    """Judge a word that selects something."""
+    if not isinstance(given, str) or given not in options:
+        *first, last = map(repr, options)
+        raise ArgumentError(f"{name}: given {short(given)}; expected {', '.join(first)} or {last}")
+
+
+def known_name(kind: str, given: str, known: Sequence[str]) -> int:
+    """Return the index of `given` in `known`."""
+    if given in known:
+        return list(known).index(given)
+    near = nearest(str(given), known)
+    hint = "" if near is None else f"; did you mean {near!r}?"
+    raise ArgumentError(
+        f"{kind}: given {given!r}; expected one of {', '.join(map(repr, known)) or 'none at all'}{hint}"
+    )
+
+
+def known_names(kind: str, given: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Return the indices of names in `known`, in its order, each once."""
+    if isinstance(given, str):
+        raise ArgumentError(
+            f"{kind}: given the string {given!r}; expected a sequence of names, for example ({given!r},)"
+        )
+    try:
+        names = list(given)
+    except TypeError:
+        raise ArgumentError(f"{kind}: given {short(given)}; expected a sequence of names, which are strings") from None
+    for name in names:
+        if not isinstance(name, str):
+            raise ArgumentError(f"{kind}: given {short(name)} among the names; expected strings, such as {known[:1]}")
+    return sorted({known_name(kind, name, known) for name in names})
+
+
+def distinct(kind: str, names: Sequence[str]) -> list[str]:
+    """Return the names of signals as a list, each of its own."""
+    for name in names:
+        if list(names).count(name) > 1:
+            raise ArgumentError(
+                f"{kind}: {name!r} would name two of them; expected angles and torquers of other names in the plant"
+            )
+    return list(names)
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that `word` was probably meant to be, or None."""
+    by_lower = {name.lower(): name for name in known}
+    begun = [name for name in by_lower if len(word) > 2 and name.startswith(word.lower()[:LONGEST])]
+    if begun:
+        return by_lower[begun[0]]
+    close = difflib.get_close_matches(word.lower()[:LONGEST], by_lower, n=1)
+    return by_lower[close[0]] if close else None

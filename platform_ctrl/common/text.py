@@ -1,0 +1,106 @@
+"""Greek letters in the names of angles and rates: ``alpha4`` is read as α4, its derivative as α̇4, in columns too."""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
+from typing import Literal
+
+LETTERS = {
+    "alpha": "α",
+    "beta": "β",
+    "gamma": "γ",
+    "delta": "δ",
+    "epsilon": "ε",
+    "zeta": "ζ",
+    "eta": "η",
+    "theta": "θ",
+    "kappa": "κ",
+    "lambda": "λ",
+    "mu": "μ",
+    "nu": "ν",
+    "xi": "ξ",
+    "rho": "ρ",
+    "sigma": "σ",
+    "tau": "τ",
+    "phi": "φ",
+    "chi": "χ",
+    "psi": "ψ",
+    "omega": "ω",
+    "Gamma": "Γ",
+    "Delta": "Δ",
+    "Theta": "Θ",
+    "Lambda": "Λ",
+    "Phi": "Φ",
+    "Psi": "Ψ",
+    "Omega": "Ω",
+}
+
+# Combining marks of an angle, its rate and its acceleration.
+DOTS = ("", "\u0307", "\u0308")
+
+_LETTER = re.compile(rf"(?<![A-Za-z])({'|'.join(LETTERS)})(?![A-Za-z])")
+
+
+def greek(name: str) -> str:
+    """Return a signal name with its Greek letters as letters: ``alpha4`` is α4, ``q_theta`` is q_θ."""
+    return _LETTER.sub(lambda found: LETTERS[found[0]], name)
+
+
+def initial(name: str) -> tuple[str, str]:
+    """Return the letters at the head of a name (its first character where it is none), and the rest."""
+    found = re.match(r"[^\W\d_]+", name)
+    end = found.end() if found else 1
+    return name[:end], name[end:]
+
+
+def dotted(angle: str, derivative: int) -> str:
+    """Return an angle or its derivative, the dots over its first letter: ``alpha4``, 2 is α̈4, ``roll``, 1 is ṙoll."""
+    head, rest = initial(angle)
+    letters = LETTERS.get(head, head)
+    return letters[:1] + DOTS[derivative] + letters[1:] + rest
+
+
+def width(text: str) -> int:
+    """Return the columns that a text takes on a terminal: dots above letters take none."""
+    return sum(0 if unicodedata.combining(c) else 1 + (unicodedata.east_asian_width(c) in "WF") for c in text)
+
+
+def padded(text: str, columns: int) -> str:
+    """Return the text filled with spaces on the right."""
+    return text + " " * (columns - width(text))
+
+
+Rounding = Literal["nearest", "down", "up"]
+
+_MODES = {"nearest": ROUND_HALF_EVEN, "down": ROUND_FLOOR, "up": ROUND_CEILING}
+
+
+def rounded(number: float | Decimal, digits: int, rounding: Rounding = "nearest") -> float:
+    """Return `number` with `digits` significant digits.
+
+    Parameters
+    ----------
+    number
+        A float counts as the shortest decimal that reads back as it: 0.29 is already rounded.
+    digits
+        At least 1, at most 15.
+    rounding
+        ``"down"`` (towards minus infinity) for a proved lower bound, ``"up"`` for an upper one.
+    """
+    if not math.isfinite(number):
+        return float(number)
+    exact = number if isinstance(number, Decimal) else Decimal(repr(float(number)))
+    return float(Context(prec=digits, rounding=_MODES[rounding]).create_decimal(exact))
+
+
+def at_least(number: float, digits: int) -> str:
+    """Return a lower bound as text, rounded down."""
+    return f"{rounded(number, digits, 'down'):.{digits}g}"
+
+
+def at_most(number: float, digits: int) -> str:
+    """Return an upper bound as text, rounded up."""
+    return f"{rounded(number, digits, 'up'):.{digits}g}"

@@ -1,0 +1,200 @@
+"""Frozen values: what one stage hands to the next, and nobody writes into."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import copyreg
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.signatures import check_fields
+
+FloatArray = NDArray[np.float64]
+
+T = TypeVar("T")
+
+# Lines and columns of a value's repr at most, and numbers of a vector that it shows.
+_LINES, _COLUMNS, _NUMBERS = 20, 110, 6
+# What python-control makes anew with every StateSpace, for functions of that one system: neither copied nor pickled.
+_OWN = ("updfcn", "outfcn")
+
+
+def read_only(array: object) -> FloatArray:
+    """Return a float64 copy of `array` that cannot be written to."""
+    out = np.array(array, dtype=np.float64, copy=True)
+    out.flags.writeable = False
+    return out
+
+
+def _freeze_arrays(self: Any) -> None:
+    for name in self.__dataclass_fields__:
+        item = getattr(self, name)
+        if isinstance(item, np.ndarray) and (item.flags.writeable or item.base is not None):
+            frozen = item.copy()
+            frozen.flags.writeable = False
+            object.__setattr__(self, name, frozen)
+
+
+def _freeze_within(item: Any) -> None:
+    """Make arrays read-only that a copied value holds in tuples, lists and dictionaries: nobody else has them."""
+    if isinstance(item, np.ndarray):
+        item.flags.writeable = False
+    elif isinstance(item, tuple | list):
+        for one in item:
+            _freeze_within(one)
+    elif isinstance(item, dict):
+        for one in item.values():
+            _freeze_within(one)
+
+
+def _set_state(self: Any, state: list[Any]) -> None:
+    for name, item in zip(self.__dataclass_fields__, state, strict=True):
+        object.__setattr__(self, name, item)
+    # Unpickled arrays come back writeable: freeze them again.
+    _freeze_arrays(self)
+    _freeze_within(state)
+
+
+def _get_state(self: Any) -> list[Any]:
+    state = [getattr(self, name) for name in self.__dataclass_fields__]
+    for item in state:
+        portable(item)
+    return state
+
+
+def _deep_copy(self: Any, memo: dict[int, Any]) -> Any:
+    new = object.__new__(type(self))
+    _set_state(new, copy.deepcopy(_get_state(self), memo))
+    return new
+
+
+def portable(item: T) -> T:
+    """Return `item`, after which every `control.StateSpace` can be pickled and copied if it is one.
+
+    python-control 0.10 gives each system functions of its own matrices: `pickle` refuses them, and a deep copy goes on
+    computing with the matrices of the original. Systems within tuples, lists and dictionaries count as well.
+    """
+    if isinstance(item, tuple | list):
+        for one in item:
+            portable(one)
+    elif isinstance(item, dict):
+        for one in item.values():
+            portable(one)
+    elif type(item).__name__ == "StateSpace" and type(item).__module__ == "control.statesp":
+        copyreg.dispatch_table.setdefault(type(item), _reduced)
+    return item
+
+
+def _reduced(system: Any) -> tuple[Any, ...]:
+    return _new_system, (type(system),), {name: item for name, item in vars(system).items() if name not in _OWN}
+
+
+def _new_system(kind: Any) -> Any:
+    # Any matrices: the state that is put in next has all that depends on them.
+    return portable(kind(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), 0.0, remove_useless_states=False))
+
+
+def _summary(self: Any) -> str:
+    """Return what a value is in twenty lines at most: numbers and names, of arrays and systems their sizes."""
+    kind = type(self).__qualname__
+    names = [field.name for field in dataclasses.fields(self) if not field.name.startswith("_")]
+    items = [f"{name}={_described(getattr(self, name))}" for name in names]
+    line = f"{kind}({', '.join(items)})"
+    if len(line) <= _COLUMNS:
+        return line
+    shown = len(items) if len(items) <= _LINES - 2 else _LINES - 3
+    lines = [f"    {_cut(item)}," for item in items[:shown]]
+    if shown < len(items):
+        lines.append(f"    ... {_cut(', '.join(names[shown:]))}")
+    return "\n".join([f"{kind}(", *lines, ")"])
+
+
+def _described(item: Any) -> str:
+    """Return an entry of a value in one line."""
+    if isinstance(item, np.ndarray):
+        if item.ndim == 1 and item.size <= _NUMBERS:
+            return "[" + ", ".join(f"{number:.6g}" if item.dtype.kind in "fc" else str(number) for number in item) + "]"
+        return f"<array {item.shape}>" if item.dtype == np.float64 else f"<{item.dtype} array {item.shape}>"
+    if dataclasses.is_dataclass(item) and not isinstance(item, type):
+        names = [name for key in ("name", "label") if isinstance(name := getattr(item, key, None), str) and name]
+        return f"<{type(item).__qualname__}{f' {names[0]!r}' if names else ''}>"
+    if hasattr(item, "input_labels") and hasattr(item, "output_labels"):
+        sizes = [f"{n} {what}" for what in ("states", "inputs", "outputs") if (n := getattr(item, f"n{what}", None))]
+        return f"<{type(item).__name__} {item.name!r}: {', '.join(sizes)}, dt = {item.dt}>"
+    if isinstance(item, Mapping):
+        return _joined("{", [f"{key!r}: {_described(one)}" for key, one in item.items()], "}")
+    if isinstance(item, tuple | list):
+        parts = [_described(one) for one in item]
+        if isinstance(item, list):
+            return _joined("[", parts, "]")
+        name = type(item).__name__ if hasattr(item, "_fields") else ""
+        return _joined(f"{name}(", parts, ",)" if len(parts) == 1 and not name else ")")
+    return _cut(" ".join((repr(float(item)) if isinstance(item, np.floating) else repr(item)).split()))
+
+
+def _joined(left: str, items: list[str], right: str) -> str:
+    line = left + ", ".join(items) + right
+    if len(line) <= _COLUMNS - 30:
+        return line
+    count = max(1, sum(1 for k in range(len(items)) if sum(map(len, items[: k + 1])) + 2 * k < _COLUMNS - 60))
+    return f"{left}{_cut(', '.join(items[:count]))}{f', ... {len(items)} in all' if count < len(items) else ''}{right}"
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= _COLUMNS - 8 else line[: _COLUMNS - 11] + "..."
+
+
+def replaced(item: T, changes: Mapping[str, Any]) -> T:
+    """Return a value with other items under the names of fields: `dataclasses.replace`, faster, kinds unjudged."""
+    new = object.__new__(type(item))
+    for name in item.__dataclass_fields__:  # type: ignore[attr-defined]  # of `value`, which makes a dataclass
+        object.__setattr__(new, name, changes[name] if name in changes else getattr(item, name))
+    new._settled()  # type: ignore[attr-defined]
+    return new
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def value(cls: type[T]) -> type[T]:
+    """Make `cls` a frozen dataclass with slots whose arrays are read-only.
+
+    Equality is identity: the `==` that dataclasses generate raises on arrays. Pickle and deepcopy give
+    writeable arrays back, so both freeze again. The repr is a summary: arrays and systems by their sizes.
+    """
+    if "__post_init__" not in cls.__dict__:
+        cls.__post_init__ = _freeze_arrays  # type: ignore[attr-defined]
+    if "__repr__" not in cls.__dict__:
+        cls.__repr__ = _summary  # type: ignore[method-assign]
+    made = dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)(cls)
+    made._settled = made.__post_init__  # type: ignore[attr-defined]
+    made.__setstate__ = _set_state  # type: ignore[attr-defined]
+    made.__getstate__ = _get_state  # type: ignore[method-assign]
+    made.__deepcopy__ = _deep_copy  # type: ignore[attr-defined]
+    return made
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def input_value(cls: type[T]) -> type[T]:
+    """Make `cls` a `value` that users make: it refuses a field of another kind than annotated (`ArgumentError`)."""
+    made = value(cls)
+    rest = made.__post_init__  # type: ignore[attr-defined]
+
+    kinds = ("FloatArray", "FloatArray | None", FloatArray)
+    arrays = [field.name for field in dataclasses.fields(made) if field.type in kinds]  # type: ignore[arg-type]
+
+    def judged(self: Any) -> None:
+        for name in arrays:
+            item = getattr(self, name)
+            if isinstance(item, list | tuple):
+                # What is no array of numbers is left for the check to refuse.
+                with contextlib.suppress(TypeError, ValueError):
+                    object.__setattr__(self, name, read_only(item))
+        check_fields(self)
+        rest(self)
+
+    made.__post_init__ = judged  # type: ignore[attr-defined]
+    return made

@@ -1,0 +1,211 @@
+"""Torque limits of a caging loop: which Omega it provably survives, and anti-windup gains with a region of attraction.
+
+Two figures by two means. While Omega alone moves, a good loop need not touch its limits until the torques that hold the
+gyros take nearly all of them: `survived_Omega` proves up to where, by an ellipsoid from a Lyapunov equation. A shock
+does drive the torques beyond their limits; then the controller's states run on with an error that its torques cannot
+follow. `anti_windup` feeds the excess back into those states, x⁺ = A x + B y + E (limited u − u), by the gain that
+makes the region of shocks from which the loop provably returns largest.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.certificates import Verification
+from platform_ctrl.common.arguments import positive, real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.antiwindup.lmi import InvariantEllipsoid, below_the_limits, slowest_decay, widest
+from platform_ctrl.design.antiwindup.loop import LimitedLoop
+from platform_ctrl.errors import InfeasibleError, NotCertifiedError
+
+if TYPE_CHECKING:
+    from control import StateSpace
+    from numpy.typing import ArrayLike
+
+# Shares of the slowest decay among which the best ellipsoid is looked for; and the one for shocks.
+_SHARES = (0.02, 0.04, 0.08, 0.13, 0.2, 0.28, 0.36, 0.44, 0.52, 0.6, 0.7, 0.8)
+_OF_SHOCKS = 0.1
+
+
+@value
+class SurvivedOmega:
+    """The largest Omega for which torques and angles provably stay within their limits.
+
+    Attributes
+    ----------
+    Omega
+        rad/s. It may have either sign and change as the loop's manoeuvre does (`LimitedLoop.jerk`), often.
+    static_Omega
+        Where the torques in equilibrium take all of a limit, rad/s: no loop survives more for long.
+    ellipsoid
+        The proof's data; its `gain` is the anti-windup gain that the figure counts on, zero where torques stay
+        below their limits.
+    verification
+        What became of the proof.
+    """
+
+    Omega: float
+    static_Omega: float
+    ellipsoid: InvariantEllipsoid
+    verification: Verification
+
+
+@value
+class AntiWindup:
+    """An anti-windup gain with the region of attraction that it gives.
+
+    Attributes
+    ----------
+    loop
+        What was asked for.
+    gain : (n_K, m)
+        E of x⁺ = A x + B y + E (limited u − u), in units of the controller's states per N m.
+    controller
+        Inputs: the measurements, then ``excess_`` + name for every control, limited less commanded torque of the same
+        sample; outputs as before.
+    Omega
+        Rate of the manoeuvres that may go on meanwhile, rad/s.
+    ellipsoid
+        What starts in it comes back, with the gain: the region of attraction, `reach` tells its extent.
+    without
+        The same for the loop without anti-windup, made as large as can be for the same shocks.
+    reach, reach_without
+        The largest common multiple of the shocks that lies inside: N m s where they are the unit torque impulses.
+    verification
+        What became of the proof of `ellipsoid`.
+    """
+
+    loop: LimitedLoop
+    gain: FloatArray
+    controller: StateSpace
+    Omega: float
+    ellipsoid: InvariantEllipsoid
+    without: InvariantEllipsoid
+    reach: float
+    reach_without: float
+    verification: Verification
+
+
+@check_arguments
+def survived_Omega(loop: LimitedLoop, *, saturating: bool = False, time_limit: float = 60.0) -> SurvivedOmega:
+    """Return the largest Omega for which the loop provably keeps within its stops and returns.
+
+    The bound is sharp to a few per cent where the manoeuvre is slow against the loop; for fast ones an ellipsoid
+    gives away more.
+
+    Parameters
+    ----------
+    loop
+        The loop, see `limited_loop`.
+    saturating
+        False: torques stay below their limits, which needs no anti-windup and no solver. True: they may exceed them,
+        with an anti-windup gain found for the purpose.
+    time_limit
+        Longest time that one call of the solver may take, s.
+
+    Returns
+    -------
+    SurvivedOmega
+        The rate, and the ellipsoid that proves it.
+
+    Raises
+    ------
+    NotCertifiedError
+        The proof failed.
+    DesignError
+        The solver failed.
+
+    References
+    ----------
+    J. M. Gomes da Silva, S. Tarbouriech, IEEE Trans. Automatic Control 50, 2005.
+
+    See docs/torque-limits.md.
+    """
+    slowest = slowest_decay(loop)
+    best = max((below_the_limits(loop, share * slowest) for share in _SHARES), key=lambda one: one.Omega)
+    if saturating:
+        best = max(best, widest(loop, best.Omega, best.alpha, time_limit=time_limit), key=lambda one: one.Omega)
+    shown = best.verify()
+    if not shown.proved:
+        raise NotCertifiedError(
+            f"survived_Omega: not proved for {best.Omega:.6g} rad/s: {shown.reason}; expected a proof; "
+            "give a loop whose slow and fast poles lie closer together",
+            loop,
+        )
+    return SurvivedOmega(Omega=best.Omega, static_Omega=loop.static_Omega, ellipsoid=best, verification=shown)
+
+
+@check_arguments
+def anti_windup(
+    loop: LimitedLoop, Omega: float = 0.0, shocks: ArrayLike | None = None, *, time_limit: float = 60.0
+) -> AntiWindup:
+    """Return the static anti-windup gain that makes the provable region of attraction largest.
+
+    Parameters
+    ----------
+    loop
+        The loop, see `limited_loop`.
+    Omega
+        Rate of the manoeuvres that may go on at the same time, rad/s: less than the loop survives.
+    shocks : (n, k), optional
+        States whose common multiple is to be as large as possible, in units of the loop's states; default unit torque
+        impulses on each axis.
+    time_limit
+        Longest time that one call of the solver may take, s.
+
+    Returns
+    -------
+    AntiWindup
+        The gain, and the region with it and without.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments make no sense.
+    InfeasibleError
+        No region is left at that Omega.
+    DesignError
+        The solver failed, or its answer could not be proved.
+
+    References
+    ----------
+    J. M. Gomes da Silva, S. Tarbouriech, IEEE Trans. Automatic Control 50, 2005.
+
+    See docs/torque-limits.md.
+    """
+    Omega = positive("anti_windup: Omega", Omega, zero=True)
+    n = len(loop.A)
+    given = loop.impulses if shocks is None else np.asarray(shocks)
+    directions = real_array("anti_windup: shocks", given, (n, given.shape[-1] if given.ndim == 2 else 1))
+    order = loop.R.shape[1]
+    if not order:
+        raise InfeasibleError("anti_windup: the controller has no states; expected one that can wind up", loop)
+    alpha = _OF_SHOCKS * slowest_decay(loop)
+    without = widest(
+        loop, Omega, alpha, directions=directions, gain=np.zeros((order, len(loop.controls))), time_limit=time_limit
+    )
+    found = widest(loop, Omega, alpha, directions=directions, time_limit=time_limit)
+    return AntiWindup(
+        loop=loop,
+        gain=found.gain,
+        controller=with_excess(loop.controller, found.gain),
+        Omega=Omega,
+        ellipsoid=found,
+        without=without,
+        reach=min(found.reach(d) for d in directions.T),
+        reach_without=min(without.reach(d) for d in directions.T),
+        verification=found.verify(),
+    )
+
+
+def with_excess(controller: StateSpace, gain: FloatArray) -> StateSpace:
+    """Return the controller with inputs ``excess_`` + torque, limited less commanded, into its states by `gain`."""
+    K = state_arrays(controller, "with_excess")
+    outputs = list(controller.output_labels)
+    arrays = StateArrays(K.A, np.hstack([K.B, gain]), K.C, np.hstack([K.D, np.zeros((len(outputs),) * 2)]), K.dt)
+    inputs = [*controller.input_labels, *(f"excess_{name}" for name in outputs)]
+    return state_space(arrays, inputs, outputs, list(controller.state_labels))

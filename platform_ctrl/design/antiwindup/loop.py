@@ -1,0 +1,247 @@
+"""A sampled loop at its torque limits while the platform turns, in deviation from the equilibrium that turns with it.
+
+::
+
+        b ──► 1/(s/ρ + 1) ──► 1/s ──► Omega ──┐
+                                              ▼
+        u ──►[ limit ]──► hold, delay, lag ──► plant ──► angles ──► K ──► u
+                │                                                   ▲
+                └──────────── excess: limited u − u ──► E ──────────┘
+
+For a constant Omega the loop rests at x = x_e Omega, with the torques u_e Omega that hold the gyros (L Omega). What
+moves ξ = x − x_e Omega is the change of Omega alone, and only what is left of the limits, |u_e Omega| taken off,
+serves to bring it back. The change has a bounded derivative filtered at the corner ρ: |b| <= 1 covers every manoeuvre
+whose |Ω' + Ω''/ρ| stays below `jerk` times its largest rate; among them, by construction, the half-cosine of length
+`rise`. Between the samples b is held.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.poles import pole_arrays, spectral_radius
+from platform_ctrl.analysis.sampled import held_input, sampled_arrays, with_lag
+from platform_ctrl.common.arguments import known_name, not_negative, positive, real_numbers
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+
+@value
+class LimitedLoop:
+    """A sampled loop with limited torques, states η = [ξ, Ω'] with ξ = [plant and lags, held controls, controller].
+
+    With φ = u − limited u and an anti-windup gain E, for one rad/s of Omega,
+
+        η⁺ = A η − (B + R E) φ + B_w b,    u = u_steady Omega + K η,    angles = angle_steady Omega + C η.
+
+    Attributes
+    ----------
+    A, B, B_w, R, K, C
+        Matrices of the equations above, SI units for one rad/s of Omega; R selects the controller's states. Shapes (n,
+        n), (n, m), (n, 1), (n, n_K), (m, n), (p, n).
+    u_steady, angle_steady
+        Torques and angles in equilibrium, N m and rad for each rad/s. Shapes (m,), (p,).
+    limits, stops
+        Largest torques, N m, and angles, rad (inf: none). Shapes (m,), (p,).
+    period, rise, corner
+        Sample period, s; length of the half-cosine, s; corner ρ of the filter, rad/s.
+    jerk
+        Bound of |Ω' + Ω''/ρ| for one rad/s of Omega, 1/s.
+    controls, measurements
+        Signal names.
+    controller
+        As given.
+    impulses : (n, m)
+        States after unit torque impulses (1 N m s), one column a control.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    B_w: FloatArray
+    R: FloatArray
+    K: FloatArray
+    C: FloatArray
+    u_steady: FloatArray
+    angle_steady: FloatArray
+    limits: FloatArray
+    stops: FloatArray
+    period: float
+    rise: float
+    corner: float
+    jerk: float
+    controls: tuple[str, ...]
+    measurements: tuple[str, ...]
+    controller: StateSpace
+    impulses: FloatArray
+
+    @property
+    def static_Omega(self) -> float:
+        """The rate, rad/s, whose torques in equilibrium take all of a limit: nothing survives more for long."""
+        with np.errstate(divide="ignore"):
+            shares = np.concatenate([self.limits / np.abs(self.u_steady), self.stops / np.abs(self.angle_steady)])
+        return float(shares.min(initial=np.inf))
+
+    @check_arguments
+    def impulse(self, control: str) -> FloatArray:
+        """Return the state after a unit torque impulse where a control acts, behind its lag.
+
+        Parameters
+        ----------
+        control
+            Name of the control.
+
+        Returns
+        -------
+        (n,)
+            In units of the states, for 1 N m s.
+
+        Raises
+        ------
+        ArgumentError
+            No such control.
+        """
+        return np.asarray(self.impulses[:, known_name("control", control, self.controls)])
+
+
+@check_arguments
+def limited_loop(
+    plant: StateSpace,
+    controller: StateSpace,
+    disturbance: str | dict[str, float],
+    *,
+    limits: ArrayLike,
+    stops: ArrayLike = math.inf,
+    delay: float = 0.0,
+    lag: ArrayLike | None = None,
+    rise: float = 0.5,
+    corner: float | None = None,
+) -> LimitedLoop:
+    """Return the loop of a continuous plant and a sampled controller, joined by the controller's signal names.
+
+    Parameters
+    ----------
+    plant
+        Continuous; among its inputs the controller's outputs and the disturbance, among its outputs the
+        controller's inputs.
+    controller
+        u = K y, ``dt`` the sample period.
+    disturbance
+        Input of the plant that plays Omega, or several with their direction cosines (dimensionless).
+    limits, stops
+        Largest torques, N m, and largest angles, rad; in the controller's order of signals, or one for all. Shapes
+        (m,), (p,) or scalar.
+    delay
+        From sample to torque, s.
+    lag : (m,) or scalar, optional
+        Time constants of the torquers, s; default none.
+    rise
+        Length of the half-cosine that has to be covered, s.
+    corner
+        Corner ρ of the filter, rad/s; default 4 π/rise.
+
+    Returns
+    -------
+    LimitedLoop
+        With its states in deviation from the equilibrium.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not fit, or the loop without limits is not stable.
+    """
+    P, K = state_arrays(plant, "limited_loop (plant)"), state_arrays(controller, "limited_loop (controller)")
+    if P.dt != 0.0 or not K.dt > 0.0:
+        raise ArgumentError(
+            f"limited_loop: given a plant with dt = {P.dt} and a controller with dt = {K.dt}; "
+            "expected a continuous plant and a sampled controller"
+        )
+    shares = {disturbance: 1.0} if isinstance(disturbance, str) else dict(disturbance)
+    u = [known_name("limited_loop, torque", name, plant.input_labels) for name in controller.output_labels]
+    y = [known_name("limited_loop, angle", name, plant.output_labels) for name in controller.input_labels]
+    w = np.zeros((P.B.shape[1], 1))
+    for name, share in shares.items():
+        w[known_name("limited_loop, disturbance", name, plant.input_labels)] = share
+    m, p = len(u), len(y)
+    if np.any(P.D[np.ix_(y, u)]) or np.any(P.D[y] @ w):
+        raise ArgumentError("limited_loop: the plant has a direct term; expected angles behind inertias")
+    rise = positive("limited_loop: rise", rise)
+    rho = 4.0 * math.pi / rise if corner is None else positive("limited_loop: corner", corner)
+    lags = not_negative("limited_loop: lag", 0.0 if lag is None else lag, m)
+    A, B, C, _ = with_lag(P.A, P.B[:, u], P.C[y], np.zeros((p, m)), lags)
+    n = len(A)
+    moved = np.zeros((n, 1))
+    moved[: len(P.A)] = P.B @ w
+    kicked = np.zeros((n, m))
+    kicked[: len(P.A)] = P.B[:, u]
+    # Behind the plant's states: Omega, and its derivative behind the filter.
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[:n, n : n + 1] = A, moved
+    whole[n, n + 1], whole[n + 1, n + 1] = 1.0, -rho
+    into_filter = np.zeros((n + 2, 1))
+    into_filter[-1] = rho
+    Ad, Bd, Cd, _ = sampled_arrays(
+        whole, np.vstack([B, np.zeros((2, m))]), np.hstack([C, np.zeros((p, 2))]), np.zeros((p, m)), K.dt, delay
+    )
+    late = np.zeros((len(Ad), 1))
+    late[: n + 2] = held_input(whole, into_filter, K.dt)[1]
+    own = [*range(n), *range(n + 2, len(Ad))]
+    rate, slope = n, n + 1
+    Ap, Bp, Cp = Ad[np.ix_(own, own)], Bd[own], Cd[:, own]
+    order, held = len(K.A), len(own)
+    none = np.zeros((order, 1))
+    closed = np.block([[Ap + Bp @ K.D @ Cp, Bp @ K.C], [K.B @ Cp, K.A]])
+    radius = float(spectral_radius(pole_arrays(closed)))
+    if not radius < 1.0:
+        raise ArgumentError(f"limited_loop: without limits a pole lies at |z| = {radius:.6g}; expected a stable loop")
+    command = np.hstack([K.D @ Cp, K.C])
+    by_Omega, by_slope, by_b = (
+        np.vstack([column[own], none]) for column in (Ad[:, rate : rate + 1], Ad[:, slope : slope + 1], late)
+    )
+    steady = np.linalg.solve(np.eye(len(closed)) - closed, by_Omega)
+    u_steady, angle_steady = (command @ steady)[:, 0], (Cp @ steady[:held])[:, 0]
+    # An integrator leaves rounding in place of zero.
+    angle_steady = np.where(
+        np.abs(angle_steady) > 1e-9 * np.abs(Cp).sum(axis=1) * np.abs(steady).max(), angle_steady, 0.0
+    )
+    jerk = 0.5 * math.pi / rise * math.hypot(1.0, math.pi / (rise * rho))
+    size = len(closed) + 1
+    A_loop = np.zeros((size, size))
+    A_loop[:-1, :-1], A_loop[-1, -1] = closed, Ad[slope, slope]
+    A_loop[:-1, -1:] = by_slope - steady * Ad[rate, slope]
+    edge = np.zeros((1, m))
+    return LimitedLoop(
+        A=A_loop,
+        B=np.vstack([Bp, np.zeros((order, m)), edge]),
+        B_w=jerk * np.vstack([by_b - steady * late[rate], late[slope : slope + 1]]),
+        R=np.vstack([np.zeros((held, order)), np.eye(order), np.zeros((1, order))]),
+        K=np.hstack([command, np.zeros((m, 1))]),
+        C=np.hstack([Cp, np.zeros((p, order + 1))]),
+        u_steady=u_steady,
+        angle_steady=angle_steady,
+        limits=_each("limits", limits, m),
+        stops=_each("stops", stops, p),
+        period=K.dt,
+        rise=rise,
+        corner=rho,
+        jerk=jerk,
+        controls=tuple(controller.output_labels),
+        measurements=tuple(controller.input_labels),
+        controller=controller,
+        impulses=np.vstack([kicked, np.zeros((size - n, m))]),
+    )
+
+
+def _each(name: str, given: ArrayLike, count: int) -> FloatArray:
+    array = real_numbers(f"limited_loop: {name}", given)
+    if array.shape not in ((), (count,)) or not np.all(array > 0.0):
+        raise ArgumentError(f"limited_loop: {name} = {short(given)}; expected one positive number, or {count}")
+    return np.full(count, array)

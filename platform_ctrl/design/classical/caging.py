@@ -1,0 +1,290 @@
+"""The classical caging loop: cross-axis PI, direct-axis lead, lag, notches; PID where no gyro acts.
+
+In a gyroscopic pair (y1, y2) with momentum h a torque about one axis turns the other, so the PI acts across:
+
+    Q1 = −h ωc (1 + ωi/s) F(s) N(s) y2 − D1(s) y1,        Q2 = +h ωc (1 + ωi/s) F(s) N(s) y1 − D2(s) y2
+
+with the direct-axis lead D_k = J_k d_k (s + ωz)/(s/ωr + 1), which damps nutation, the notch N, and the lag
+F = (s + ωl)/(s + ωl/ratio), which is one at high frequencies and `ratio` at low ones. Cross gain alone destabilises
+nutation at a growth rate about equal to ωc: d_k has to outweigh it. In an inertial direction
+
+    Q = −J ω0² / √(1 + (ω0/ωz)²) (1 + ωi/s) F(s) (s/ωz + 1)/(s/ωr + 1) y.
+
+A second notch at the spin frequency, in front of everything, keeps what an unbalanced rotor shakes from the torquers.
+
+Every block is sampled by Tustin's rule; channels share their states, so that no integrator is doubled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.loop import completed
+from platform_ctrl.design.partition import Block, Channels, first_order, gain, notch
+from platform_ctrl.errors import DesignError
+
+Kind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass"]
+
+
+class Stage(NamedTuple):
+    """A block of a diagram.
+
+    Attributes
+    ----------
+    name
+        What it is called.
+    kind
+        What it is.
+    note
+        What it is in continuous time, frequencies in Hz.
+    block
+        Sampled.
+    inputs, outputs
+        Names of its signals.
+    """
+
+    name: str
+    kind: Kind
+    note: str
+    block: Block
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[str]) -> Block:
+    """Return the diagram from `inputs` to `outputs` as one block; its states are those of the stages in their order."""
+    n, m = sum(len(stage.block[0]) for stage in stages), len(inputs)
+    rows: dict[str, FloatArray] = dict(zip(inputs, np.eye(m, n + m, n), strict=True))
+    later = np.zeros((n, n + m))
+    first = 0
+    for stage in stages:
+        a, b, c, d = stage.block
+        last = first + len(a)
+        taken = np.array([rows[name] for name in stage.inputs])
+        shown = d @ taken
+        if last > first:
+            later[first:last] = b @ taken
+            later[first:last, first:last] += a
+            shown[:, first:last] += c
+        rows.update(zip(stage.outputs, shown, strict=True))
+        first = last
+    given = np.array([rows[name] for name in outputs])
+    return later[:, :n], later[:, n:], given[:, :n], given[:, n:]
+
+
+# Which options may be moved by the tuner; the integral action is the user's: it trades ramp error for margin.
+TUNABLE = (
+    "crossover_hz",
+    "damping_hz",
+    "damping2_hz",
+    "lead_hz",
+    "rolloff_hz",
+    "inertial_crossover_hz",
+    "inertial_lead_hz",
+    "inertial_rolloff_hz",
+    "notch_hz",
+    "notch_depth",
+    "notch_width",
+)
+
+
+def upper_bounds(period: float) -> dict[str, float]:
+    """Return the largest values that the tuner may use.
+
+    A roll-off at 0.45 of the sample rate: beyond 1/π of it Tustin's pole turns negative, and near −1 it rings.
+    """
+    rate_hz = 1.0 / period
+    return {
+        "rolloff_hz": 0.45 * rate_hz,
+        "inertial_rolloff_hz": 0.45 * rate_hz,
+        "notch_hz": 0.4 * rate_hz,
+        "notch_depth": 0.999,
+        "notch_width": 1.0,
+    }
+
+
+def starting_values(given: dict[str, float], channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options, those not given from rules of thumb: the nutation frequency sets the scale."""
+    nutation_hz, rate_hz = nutation / (2.0 * np.pi), 1.0 / period
+    out: dict[str, float] = {"crossover_hz": 0.6 * nutation_hz}
+    out["integral_hz"] = 0.04 * given.get("crossover_hz", out["crossover_hz"])
+    if len(channel.momenta):
+        out |= {
+            "damping_hz": 0.9 * nutation_hz,
+            "damping2_hz": 1.1 * nutation_hz,
+            "lead_hz": 0.12 * nutation_hz,
+            "rolloff_hz": 0.4 * rate_hz,
+        }
+        if any(name.startswith("notch") for name in given):
+            out |= {"notch_hz": nutation_hz, "notch_depth": 0.7, "notch_width": 0.3}
+    if any(name.startswith("lag") for name in given):
+        out |= {"lag_hz": 0.1 * given.get("crossover_hz", out["crossover_hz"]), "lag_ratio": 3.0}
+    if any(name.startswith("spin_notch") for name in given):
+        out |= {"spin_notch_hz": _spin_hz(given, channel), "spin_notch_depth": 0.1, "spin_notch_width": 0.1}
+    if channel.inertial:
+        out |= {
+            "inertial_crossover_hz": 0.6 * nutation_hz,
+            "inertial_lead_hz": 0.2 * nutation_hz,
+            "inertial_rolloff_hz": 0.4 * rate_hz,
+        }
+    out = completed("classical", given, out)
+    for name in ("notch_hz", "spin_notch_hz"):
+        if out.get(name, 0.0) >= 0.5 * rate_hz:
+            raise DesignError(f"classical: {name} = {out[name]:g}; expected less than half the sample rate")
+    if not out.get("lag_ratio", 2.0) > 1.0:
+        raise DesignError(
+            f"classical: lag_ratio = {out['lag_ratio']:g}; expected more than 1, the gain at low frequencies"
+        )
+    return out
+
+
+def _spin_hz(given: dict[str, float], channel: Channels) -> float:
+    """Spin frequency of the rotors, Hz, where it is not given."""
+    if "spin_notch_hz" in given:
+        return given["spin_notch_hz"]
+    if not len(channel.spins) or np.ptp(channel.spins) > 1e-3 * channel.spins.max():
+        spins = ", ".join(f"{x / (2.0 * np.pi):.4g}" for x in channel.spins) or "none"
+        raise DesignError(
+            f"classical: spin_notch_hz is not given, and the rotors of this loop spin at {spins} Hz; expected one "
+            f"spin; "
+            "give spin_notch_hz"
+        )
+    return float(channel.spins.mean() / (2.0 * np.pi))
+
+
+def classical_controller(options: dict[str, float], channel: Channels, period: float) -> Block:
+    """Return the sampled controller (u = K y, no hidden sign) for complete `options` (see `starting_values`).
+
+    Parameters
+    ----------
+    options
+        Frequencies in Hz. ``crossover_hz`` ωc; ``integral_hz`` ωi; ``damping_hz``, ``damping2_hz`` d_1 and d_2 of the
+        pair's axes; ``lead_hz`` ωz; ``rolloff_hz`` ωr; ``lag_hz`` ωl and ``lag_ratio``, ``notch_hz``,
+        ``notch_depth``, ``notch_width``, and the same with ``spin_``, where there is one; ``inertial_...`` of the
+        inertial directions.
+    channel
+        Pairs and inertial directions.
+    period
+        s.
+    """
+    count = range(len(channel.basis))
+    directions, torques = [_measured(k) for k in count], [_set(k) for k in count]
+    A, B, C, D = flattened(classical_stages(options, channel, period), directions, torques)
+    basis: FloatArray = channel.basis
+    return A, B @ basis, basis.T @ C, basis.T @ D @ basis
+
+
+def classical_diagram(
+    options: dict[str, float], channel: Channels, period: float, angles: Sequence[str], torques: Sequence[str]
+) -> tuple[Stage, ...]:
+    """Return the same controller block by block, from the `angles` to the `torques` of the gimbals."""
+    count = range(len(channel.basis))
+    into, out = tuple(_measured(k) for k in count), tuple(_set(k) for k in count)
+    return (
+        Stage("directions", "mix", "angles in the directions of the gyros", gain(channel.basis), tuple(angles), into),
+        *classical_stages(options, channel, period),
+        Stage("torques", "mix", "torques back on the gimbals", gain(channel.basis.T), out, tuple(torques)),
+    )
+
+
+def classical_stages(options: dict[str, float], channel: Channels, period: float) -> list[Stage]:
+    """Return the blocks between the measured directions and the torques in these directions."""
+    inputs = [_measured(k) for k in range(len(channel.basis))]
+    out: list[Stage] = []
+    if "spin_notch_hz" in options:
+        for k, source in enumerate(inputs):
+            inputs[k] = f"quiet_{k + 1}"
+            out.append(_notch(options, "spin_notch", f"_{k + 1}", "rotors' spin", source, inputs[k], period))
+    pairs = len(channel.momenta)
+    for pair in range(pairs):
+        out += _pair(options, channel, pair, inputs[2 * pair : 2 * pair + 2], period)
+    for k in range(2 * pairs, len(inputs)):
+        out += _inertial(options, channel, k, inputs[k], period)
+    return out
+
+
+def _pair(options: dict[str, float], channel: Channels, pair: int, inputs: Sequence[str], period: float) -> list[Stage]:
+    """Return the blocks of a gyroscopic pair: a torque about one axis turns the other, so integrals act across."""
+    out: list[Stage] = []
+    crosses, rates = [], []
+    for axis, source in enumerate(inputs, 1):
+        name, where = f"_{pair + 1}_{axis}", f"pair {pair + 1}, axis {axis}"
+        out += _integrated(options, name, where, source, period)
+        if "notch_hz" in options:
+            out.append(_notch(options, "notch", name, where, out[-1].outputs[0], f"sharp{name}", period))
+        crosses.append(out[-1].outputs[0])
+        lead = first_order(1.0, _rad(options, "lead_hz"), 1.0 / _rad(options, "rolloff_hz"), 1.0, period)
+        zero, pole = options["lead_hz"], options["rolloff_hz"]
+        note = f"{where}: (s + wz)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
+        rates.append(f"rate{name}")
+        out.append(Stage(f"lead{name}", "lead", note, lead, (source,), (rates[-1],)))
+    h = channel.momenta[pair]
+    across = h * _rad(options, "crossover_hz")
+    one, two = (
+        -channel.inertias[2 * pair + i] * _rad(options, option)
+        for i, option in enumerate(("damping_hz", "damping2_hz"))
+    )
+    mix = np.array([[0.0, one, -across, 0.0], [across, 0.0, 0.0, two]])
+    note = (
+        f"across: h = {h:.6g} N m s times {options['crossover_hz']:.6g} Hz; direct: inertia times "
+        f"{options['damping_hz']:.6g} and {options['damping2_hz']:.6g} Hz"
+    )
+    sources = (crosses[0], rates[0], crosses[1], rates[1])
+    out.append(Stage(f"pair_{pair + 1}", "mix", note, gain(mix), sources, (_set(2 * pair), _set(2 * pair + 1))))
+    return out
+
+
+def _inertial(options: dict[str, float], channel: Channels, k: int, source: str, period: float) -> list[Stage]:
+    """Return the blocks of a direction without gyroscopic action: a PID."""
+    number = k + 1 - 2 * len(channel.momenta)
+    name, where = f"_inertial_{number}", f"inertial direction {number}"
+    w0, wz = _rad(options, "inertial_crossover_hz"), _rad(options, "inertial_lead_hz")
+    strength = channel.inertias[k] * w0**2 / np.hypot(1.0, w0 / wz)
+    out = _integrated(options, name, where, source, period)
+    lead = first_order(1.0 / wz, 1.0, 1.0 / _rad(options, "inertial_rolloff_hz"), 1.0, period)
+    zero, pole = options["inertial_lead_hz"], options["inertial_rolloff_hz"]
+    note = f"{where}: (s/wz + 1)/(s/wr + 1), zero at {zero:.6g} Hz, pole at {pole:.6g} Hz, by Tustin's rule"
+    out.append(Stage(f"lead{name}", "lead", note, lead, out[-1].outputs, (f"rate{name}",)))
+    note = f"inertia {channel.inertias[k]:.6g} kg m2, crossover at {options['inertial_crossover_hz']:.6g} Hz"
+    out.append(Stage(f"gain{name}", "mix", note, gain(-strength), out[-1].outputs, (_set(k),)))
+    return out
+
+
+def _integrated(options: dict[str, float], name: str, where: str, source: str, period: float) -> list[Stage]:
+    """Return the PI of a direction, and behind it the lag where there is one."""
+    integral = first_order(1.0, _rad(options, "integral_hz"), 1.0, 0.0, period)
+    note = f"{where}: 1 + wi/s, corner at {options['integral_hz']:.6g} Hz, by Tustin's rule"
+    out = [Stage(f"pi{name}", "integral", note, integral, (source,), (f"cross{name}",))]
+    if "lag_hz" in options:
+        corner, ratio = options["lag_hz"], options["lag_ratio"]
+        lag = first_order(1.0, _rad(options, "lag_hz"), 1.0, _rad(options, "lag_hz") / ratio, period)
+        note = f"{where}: (s + wl)/(s + wl/{ratio:.6g}), zero at {corner:.6g} Hz, pole at {corner / ratio:.6g} Hz"
+        out.append(Stage(f"lag{name}", "lag", f"{note}, by Tustin's rule", lag, out[-1].outputs, (f"lagged{name}",)))
+    return out
+
+
+def _notch(
+    options: dict[str, float], option: str, name: str, where: str, source: str, target: str, period: float
+) -> Stage:
+    """Return a notch by the options that begin with `option`."""
+    depth, width = options[f"{option}_depth"], options[f"{option}_width"]
+    block = notch(_rad(options, f"{option}_hz"), depth, width, period)
+    hertz = options[f"{option}_hz"]
+    note = f"{where}: notch at {hertz:.6g} Hz, depth {depth:.6g}, width {width:.6g}, by Tustin's rule prewarped there"
+    return Stage(f"{option}{name}", "notch", note, block, (source,), (target,))
+
+
+def _rad(options: dict[str, float], name: str) -> float:
+    return 2.0 * np.pi * options[name]
+
+
+def _measured(k: int) -> str:
+    return f"direction_{k + 1}"
+
+
+def _set(k: int) -> str:
+    return f"torque_{k + 1}"

@@ -1,0 +1,144 @@
+"""The platform servo: rates from the torques of the caged gyros, angles by integration, torques on the root.
+
+A caged gyro measures: in the steady state Q = G_Omega Omega at zero angles, for the three-gyro platform Q9 = L11
+Omega1, Q5 + Q7 = −(L6 + L8) Omega2, Q10 = −L11 Omega3. The least-squares inverse of G_Omega gives the rates; a
+second-order low-pass keeps the pick-offs' noise out of the root's torquers; then
+
+    M = −J ωc (Omega + ωp ∫Omega dt),        J the inertia of the root with the gimbals at rest in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.classical.caging import Stage, flattened
+from platform_ctrl.design.loop import LoopDesign, completed
+from platform_ctrl.design.partition import Block, first_order, gain, series
+from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.mechanics.linearisation import LinearModel
+
+# A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
+_NO_SHARE = 1e-9
+
+
+def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
+    """Return E with Omega = E Q in the steady state of the caged gyros, (3, used), and the gimbal rows used."""
+    left, sizes, right = np.linalg.svd(model.G_Omega, full_matrices=False)
+    if sizes.size < 3 or sizes[-1] < 1e-6 * sizes[0]:
+        # The last of all three directions, also where fewer gimbals are caged.
+        blind = np.linalg.svd(model.G_Omega)[2][-1]
+        raise DesignError(
+            f"platform-servo: the caged gyros do not see the rate about ({', '.join(f'{x:.2f}' for x in blind)}); "
+            "expected rotors whose torques G_Omega Omega show all three rates",
+            model,
+        )
+    inverse = (right.T / sizes) @ left.T
+    used = [k for k in range(inverse.shape[1]) if np.abs(inverse[:, k]).max() > _NO_SHARE * np.abs(inverse).max()]
+    return inverse[:, used], used
+
+
+def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignSpec) -> LoopDesign:
+    """Return the servo of the three root axes for the options of `design`.
+
+    ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
+    """
+    crossover = design.options.get("crossover_hz", 5.0)
+    defaults = {
+        "crossover_hz": crossover,
+        "position_hz": 0.3 * crossover,
+        "filter_hz": 10.0 * crossover,
+        "filter_damping": 0.7,
+    }
+    options = completed(design.method, design.options, defaults)
+    if options["filter_hz"] >= 0.5 / job.sampling.period:
+        raise DesignError(
+            f"{spec.name}: filter_hz = {options['filter_hz']:g}; expected less than half the sample rate", model
+        )
+    estimate, used = rate_estimate(model)
+    torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
+    roots = {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
+    missing = [model.gimbal_names[k] for k in used if model.gimbal_names[k] not in torquers]
+    if missing or set(roots) != {1, 2, 3}:
+        wanted = f"gimbal {missing[0]}" if missing else "root axes 1, 2 and 3"
+        raise DesignError(f"{spec.name}: no torquer on {wanted}; expected one in the plant file", model)
+    period = job.sampling.period
+    turns, speeds = _per_axis("turn"), _per_axis("speed")
+    axes = flattened(_axis_stages(options, period), turns, speeds)
+    servo = series(gain(estimate), axes, gain(_strength(options, model)))
+    controller = state_space(
+        StateArrays(*servo, dt=period),
+        [torquers[model.gimbal_names[k]] for k in used],
+        [roots[k] for k in (1, 2, 3)],
+        name=f"{spec.name}, {design.name}",
+    )
+    return LoopDesign(
+        loop=spec.name,
+        name=design.name,
+        method=design.method,
+        controller=controller,
+        options=options,
+    )
+
+
+def servo_diagram(
+    options: dict[str, float], model: LinearModel, period: float, torques: Sequence[str], roots: Sequence[str]
+) -> tuple[Stage, ...]:
+    """Return the servo block by block, from the gyros' torques (in `rate_estimate`'s order) to those on the root."""
+    estimate, _ = rate_estimate(model)
+    turns, speeds = _per_axis("turn"), _per_axis("speed")
+    note = f"inertia of the platform times {options['crossover_hz']:.6g} Hz"
+    return (
+        Stage("rates", "mix", "platform rates by least squares from L Omega", gain(estimate), tuple(torques), turns),
+        *_axis_stages(options, period),
+        Stage("servo", "mix", note, gain(_strength(options, model)), speeds, tuple(roots)),
+    )
+
+
+def _axis_stages(options: dict[str, float], period: float) -> list[Stage]:
+    """Return low-pass, integral and their sum for every axis."""
+    rad = {name: 2.0 * np.pi * x for name, x in options.items() if name.endswith("_hz")}
+    low = low_pass(rad["filter_hz"], options["filter_damping"], period)
+    integral = first_order(0.0, 1.0, 1.0, 0.0, period)
+    mix = gain(np.array([[1.0, rad["position_hz"]]]))
+    corner, damping = options["filter_hz"], options["filter_damping"]
+    filtered = f"low-pass at {corner:.6g} Hz, damping {damping:.6g}, by Tustin's rule prewarped there"
+    summed = f"Omega + wp angle: corner at {options['position_hz']:.6g} Hz"
+    out = []
+    for k, (turn, speed) in enumerate(zip(_per_axis("turn"), _per_axis("speed"), strict=True), 1):
+        rate, angle = f"rate_{k}", f"angle_{k}"
+        out.append(Stage(f"low_pass_{k}", "low-pass", filtered, low, (turn,), (rate,)))
+        out.append(
+            Stage(f"integral_{k}", "integral", "1/s, angle from rate, by Tustin's rule", integral, (rate,), (angle,))
+        )
+        out.append(Stage(f"sum_{k}", "mix", summed, mix, (rate, angle), (speed,)))
+    return out
+
+
+def _strength(options: dict[str, float], model: LinearModel) -> FloatArray:
+    """Return −J ωc, (3, 3)."""
+    out: FloatArray = -(2.0 * np.pi * options["crossover_hz"]) * model.root_inertia
+    return out
+
+
+def _per_axis(name: str) -> tuple[str, str, str]:
+    return f"{name}_1", f"{name}_2", f"{name}_3"
+
+
+def low_pass(frequency: float, damping: float, period: float) -> Block:
+    """Return f²/(s² + 2 damping f s + f²), sampled by Tustin's rule prewarped at f = `frequency` rad/s."""
+    two = frequency / np.tan(0.5 * frequency * period)
+    f2, middle = frequency**2, 2.0 * damping * frequency * two
+    a = np.array([two**2 + middle + f2, 2.0 * (f2 - two**2), two**2 - middle + f2])
+    b = np.array([f2, 2.0 * f2, f2]) / a[0]
+    a = a / a[0]
+    return (
+        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
+        np.array([[1.0], [0.0]]),
+        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
+        np.array([[b[0]]]),
+    )

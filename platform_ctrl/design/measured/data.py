@@ -1,0 +1,305 @@
+"""A measured frequency response from a CSV file: every pair of output and input in two columns.
+
+::
+
+    frequency_hz, alpha9/Q9 re, alpha9/Q9 im, alpha9/Q10 re, alpha9/Q10 im, ...
+    0.5, -0.0012, ...
+
+The first column is ``frequency_hz`` or ``frequency_rad_s``. The others are named output/input and what they hold:
+``re`` and ``im``, or ``magnitude`` (or ``magnitude_db``) and ``phase_deg``. Lines that begin with # are comments.
+Columns are parted by commas, semicolons or tabs.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.plant.mistakes import given, one_line, suggestion
+from platform_ctrl.plant.source import path_of, read_text
+
+if TYPE_CHECKING:
+    import control
+
+_FREQUENCIES = {"frequency_hz": 2.0 * np.pi, "frequency_rad_s": 1.0}
+_PARTS = ("re", "im", "magnitude", "magnitude_db", "phase_deg")
+_FORMS = ({"re", "im"}, {"magnitude", "phase_deg"}, {"magnitude_db", "phase_deg"})
+_FEWEST = 3
+# No frequency and no response in whatever units is as large.
+_LARGEST = 1e100
+
+Line = tuple[int, list[str]]
+
+
+def read_measurement(source: str | os.PathLike[str] | TextIO, *, period: float | None = None) -> control.FRD:
+    """Return a measured frequency response with the names of its signals.
+
+    Parameters
+    ----------
+    source
+        Path of a CSV file, or an open text file. Its header names ``frequency_hz`` or ``frequency_rad_s`` first, then
+        two columns for every pair: ``alpha9/Q9 re`` and ``alpha9/Q9 im``, or ``alpha9/Q9 magnitude`` (or
+        ``magnitude_db``) and ``alpha9/Q9 phase_deg``.
+    period
+        Sample period, s, where commands and pick-off were sampled: the response is then that of the sampled plant, its
+        hold included.
+
+    Returns
+    -------
+    control.FRD
+        Inputs and outputs in the order in which the header names them first; ``dt`` the period, or 0.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a line of it makes no sense; the message names the line.
+    ArgumentError
+        `period` is not a number above zero.
+    """
+    if hasattr(source, "read"):
+        label, text = one_line(str(getattr(source, "name", "measurement"))), str(source.read())
+    else:
+        path = path_of(source, "the path of a CSV file")
+        label, text = one_line(str(path)), read_text(path, "a CSV file")
+    (number, header), *lines = _lines(label, text)
+    unit, outputs, inputs, columns = _columns(f"{label}, line {number}", header)
+    numbers = np.array([_numbers(f"{label}, line {k}", header, row) for k, row in lines])
+    if len(lines) < _FEWEST:
+        raise InputError(f"{label}: {len(lines)} frequencies; expected at least {_FEWEST}")
+    _judge_frequency(label, header[0], [k for k, _ in lines], numbers[:, 0])
+    frequency = unit * numbers[:, 0]
+    dt = 0.0
+    if period is not None:
+        dt = positive("read_measurement: period", period)
+        if frequency[-1] > np.pi / dt * (1.0 + 1e-9):
+            raise InputError(
+                f"{label}, line {lines[-1][0]}: {header[0]} = {numbers[-1, 0]:g} lies above half the sample rate, "
+                f"{np.pi / dt / unit:g}; expected frequencies up to there"
+            )
+    response = np.empty((len(outputs), len(inputs), len(lines)), dtype=np.complex128)
+    for (output, given_input), parts in columns.items():
+        values = _value(numbers, parts)
+        _judge_values(label, [k for k, _ in lines], f"{output}/{given_input}", numbers, parts, values)
+        response[outputs.index(output), inputs.index(given_input)] = values
+    control = import_module("control")
+    return control.FRD(response, frequency, dt, inputs=inputs, outputs=outputs)
+
+
+def _lines(label: str, text: str) -> list[Line]:
+    """The lines that are neither empty nor comments, with their numbers in the file; the header is the first."""
+    numbered = enumerate(text.removeprefix("\ufeff").splitlines(), 1)
+    kept = [(k, line) for k, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+    if not kept:
+        raise InputError(f"{label}: is empty; expected a header such as: frequency_hz,alpha9/Q9 re,alpha9/Q9 im")
+    head = kept[0][1]
+    mark = max(",;\t", key=head.count)
+    out: list[Line] = []
+    for k, line in kept:
+        try:
+            [cells] = csv.reader(io.StringIO(line), delimiter=mark, strict=True)
+        except (csv.Error, ValueError) as error:
+            raise InputError(f"{label}, line {k}: is not CSV: {one_line(str(error))}") from None
+        out.append((k, [cell.strip() for cell in cells]))
+    return out
+
+
+def _columns(
+    where: str, header: list[str]
+) -> tuple[float, list[str], list[str], dict[tuple[str, str], dict[str, int]]]:
+    """Unit of the frequency, names of outputs and inputs, and the columns of every pair by what they hold."""
+    if header[0] not in _FREQUENCIES:
+        raise InputError(f"{where}: the first column is {given(header[0])}; expected frequency_hz or frequency_rad_s")
+    outputs: list[str] = []
+    inputs: list[str] = []
+    columns: dict[tuple[str, str], dict[str, int]] = {}
+    for k, name in enumerate(header[1:], 1):
+        pair, _, part = name.rpartition(" ")
+        output, slash, an_input = (word.strip() for word in pair.partition("/"))
+        if not (output and slash and an_input):
+            raise InputError(f'{where}: column {k + 1} is {given(name)}; expected a name such as "alpha9/Q9 re"')
+        if part not in _PARTS:
+            raise InputError(
+                f"{where}: column {k + 1} is {given(name)}, which holds {given(part)}: {suggestion(part, _PARTS)}"
+            )
+        held = columns.setdefault((output, an_input), {})
+        if part in held:
+            raise InputError(f"{where}: {given(name)} stands there twice; expected it once")
+        held[part] = k
+        outputs += [output] if output not in outputs else []
+        inputs += [an_input] if an_input not in inputs else []
+    if not columns:
+        raise InputError(f'{where}: there are no columns but the frequency; expected some such as "alpha9/Q9 re"')
+    for output in outputs:
+        for an_input in inputs:
+            held = columns.get((output, an_input), {})
+            if set(held) not in _FORMS:
+                has = f"has {', '.join(held)}" if held else "is missing"
+                raise InputError(
+                    f"{where}: {output}/{an_input} {has}; expected re and im, or magnitude (or magnitude_db) and "
+                    f"phase_deg, "
+                    "for every pair of output and input"
+                )
+    return _FREQUENCIES[header[0]], outputs, inputs, columns
+
+
+def _numbers(where: str, header: list[str], row: list[str]) -> list[float]:
+    if len(row) != len(header):
+        raise InputError(f"{where}: has {len(row)} columns; expected {len(header)} as in the header")
+    out = []
+    for name, cell in zip(header, row, strict=True):
+        try:
+            number = float(cell)
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            raise InputError(f"{where}: {name} = {given(cell)}; expected a finite number")
+        out.append(number)
+    return out
+
+
+def _judge_frequency(label: str, name: str, lines: list[int], frequency: FloatArray) -> None:
+    before = 0.0
+    for line, f in zip(lines, frequency, strict=True):
+        if not f > before:
+            raise InputError(f"{label}, line {line}: {name} = {f:g} after {before:g}; expected rising frequencies > 0")
+        before = float(f)
+    if before > _LARGEST:
+        raise InputError(f"{label}, line {lines[-1]}: {name} = {before:g}; expected at most {_LARGEST:g}")
+
+
+def _judge_values(
+    label: str, lines: list[int], pair: str, numbers: FloatArray, parts: dict[str, int], values: ComplexArray
+) -> None:
+    if "magnitude" in parts and (below := numbers[:, parts["magnitude"]] < 0.0).any():
+        k = int(below.argmax())
+        raise InputError(
+            f"{label}, line {lines[k]}: {pair} magnitude = {numbers[k, parts['magnitude']]:g}; expected 0 or more: "
+            "the sign belongs into phase_deg"
+        )
+    if (wrong := ~(np.abs(values.real) + np.abs(values.imag) < _LARGEST)).any():
+        k = int(wrong.argmax())
+        raise InputError(f"{label}, line {lines[k]}: {pair} is too large a number; expected less than {_LARGEST:g}")
+
+
+def _value(numbers: FloatArray, parts: dict[str, int]) -> ComplexArray:
+    held = {part: numbers[:, k] for part, k in parts.items()}
+    if "re" in held:
+        return np.asarray(held["re"] + 1j * held["im"], dtype=np.complex128)
+    with np.errstate(over="ignore"):
+        size = held["magnitude"] if "magnitude" in held else 10.0 ** (held["magnitude_db"] / 20.0)
+    # What is too large is named later, with its line.
+    size = np.minimum(size, 10.0 * _LARGEST)
+    return np.asarray(size * np.exp(1j * np.radians(held["phase_deg"])), dtype=np.complex128)
+
+
+_FEWEST_POINTS = 10
+# Determinants of responses in any sensible units stay finite.
+_LARGEST_RESPONSE = 1e50
+
+
+@value
+class Measured:
+    """Frequency responses of one plant, or of several that one controller has to serve.
+
+    Attributes
+    ----------
+    frequency : tuple of (N_k,)
+        rad/s, rising, of every plant.
+    response : tuple of complex (N_k, n, n)
+        Torques to angles, dead time and hold included.
+    torques, angles
+        Names of the signals.
+    period
+        Of the controller, s; 0 for a continuous one.
+    """
+
+    frequency: tuple[FloatArray, ...]
+    response: tuple[ComplexArray, ...]
+    torques: tuple[str, ...]
+    angles: tuple[str, ...]
+    period: float
+
+
+def measured_plants(
+    measurement: control.FRD | Sequence[control.FRD], dead_time: float, period: float | None, hold: bool
+) -> Measured:
+    """Return the responses of `measurement` as the controller sees them."""
+    dead_time = positive("measured_pid: dead_time", dead_time, zero=True)
+    T = 0.0 if period is None else positive("measured_pid: period", period)
+    if hold and not T:
+        raise ArgumentError("measured_pid: hold = True without a period; expected the sample period of the hold in s")
+    several: list[Any] = list(measurement) if isinstance(measurement, list | tuple) else [measurement]
+    if not several:
+        raise ArgumentError("measured_pid: given no measurement; expected a control.FRD or several")
+    frequency, response = [], []
+    first = several[0]
+    for k, one in enumerate(several, 1):
+        where = "measured_pid: the measurement" if len(several) == 1 else f"measured_pid: measurement {k}"
+        w, H, dt = _arrays(one, where)
+        if dt > 0.0 and T > 0.0 and abs(dt - T) > 1e-9 * T:
+            raise ArgumentError(f"{where} has dt = {dt:g} s and period = {T:g} s; expected the same")
+        if dt > 0.0 and hold:
+            raise ArgumentError(f"{where} is sampled (dt = {dt:g} s), its hold is in it; expected hold = False")
+        T = T or dt
+        if H.shape[1] != H.shape[2]:
+            raise ArgumentError(f"{where} has {H.shape[1]} outputs and {H.shape[2]} inputs; expected as many of both")
+        if list(one.input_labels) != list(first.input_labels) or list(one.output_labels) != list(first.output_labels):
+            raise ArgumentError(
+                f"{where} has inputs {list(one.input_labels)} and outputs {list(one.output_labels)}, the first one "
+                f"{list(first.input_labels)} and {list(first.output_labels)}; expected the same in the same order"
+            )
+        if T > 0.0:
+            inside = w <= np.pi / T * (1.0 + 1e-9)
+            w, H = w[inside], H[inside]
+        if len(w) < _FEWEST_POINTS:
+            raise ArgumentError(
+                f"{where} has {len(w)} frequencies below half the sample rate; expected {_FEWEST_POINTS} or more"
+            )
+        size = np.abs(H).max(axis=(1, 2))
+        if not (size.min() > 1.0 / _LARGEST_RESPONSE and size.max() < _LARGEST_RESPONSE):
+            k = int(
+                (size > 1.0 / _LARGEST_RESPONSE).argmin() if size.min() <= 1.0 / _LARGEST_RESPONSE else size.argmax()
+            )
+            raise ArgumentError(
+                f"{where} has a response of {size[k]:.3g} at {w[k] / (2.0 * np.pi):.4g} Hz; expected rad/(N m), no "
+                f"zeros, nothing above {_LARGEST_RESPONSE:g}"
+            )
+        factor = np.exp(-1j * w * dead_time)
+        if hold:
+            # A held torque: (1 − e^{−jωT})/(jωT). What folds back from above half the sample rate was not measured.
+            factor = factor * np.exp(-0.5j * w * T) * np.sinc(0.5 * w * T / np.pi)
+        frequency.append(w)
+        response.append(np.asarray(H * factor[:, None, None], dtype=np.complex128))
+    return Measured(
+        frequency=tuple(frequency),
+        response=tuple(response),
+        torques=tuple(first.input_labels),
+        angles=tuple(first.output_labels),
+        period=T,
+    )
+
+
+def _arrays(one: control.FRD, where: str) -> tuple[FloatArray, ComplexArray, float]:
+    try:
+        H, w, dt = np.asarray(one.frdata), np.asarray(one.omega, dtype=np.float64), one.dt
+    except AttributeError:
+        raise ArgumentError(
+            f"{where} is {short(type(one).__name__)}; expected a control.FRD, see read_measurement"
+        ) from None
+    if dt is True:
+        raise ArgumentError(f"{where} is sampled without a period (dt=True); expected dt in s")
+    if not (np.all(np.isfinite(H)) and np.all(np.isfinite(w)) and np.all(np.diff(w) > 0.0) and w[0] >= 0.0):
+        raise ArgumentError(f"{where} is not finite, or its frequencies do not rise from >= 0; expected both")
+    kept = w > 0.0
+    return w[kept], np.moveaxis(H[:, :, kept], -1, 0), float(dt or 0.0)

@@ -1,0 +1,419 @@
+"""Stabilising solutions of algebraic Riccati equations, continuous and discrete.
+
+A first solution comes from the ordered real Schur form of the Hamiltonian matrix (Laub, IEEE Transactions on Automatic
+Control 24, 1979) or from SciPy's ordered QZ form of the extended pencil, whichever has a stable loop. Newton's method
+(Kleinman, ibid. 13, 1968; Hewer, ibid. 16, 1971) then takes back what it has lost, with residuals that are worked out
+in more digits: what a nearly singular weight takes from a residual in double precision would be its limit.
+
+None means that there is no stabilising solution: an eigenvalue lies on the stability boundary. Where double precision
+cannot tell, the eigenvalues are found in more digits.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.certificates.intervals import Balls, balls, blocks, identity
+from platform_ctrl.common.values import FloatArray
+
+# Eigenvalues of a Hamiltonian matrix nearer to the imaginary axis than this share of its norm lie on it.
+AXIS = 1e-10
+# Largest asymmetry of a Riccati solution before it is made symmetric, relative to it, and what counts as zero when
+# the matrices of the equation are near one: the solution 0 comes out as rounding.
+SYMMETRY, ZERO = 1e-6, 1e-9
+# Steps of Newton's method at most, and the share of the residual that a step has to leave less than.
+NEWTON_STEPS, NEWTON_PROGRESS = 30, 0.7
+# Step of Newton's method, in units in which the diagonal of X is near one, that X in doubles does not feel.
+NO_STEP = 1e-18
+# Smallest entry on the diagonal of X that units of the states bring to one, relative to the largest.
+SMALLEST_COST = 1e-24
+# Residual over the largest term from which on a residual has to fall, and steps at most until it is as small.
+DISTANT, DISTANT_STEPS = 1e-2, 100
+# Bits of a residual, and states up to which it is worked out in them.
+BITS, PRECISE_STATES = 128, 128
+# Decay of a pole in times of its rounding, or over the norm of the loop's matrix (of sampled loops over 1), with which
+# it is not on the stability boundary; and over that norm where nothing better tells.
+SURE, DEEP, FAR = 1e3, 0.2, 1e-3
+# Else the eigenvalues are found in so many bits, up to so many states. On the boundary is one with less decay over its
+# size, or less size over the largest one's: several that meet in a point are parted by a root of the rounding unit.
+EIGENVALUE_BITS, EIGENVALUE_STATES, NO_DECAY, NO_SIZE = 400, 40, 1e-14, 1e-20
+
+
+class Equation(NamedTuple):
+    """A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0, or A'XA − X + Q − (A'XB + N) (R + B'XB)⁻¹ (B'XA + N') = 0."""
+
+    A: FloatArray
+    B: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    N: FloatArray
+    discrete: bool
+
+
+# F, W, the residual, and the size of its largest term.
+Judged = tuple[FloatArray, FloatArray, FloatArray, float]
+
+
+class Subspace(NamedTuple):
+    """What the ordered Schur form of a Hamiltonian matrix says.
+
+    Attributes
+    ----------
+    X
+        The stabilising solution, symmetric; None where there is none.
+    eigenvalues : complex (2n,)
+        Of the Hamiltonian matrix.
+    distance
+        Of the eigenvalues from the imaginary axis, relative to the norm of the matrix.
+    """
+
+    X: FloatArray | None
+    eigenvalues: ComplexArray
+    distance: float
+
+
+def _in_left_half(real: float, imaginary: float) -> bool:
+    return real < 0.0
+
+
+def stabilising(H: FloatArray, axis: float = AXIS) -> Subspace:
+    """Return the stabilising solution of the equation with the Hamiltonian matrix H = [A, −S; −Q, −A'].
+
+    X makes A − S X stable and solves A'X + XA − XSX + Q = 0. Eigenvalues nearer to the imaginary axis than `axis` times
+    the norm of H count as on it.
+    """
+    from scipy.linalg import lapack
+
+    n = len(H) // 2
+    size = float(np.linalg.norm(H))
+    if not np.isfinite(size):
+        return Subspace(None, np.zeros(0, dtype=np.complex128), 0.0)
+    _, stable, real, imaginary, U, _, failed = lapack.dgees(
+        _in_left_half, np.array(H, order="F"), lwork=max(1, 70 * n), sort_t=1, overwrite_a=1
+    )
+    eigenvalues = real + 1j * imaginary
+    distance = float(np.abs(real).min(initial=np.inf)) / size if size else 0.0
+    # Eigenvalues on the axis come out on either side of it, sometimes n on each.
+    if failed or stable != n or distance < axis:
+        return Subspace(None, eigenvalues, distance)
+    try:
+        X = np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T
+    except np.linalg.LinAlgError:
+        return Subspace(None, eigenvalues, distance)
+    # Then their subspace is not Lagrangian.
+    if not np.linalg.norm(X - X.T) <= SYMMETRY * np.linalg.norm(X) + ZERO:
+        return Subspace(None, eigenvalues, distance)
+    return Subspace(0.5 * (X + X.T), eigenvalues, distance)
+
+
+def riccati_solution(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, discrete: bool
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, the gain F = −W⁻¹(B'X + N') that makes A + B F stable, and W = R, or None.
+
+    X solves A'X + XA + Q − (XB + N) R⁻¹ (B'X + N') = 0: of all inputs that bring x to rest, the least of
+    ∫ x'Qx + 2 x'Nu + u'Ru is x'Xx. R is positive definite; Q need not be.
+
+    Of discrete equations, A'XA − X + Q − (A'XB + N) W⁻¹ (B'XA + N') = 0 with W = R + B'XB and F = −W⁻¹(B'XA + N'): the
+    same for the sum, where W is positive definite. R may be singular, W must not be.
+    """
+    equation = Equation(A, B, Q, R, N, discrete)
+    for start in _starts(equation):
+        found = _refined(equation, start)
+        if found is not None:
+            return found if _off_boundary(equation, *found) else None
+    if len(A) <= EIGENVALUE_STATES:
+        eigenvalues, X = _in_many_digits(equation)
+        if _on_boundary(eigenvalues):
+            return None
+        found = None if X is None else _refined(equation, X)
+        if found is not None:
+            return found
+    raise np.linalg.LinAlgError("no stabilising solution of the Riccati equation was found")
+
+
+def _starts(equation: Equation) -> Iterator[FloatArray]:
+    """Go through what the two methods find, each at its time."""
+    if not equation.discrete:
+        try:
+            X = stabilising(_hamiltonian(equation), axis=0.0).X
+        except np.linalg.LinAlgError:
+            X = None
+        if X is not None:
+            yield X
+    for balanced in (True, False):
+        X = by_pencil(equation, balanced)
+        if X is not None:
+            yield X
+
+
+def by_pencil(equation: Equation, balanced: bool = True) -> FloatArray | None:
+    """Return the solution by SciPy's ordered QZ form of the extended pencil, or None."""
+    from scipy.linalg import solve_continuous_are, solve_discrete_are
+
+    A, B, Q, R, N, discrete = equation
+    solve = solve_discrete_are if discrete else solve_continuous_are
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            X = np.asarray(solve(A, B, Q, R, s=N, balanced=balanced), dtype=np.float64)
+        except (np.linalg.LinAlgError, ValueError, ArithmeticError):
+            return None
+    return 0.5 * (X + X.T) if np.all(np.isfinite(X)) else None
+
+
+def _refined(equation: Equation, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, F and W after Newton's method from X; None where the loop of F is not stable."""
+    found = _judged(equation, X)
+    if found is None:
+        return None
+    X, found = _near(equation, X, found)
+    unit = _cost_units(X)
+    left = _size(found[2], unit)
+    for _ in range(NEWTON_STEPS):
+        closed = equation.A + equation.B @ found[0]
+        # States that hardly cost anything suit the given units better.
+        for s in (unit, np.ones(len(X))):
+            step = _step(closed, found[2], s, equation.discrete)
+            if step is None or np.all(np.abs(step * unit * unit[:, None]) <= NO_STEP):
+                continue
+            better = _judged(equation, X + step)
+            if better is not None and _size(better[2], unit) < NEWTON_PROGRESS * left:
+                X, found = X + step, better
+                left = _size(found[2], unit)
+                break
+        else:
+            break
+    return X, found[0], found[1]
+
+
+def _near(equation: Equation, X: FloatArray, found: Judged) -> tuple[FloatArray, Judged]:
+    """Return a solution from which Newton's method converges at once.
+
+    From any stable loop it converges in the end, at first by a factor of four a step, but the first residual may be
+    larger than that of the start.
+    """
+    first = X, found
+    for _ in range(DISTANT_STEPS):
+        if float(np.linalg.norm(found[2])) <= DISTANT * found[3]:
+            return X, found
+        step = _step(equation.A + equation.B @ found[0], found[2], _cost_units(X), equation.discrete)
+        better = None if step is None else _judged(equation, X + step)
+        if step is None or better is None:
+            return first
+        X, found = X + step, better
+    return first
+
+
+def _cost_units(X: FloatArray) -> FloatArray:
+    """Return units of the states in which the diagonal of X is near one.
+
+    There the loop is nearly dissipative, and small entries count as much as large ones.
+    """
+    costs = np.abs(np.diag(X))
+    costs = np.maximum(costs, SMALLEST_COST * (float(costs.max(initial=0.0)) or 1.0))
+    return np.asarray(np.exp2(-np.round(0.5 * np.log2(costs))))
+
+
+def _step(closed: FloatArray, residual: FloatArray, unit: FloatArray, discrete: bool) -> FloatArray | None:
+    """Return Newton's step, by a Lyapunov (Stein) equation in units of the states."""
+    from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+    scaled, right = (closed * unit / unit[:, None]).T, residual * unit * unit[:, None]
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            step = solve_discrete_lyapunov(scaled, right) if discrete else solve_continuous_lyapunov(scaled, -right)
+        except (np.linalg.LinAlgError, ValueError):
+            return None
+    step = 0.5 * (step + step.T) / unit / unit[:, None]
+    return step if np.all(np.isfinite(step)) else None
+
+
+def _size(residual: FloatArray, unit: FloatArray) -> float:
+    """Return the size of a residual, in the given units times in others."""
+    return float(np.linalg.norm(residual)) * float(np.linalg.norm(residual * unit * unit[:, None]))
+
+
+def _judged(equation: Equation, X: FloatArray) -> Judged | None:
+    """Return F and W of X, the residual and the size of its largest term; None where the loop of F is not stable."""
+    try:
+        found = _evaluated(equation, X)
+    except (np.linalg.LinAlgError, ZeroDivisionError):
+        return None
+    F, _, residual, _ = found
+    if not (np.all(np.isfinite(F)) and np.all(np.isfinite(residual))):
+        return None
+    poles = np.linalg.eigvals(equation.A + equation.B @ F)
+    inside = np.abs(poles).max(initial=0.0) < 1.0 if equation.discrete else poles.real.max(initial=-1.0) < 0.0
+    return found if inside else None
+
+
+def _evaluated(equation: Equation, X: FloatArray) -> Judged:
+    return _in_digits(equation, X) if len(X) <= PRECISE_STATES else _in_doubles(equation, X)
+
+
+def _in_doubles(equation: Equation, X: FloatArray) -> Judged:
+    A, B, Q, R, N, discrete = equation
+    terms = [A.T @ X @ A, -X, Q] if discrete else [A.T @ X, X @ A, Q]
+    cross, W = (A.T @ X @ B + N, R + B.T @ X @ B) if discrete else (X @ B + N, R)
+    F = np.asarray(-np.linalg.solve(W, cross.T), dtype=np.float64)
+    terms.append(cross @ F)
+    residual = terms[0] + terms[1] + terms[2] + terms[3]
+    return F, W, 0.5 * (residual + residual.T), max(float(np.linalg.norm(term)) for term in terms)
+
+
+def _in_digits(equation: Equation, X: FloatArray) -> Judged:
+    """As `_in_doubles`, rounded to doubles at the end alone."""
+    import flint
+
+    with flint.ctx.workprec(BITS):
+        A, B, Q, R, N, P = (balls(item) for item in (*equation[:5], X))
+        At, PB = A.transpose(), P * B
+        terms = [At * (P * A), -1 * P, Q] if equation.discrete else [At * P, P * A, Q]
+        cross, W = (At * PB + N, R + B.transpose() * PB) if equation.discrete else (PB + N, R)
+        F = -1 * W.mid().solve(cross.transpose().mid(), algorithm="approx")
+        terms.append(cross * F)
+        size = max(float(np.linalg.norm(_doubles(term))) for term in terms)
+        residual = _doubles(terms[0] + terms[1] + terms[2] + terms[3])
+        return _doubles(F), _doubles(W), 0.5 * (residual + residual.T), size
+
+
+def _doubles(matrix: Balls) -> FloatArray:
+    return np.array([float(x) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())
+
+
+def _off_boundary(equation: Equation, X: FloatArray, F: FloatArray, W: FloatArray) -> bool:
+    """Return whether the solution belongs to a pencil without eigenvalues on the stability boundary.
+
+    With the loop's eigenvalue λ of decay d, and its right and left eigenvectors v and w, a residual E leaves the
+    eigenvalues λ and −λ* of the Hamiltonian matrix apart as long as d² > |w'Sw| |v'Ev|, S = B R⁻¹ B'.
+    """
+    from scipy.linalg import eig
+
+    closed = equation.A + equation.B @ F
+    poles, left, right = eig(closed, left=True, right=True)
+    decay = 1.0 - np.abs(poles) if equation.discrete else -poles.real
+    eps, n = float(np.finfo(np.float64).eps), len(closed)
+    _, _, residual, size = _evaluated(equation, X)
+    with np.errstate(all="ignore"):
+        left = left / np.abs(np.einsum("ij,ij->j", left.conj(), right))
+        input_gain = np.einsum(
+            "ij,jk,ki->i", left.conj().T, equation.B @ np.linalg.lstsq(W, equation.B.T)[0], left
+        ).real
+        rounding = eps * np.linalg.norm(closed) * np.linalg.norm(left, axis=0)
+        error = float(np.linalg.norm(residual)) + math.sqrt(n) * eps * size
+        apart = (decay > SURE * rounding) & (decay * decay > SURE * np.abs(input_gain) * error)
+    scale = 1.0 if equation.discrete else float(np.linalg.norm(closed, 2))
+    # Several that meet in a point (the states of a delay) have no eigenvectors to tell by.
+    if np.all(apart | (decay > DEEP * scale)):
+        return True
+    if n <= EIGENVALUE_STATES:
+        return not _on_boundary(_in_many_digits(equation)[0])
+    return bool(np.all(decay > FAR * scale))
+
+
+def _on_boundary(eigenvalues: ComplexArray) -> bool:
+    """Return whether one of the eigenvalues found in many digits lies on the imaginary axis."""
+    size = np.abs(eigenvalues)
+    near = np.abs(eigenvalues.real) <= NO_DECAY * size
+    return bool(np.any(near | (size <= NO_SIZE * size.max(initial=0.0))))
+
+
+def well_conditioned(closed: FloatArray, X: FloatArray, discrete: bool) -> bool:
+    """Return whether the poles of the loop are stable by much more than rounding, in the units of the costs X.
+
+    A loop that is so proves that its plant is stabilisable, however small the entries by which it is.
+    """
+    from scipy.linalg import eig
+
+    unit = _cost_units(X)
+    scaled = closed * unit / unit[:, None]
+    poles, left, right = eig(scaled, left=True, right=True)
+    decay = 1.0 - np.abs(poles) if discrete else -poles.real
+    with np.errstate(all="ignore"):
+        condition = 1.0 / np.abs(np.einsum("ij,ij->j", left.conj(), right))
+        return bool(np.all(decay > SURE * np.finfo(np.float64).eps * np.linalg.norm(scaled) * condition))
+
+
+def _in_many_digits(equation: Equation) -> tuple[ComplexArray, FloatArray | None]:
+    """Return the eigenvalues of the Hamiltonian (symplectic) pencil, in the half plane; and X if n of them are stable.
+
+    Where the pencil has lost its meaning, the eigenvalue 0 alone.
+    """
+    import flint
+
+    n = len(equation.A)
+    with flint.ctx.workprec(EIGENVALUE_BITS):
+        A, B, Q, R, N = (balls(item) for item in equation[:5])
+        try:
+            if equation.discrete:
+                H = _in_half_plane(A, B, Q, R, N)
+            else:
+                into, across = R.solve(B.transpose()), R.solve(N.transpose())
+                left = A - B * across
+                H = blocks([[left, -1 * (B * into)], [N * across - Q, -1 * left.transpose()]])
+            values, vectors = flint.acb_mat(H.mid()).eig(right=True, algorithm="approx")
+            eigenvalues = np.array([complex(float(one.real), float(one.imag)) for one in values])
+            stable = [k for k, one in enumerate(eigenvalues) if one.real < 0.0]
+            if len(stable) != n:
+                return eigenvalues, None
+            top, bottom = (
+                flint.acb_mat([[vectors[i, k] for i in range(first, first + n)] for k in stable]) for first in (0, n)
+            )
+            X = top.solve(bottom, algorithm="approx")
+        except ZeroDivisionError:
+            # R is singular; or the pencil at z = −1, an eigenvalue on the unit circle; or there is no X.
+            return np.zeros(1, dtype=np.complex128), None
+        found = np.array([float(x.real) for x in X.entries()]).reshape(n, n)
+    return eigenvalues, 0.5 * (found + found.T) if np.all(np.isfinite(found)) else None
+
+
+def _in_half_plane(A: Balls, B: Balls, Q: Balls, R: Balls, N: Balls) -> Balls:
+    """Return a matrix with the eigenvalues w = (z − 1)/(z + 1) of the extended symplectic pencil, by Cayley's map."""
+    n, m = A.nrows(), B.ncols()
+    one, zero, empty = identity(n), balls(np.zeros((n, n))), balls(np.zeros((n, m)))
+    M = blocks([[A, zero, B], [-1 * Q, one, -1 * N], [N.transpose(), empty.transpose(), R]])
+    none = balls(np.zeros((m, m)))
+    L = blocks([[one, zero, empty], [zero, A.transpose(), empty], [empty.transpose(), -1 * B.transpose(), none]])
+    return (M + L).solve(M - L)
+
+
+def _hamiltonian(equation: Equation) -> FloatArray:
+    A, B, Q, R, N, _ = equation
+    into = np.linalg.solve(R, np.hstack([B.T, N.T]))
+    left = A - B @ into[:, len(A) :]
+    return np.block([[left, -B @ into[:, : len(A)]], [N @ into[:, len(A) :] - Q, -left.T]])
+
+
+def relative_residual(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
+) -> float:
+    """Return the residual of the equation at X relative to the largest of its terms."""
+    equation = Equation(A, B, Q, R, N, discrete)
+    _, _, residual, size = _evaluated(equation, X)
+    return float(np.linalg.norm(residual)) / size if size else 0.0
+
+
+def relative_error(
+    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, N: FloatArray, X: FloatArray, discrete: bool
+) -> float:
+    """Return the step that Newton's method would still take from X, in units in which the diagonal of X is near one.
+
+    It is how far X is from the solution. The residual may be large beside it: with cheap control, what rounding an
+    entry of X leaves of terms that cancel.
+    """
+    equation = Equation(A, B, Q, R, N, discrete)
+    found = _judged(equation, X)
+    if found is None:
+        return math.inf
+    unit, closed = _cost_units(X), A + B @ found[0]
+    steps = [_step(closed, found[2], s, discrete) for s in (unit, np.ones(len(X)))]
+    sizes = [float(np.abs(step * unit * unit[:, None]).max()) for step in steps if step is not None]
+    return min(sizes, default=math.inf)

@@ -1,0 +1,263 @@
+"""H2 synthesis by two Riccati equations: the optimal controller is state feedback on the optimal estimate.
+
+Continuous plants as in Zhou, Doyle and Glover, Robust and Optimal Control (1996), section 14.5, with a direct path
+D11 that a static gain can cancel; sampled plants with the estimate of the present state and disturbance, so that u[k]
+uses y[k]. The problem is solved in scaled units and judged by the closed loop of the plant as given.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.common.arguments import one_of, positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.lower_bounds import h2_lower_bound
+from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
+from platform_ctrl.design.riccati.assumptions import (
+    regularised,
+    require_full_rank,
+    require_no_zero_on_axis,
+    without_direct_path,
+    zero_on_axis,
+)
+from platform_ctrl.design.riccati.equations import relative_residual, riccati_solution
+from platform_ctrl.design.scaling import ScaledPlant, autoscale, autoscaled_with_gain, require_stabilisable, unscale
+from platform_ctrl.design.synthesis import Method, Synthesis, certify, require_regularisation, require_time_limit
+from platform_ctrl.errors import UnscalableError
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+WHERE = "h2, riccati"
+# The recomputed norm may exceed the optimum by this share.
+TOLERANCE = 1e-6
+NO_SOLUTION = (
+    "has no stabilising solution in the scaled units; expected modes on the stability boundary well within reach of u "
+    'and y, and no zeros near it; give method="lmi", or regularise=1e-3'
+)
+
+
+@check_arguments
+def h2(
+    P: StateSpace,
+    nmeas: int,
+    ncon: int,
+    *,
+    method: Method = "riccati",
+    direct: bool = True,
+    backoff: float = 0.01,
+    time_limit: float = 60.0,
+    regularise: float | None = None,
+) -> Synthesis:
+    """Full-order H2 output feedback (LQG in its general form), certified by the actual closed loop.
+
+    Parameters
+    ----------
+    P
+        Continuous or sampled plant with inputs [w, u] and outputs [z, y], as in `control.h2syn`. The norm is the rms of
+        z for white w of unit density (sampled: unit variance).
+    nmeas, ncon
+        Number of measurements y and of controls u: the last outputs and the last inputs.
+    method
+        ``"riccati"``: two Riccati equations; ``"lmi"``: linear matrix inequalities, which need no rank of D12 and D21.
+    direct
+        Sampled plants: whether u[k] may use y[k]. False gives the best strictly proper controller.
+    backoff
+        LMI route alone: relative distance from the least norm, positive. The Riccati route attains the least norm.
+    time_limit
+        Longest time that one call of the LMI solver may take, s.
+    regularise
+        As in `hinf`, relative.
+
+    Returns
+    -------
+    Synthesis
+        With ``norm = "h2"``.
+
+    Raises
+    ------
+    ArgumentError
+        P, nmeas, ncon or an option do not make sense.
+    NotStabilisableError, IllPosedError
+        A mode is out of reach, or an assumption does not hold; the message names it.
+    UnscalableError, TimeLimitError, InfeasibleError
+        The route failed.
+    NotCertifiedError
+        The controller does not reach what was promised.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, section 14.5.
+
+    C. Scherer, P. Gahinet, M. Chilali, IEEE Trans. Automatic Control 42, 1997.
+
+    M. C. de Oliveira, J. C. Geromel, J. Bernussou, Int. J. Control 75, 2002.
+    """
+    one_of("h2: method", method, ("riccati", "lmi"))
+    backoff = positive("h2: backoff", backoff)
+    require_time_limit("h2", time_limit)
+    require_regularisation("h2", method, regularise)
+    plant = partition(P, nmeas, ncon, sampled=True)
+    require_stabilisable(plant, P, "h2")
+    if method == "lmi":
+        from platform_ctrl.design.lmi.h2 import h2_lmi
+
+        made, least, residual = h2_lmi(plant, direct, backoff, time_limit, P)
+        tolerance = 0.01
+    else:
+        try:
+            if plant.dt:
+                made, least, residual = _sampled(plant, direct, P, regularise)
+            else:
+                made, least, residual = _continuous(plant, P, regularise)
+        except np.linalg.LinAlgError as error:
+            raise UnscalableError(
+                f'{WHERE}: {str(error).lower()} within the scaled problem; give method="lmi"', P
+            ) from None
+        backoff, tolerance = 0.0, TOLERANCE
+    return certify(
+        P,
+        plant,
+        made,
+        gamma_optimal=h2_lower_bound(plant, direct),
+        least=least,
+        backoff=backoff,
+        method=f"h2, {method}",
+        residual=residual,
+        norm="h2",
+        tolerance=tolerance,
+    )
+
+
+def _continuous(
+    plant: Partition, P: StateSpace, regularise: float | None
+) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
+    scaled = autoscaled_with_gain(plant)
+    extra: dict[str, float] = {}
+    if regularise is not None:
+        changed = regularised(scaled, regularise)
+        if changed.size or changed.shift:
+            extra = {
+                "regularisation of controls and measurements": changed.size,
+                "regularisation by a shift of A, rad/s": changed.shift,
+                "least norm at a tenth of it": _optimal(regularised(scaled, 0.1 * regularise).scaled, P)[1],
+            }
+        scaled = changed.scaled
+    require_full_rank(scaled, P, WHERE)
+    made, least, residual = _optimal(scaled, P)
+    return unscale(made, scaled), least, extra | residual
+
+
+def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller of the scaled plant, the least norm in the units of the plant as given, and the residuals."""
+    p, gain = without_direct_path(scaled.plant, P, WHERE)
+    of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
+    of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
+    found = []
+    for name, equation in (("X", of_X), ("Y", of_Y)):
+        solution = _solution(equation, discrete=False)
+        if solution is None:
+            require_no_zero_on_axis(scaled, P, WHERE)
+            raise UnscalableError(f"{WHERE}: the equation of {name} {NO_SOLUTION}", P)
+        found.append(solution)
+    if zero_on_axis(p) is not None:
+        require_no_zero_on_axis(scaled, P, WHERE)
+    (X, F, _), (Y, Lt, _) = found
+    L = Lt.T
+    square = np.trace(p.B1.T @ X @ p.B1) + np.trace(of_X[3] @ F @ Y @ F.T)
+    # The norm of a slower system: time is counted in units of 1/rate.
+    least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
+    # The gain D_K stands beside the estimator, which counts it as part of the plant.
+    made = Realisation(A=p.A + p.B2 @ F + L @ p.C2, B=-L, C=F, D=gain)
+    residual = {
+        f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=False)
+        for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
+    }
+    return made, least, residual
+
+
+def _solution(
+    equation: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], discrete: bool
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return X, gain and weight; None where there is no solution or none is found: what stands in the way is named."""
+    try:
+        return riccati_solution(*equation, discrete=discrete)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _sampled(
+    plant: Partition, direct: bool, P: StateSpace, regularise: float | None
+) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
+    scaled = autoscaled_with_gain(plant)
+    found = _optimal_sampled(scaled.plant, direct)
+    extra: dict[str, float] = {}
+    if found is None and regularise is not None:
+        found = _optimal_sampled(_regular(scaled.plant, regularise), direct)
+        less = _optimal_sampled(_regular(scaled.plant, 0.1 * regularise), direct)
+        extra = {
+            "regularisation of controls, measurements and the unit circle": regularise,
+            "least norm at a tenth of it": float("nan") if less is None else less[1] * scaled.gain,
+        }
+    if found is None:
+        # Where D12 or D21 of the w-plane loses rank, a zero lies at z = −1.
+        flat = autoscale(in_w_plane(plant))
+        require_full_rank(flat, P, WHERE)
+        require_no_zero_on_axis(flat, P, WHERE)
+        raise UnscalableError(f"{WHERE}: an equation {NO_SOLUTION}", P)
+    made, least, residual = found
+    return unscale(made, scaled), least * scaled.gain, extra | residual
+
+
+def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, dict[str, float]] | None:
+    """Controller, least norm and residuals of a sampled plant with D22 = 0; None where an equation has no solution.
+
+    With S the covariance of the innovation e = y − C2 x̂, present state and disturbance are estimated as
+    x̂ + Y C2' S⁻¹ e and D21' S⁻¹ e; u is the state feedback F and the disturbance feedback F0 of these.
+    """
+    of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
+    of_Y = (p.A.T, p.C2.T, p.B1 @ p.B1.T, p.D21 @ p.D21.T, p.B1 @ p.D21.T)
+    for_X, for_Y = (_solution(equation, discrete=True) for equation in (of_X, of_Y))
+    if for_X is None or for_Y is None:
+        return None
+    (X, F, W), (Y, Lt, S) = for_X, for_Y
+    L = -Lt.T  # the predictor's gain
+    square = float(np.trace(p.D11.T @ p.D11 + p.B1.T @ X @ p.B1) + np.trace(W @ F @ Y @ F.T))
+    present: FloatArray = np.zeros((len(F), len(p.C2)))
+    if direct:
+        F0 = -np.linalg.solve(W, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)
+        present = np.asarray(np.linalg.solve(S, (F @ Y @ p.C2.T + F0 @ p.D21.T).T).T)
+        square -= float(np.trace(W @ present @ S @ present.T))
+    B = p.B2 @ present + L
+    made = Realisation(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
+    residual = {
+        f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=True)
+        for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
+    }
+    return made, float(np.sqrt(max(square, 0.0))), residual
+
+
+def _regular(p: Partition, size: float) -> Partition:
+    """Return the plant with rows `size` u in z, columns `size` in w for y, and z / (1 + `size`) in place of z.
+
+    Every closed-loop norm from the old w to the old z is at most that of this plant, as in `Regularised`.
+    """
+    nu, ny, grow = p.B2.shape[1], p.C2.shape[0], 1.0 + size
+    nz, nw = p.D11.shape
+    return Partition(
+        A=grow * p.A,
+        B1=grow * np.hstack([p.B1, np.zeros((len(p.A), ny))]),
+        B2=grow * p.B2,
+        C1=np.vstack([p.C1, np.zeros((nu, len(p.A)))]),
+        C2=p.C2,
+        D11=np.block([[p.D11, np.zeros((nz, ny))], [np.zeros((nu, nw + ny))]]),
+        D12=np.vstack([p.D12, size * np.eye(nu)]),
+        D21=np.hstack([p.D21, size * np.eye(ny)]),
+        D22=p.D22,
+        dt=p.dt,
+    )

@@ -1,0 +1,370 @@
+"""H-infinity synthesis by two Riccati equations (Glover and Doyle 1988), on a scaled plant.
+
+The central controller for a general D11, in the normal form D12 = [0; I], D21 = [0, I], which the scaling and a
+rotation of z and w give exactly; formulae as in Zhou, Doyle and Glover, Robust and Optimal Control (1996),
+theorem 17.1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.riccati.assumptions import regularised, require_full_rank, require_no_zero_on_axis
+from platform_ctrl.design.riccati.equations import ZERO, stabilising
+from platform_ctrl.design.scaling import ScaledPlant, unscale
+from platform_ctrl.errors import UnscalableError
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+WHERE = "hinf, riccati"
+# The least gamma is found to this relative accuracy.
+ACCURACY = 1e-8
+# Least and largest gamma of the scaled plant that are tried.
+LEAST_GAMMA, LARGEST_GAMMA = 1e-6, 1e8
+# Largest slack that is told from an infinite one, and largest bound on t that a first trial is derived from.
+LARGEST_SLACK, LARGEST_FIRST = 1e14, 1e3
+# A slack this many times t comes from solutions of which one is nearly zero.
+FAR_COUPLING = 1e6
+# A solution larger than 1 / this hides a negative eigenvalue in its rounding; at this share of t it is smaller.
+NEARLY_INFINITE, A_LITTLE_BELOW = 1e-5, 1.0 - 1e-3
+# Free parameters that are tried, and the largest condition of the loop around D22.
+SHARES, LARGEST_SHIFT = (0.0, 0.3, -0.3), 1e8
+# Trials of gamma at most; about six are needed.
+LONGEST_SEARCH = 100
+# Eigenvalues this near to the imaginary axis, relative to the norm, are looked at as frequencies of a peak.
+NEAR_AXIS = 1e-5
+# An H2 Hamiltonian matrix whose eigenvalues are farther from the axis shows that no zero lies on it.
+SAFE_DISTANCE = 1e-5
+
+
+@value
+class Solution:
+    """Stabilising solutions X and Y of the two Riccati equations at `gamma`, and ``excess`` = rho(X Y) / gamma² − 1."""
+
+    gamma: float
+    X: FloatArray
+    Y: FloatArray
+    excess: float
+
+
+def hinf_riccati(
+    scaled: ScaledPlant, backoff: float, P: StateSpace, regularise: float | None = None
+) -> tuple[Realisation, float, dict[str, float]]:
+    """Controller in the units of the plant that was scaled, the least gamma, and the residuals (scaled).
+
+    Parameters
+    ----------
+    scaled, backoff, P
+        The plant, the relative distance from the least gamma, and the plant as given, for errors.
+    regularise
+        Size of what is added where an assumption does not hold; None where that is an error. The least gamma is then
+        that of the plant with it, and the residuals say what it is and how the least gamma changes with a tenth of it.
+    """
+    extra: dict[str, float] = {}
+    if regularise is not None:
+        changed = regularised(scaled, regularise)
+        if changed.size or changed.shift:
+            less = regularised(scaled, 0.1 * regularise).scaled
+            form = _normal_form(less.plant)
+            extra = {
+                "regularisation of controls and measurements": changed.size,
+                "regularisation by a shift of A, rad/s": changed.shift,
+                "least gamma at a tenth of it": _least_gamma(form, _sides(form), less, P) * less.gain,
+            }
+        scaled = changed.scaled
+    require_full_rank(scaled, P, WHERE)
+    normal = _normal_form(scaled.plant)
+    sides = _sides(normal)
+    least = _least_gamma(normal, sides, scaled, P)
+    best = _trial(sides, ((1 + backoff) * least) ** -2).solution
+    if best is None or best.excess >= 0:
+        raise UnscalableError(
+            f"hinf, riccati: no solution at {1 + backoff:.6g} times the least gamma {least * scaled.gain:.6g}; "
+            'expected one; give a larger backoff, or method="lmi"',
+            P,
+        )
+    residual = extra | {"spectral radius of X Y over gamma squared": 1 + float(best.excess)}
+    for name, side, V in zip("XY", sides, (best.X, best.Y), strict=True):
+        H = side.hamiltonian(best.gamma**-2)
+        one = np.eye(len(V))
+        error = np.hstack([-V, one]) @ H @ np.vstack([one, V])
+        residual[f"relative residual of the Riccati equation of {name}"] = float(
+            np.linalg.norm(error) / (1 + np.linalg.norm(V)) / np.linalg.norm(H)
+        )
+    for share in SHARES:
+        try:
+            made = _central(normal, best, share)
+            # The loop around D22, which was left out so far, has to stay well posed.
+            around = np.linalg.cond(np.eye(len(made.D)) + scaled.control @ made.D @ scaled.measurement @ scaled.D22)
+            if around < LARGEST_SHIFT:
+                return unscale(made, scaled), least * scaled.gain, residual
+        except np.linalg.LinAlgError:
+            continue
+    raise UnscalableError(
+        f"hinf, riccati: the controllers at gamma = {best.gamma * scaled.gain:.6g} are not finite; "
+        'give a larger backoff, or method="lmi"',
+        P,
+    )
+
+
+def _normal_form(plant: Partition) -> Partition:
+    """Rotate z and w so that D12 = [0; I] and D21 = [0, I]; norms do not notice."""
+    nu, ny = plant.D12.shape[1], plant.D21.shape[0]
+    U = np.hstack([np.linalg.svd(plant.D12)[0][:, nu:], plant.D12])
+    V = np.hstack([np.linalg.svd(plant.D21.T)[0][:, ny:], plant.D21.T])
+    return Partition(
+        A=plant.A, B1=plant.B1 @ V, B2=plant.B2, C1=U.T @ plant.C1, C2=plant.C2,
+        D11=U.T @ plant.D11 @ V, D12=U.T @ plant.D12, D21=plant.D21 @ V, D22=plant.D22,
+    )  # fmt: skip
+
+
+class Side(NamedTuple):
+    """The equation of X, or in transposed matrices that of Y, by its Hamiltonian matrix H = fixed − column R⁻¹ row.
+
+    gamma stands in R alone, R = weight − gamma² on the first `inputs` entries of the diagonal; all else is made once.
+    """
+
+    fixed: FloatArray
+    column: FloatArray
+    row: FloatArray
+    weight: FloatArray
+    inputs: int
+
+    def hamiltonian(self, t: float) -> FloatArray:
+        """Return H for gamma⁻² = t, also for t = 0."""
+        scale = np.ones(len(self.weight))
+        scale[: self.inputs] = math.sqrt(t)
+        R = self.weight * scale * scale[:, None]
+        R[np.arange(self.inputs), np.arange(self.inputs)] -= 1.0
+        out: FloatArray = self.fixed - (self.column * scale) @ np.linalg.solve(R, self.row * scale[:, None])
+        return out
+
+
+def _sides(p: Partition) -> tuple[Side, Side]:
+    out = []
+    for A, B1, B2, C1, D11, D12 in (
+        (p.A, p.B1, p.B2, p.C1, p.D11, p.D12),
+        (p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T),
+    ):
+        B, D = np.hstack([B1, B2]), np.hstack([D11, D12])
+        fixed = np.block([[A, np.zeros_like(A)], [-C1.T @ C1, -A.T]])
+        column, row = np.vstack([B, -C1.T @ D]), np.hstack([D.T @ C1, B.T])
+        out.append(Side(fixed, column, row, D.T @ D, B1.shape[1]))
+    return out[0], out[1]
+
+
+class Trial(NamedTuple):
+    """What one gamma gives: the solutions, or what stands in their way.
+
+    Attributes
+    ----------
+    slack
+        1/rho(X Y) − gamma⁻²: positive where gamma can be reached, negative where the coupling forbids it; None where
+        X or Y does not exist or is not positive semidefinite.
+    room
+        1/lambda_max of X and of Y, or 1/lambda_min where that is negative: past gamma at which they become infinite.
+        Zero there, which only matters where the other solution vanishes: else the coupling comes first.
+    axis
+        Which side has eigenvalues on the imaginary axis (0 for X, 1 for Y), and their frequencies; else None.
+    """
+
+    t: float
+    solution: Solution | None = None
+    slack: float | None = None
+    room: tuple[float, ...] = ()
+    axis: tuple[int, FloatArray] | None = None
+    distance: float = 0.0
+
+
+def _trial(sides: tuple[Side, Side], t: float) -> Trial:
+    found: list[tuple[FloatArray, FloatArray]] = []
+    room: list[float] = []
+    distance = np.inf
+    for k, side in enumerate(sides):
+        try:
+            H = side.hamiltonian(t)
+        except np.linalg.LinAlgError:
+            return Trial(t)
+        subspace = stabilising(H)
+        distance = min(distance, subspace.distance)
+        if subspace.X is None:
+            near = np.abs(subspace.eigenvalues.real) <= NEAR_AXIS * np.linalg.norm(H)
+            return Trial(t, axis=(k, np.unique(np.abs(subspace.eigenvalues.imag[near]))))
+        values, vectors = np.linalg.eigh(subspace.X)
+        if values[0] < -1e-7 * abs(values[-1]) - ZERO:
+            return Trial(t, room=(*room, 1.0 / float(values[0])))
+        room.append(1.0 / max(float(values[-1]), 1.0 / LARGEST_SLACK))
+        found.append((subspace.X, vectors * np.sqrt(np.maximum(values, 0.0))))
+    (X, _), (Y, root) = found
+    radius = max(float(np.linalg.eigvalsh(root.T @ X @ root)[-1]), 0.0)
+    slack = 1.0 / max(radius, 1.0 / LARGEST_SLACK) - t
+    gamma = 1.0 / math.sqrt(t) if t > 0.0 else math.inf
+    return Trial(t, Solution(gamma=gamma, X=X, Y=Y, excess=radius * t - 1.0), slack, tuple(room), None, distance)
+
+
+def _floor(p: Partition) -> float:
+    """What no controller can undercut: the largest singular value of the rows and columns of D11 out of its reach."""
+    z, w = p.D11.shape[0] - p.D12.shape[1], p.D11.shape[1] - p.D21.shape[0]
+    return float(max(np.linalg.norm(p.D11[:z], 2) if z else 0.0, np.linalg.norm(p.D11[:, :w], 2) if w else 0.0))
+
+
+def _least_gamma(p: Partition, sides: tuple[Side, Side], scaled: ScaledPlant, P: StateSpace) -> float:
+    """Least gamma, searched in t = gamma⁻² from t = 0 upwards; X and Y of t = 0 are those of the H2 problem.
+
+    The slack falls with t and is concave, so interpolation finds its zero in a few steps. Where X or Y ceases to exist
+    before, the bound is the peak of the response that no control (or no measurement) reaches, and every t beyond it
+    shows frequencies nearer to that peak.
+    """
+    start = _trial(sides, 0.0)
+    if start.slack is None or start.distance < SAFE_DISTANCE:
+        require_no_zero_on_axis(scaled, P, WHERE)
+    if start.slack is None or start.solution is None:
+        raise UnscalableError(
+            "hinf, riccati: no gamma is large enough for both Riccati equations in the scaled units; expected unstable "
+            'modes well within reach of u and y and no zeros near the imaginary axis; give method="lmi"',
+            P,
+        )
+    # rho(X Y) grows with t, so that gamma² is at least what rho is at t = 0.
+    beyond = min(1.0 / max(_floor(p), LEAST_GAMMA) ** 2, start.slack)
+    reached = 0.0
+    # The slack, and the room of X and of Y.
+    known: list[list[tuple[float, float]]] = [[], [], []]
+    _note(known, start)
+    t, width = 0.3 * beyond if beyond < LARGEST_FIRST else 1.0, beyond
+    for step in range(LONGEST_SEARCH):
+        trial = _trial(sides, t)
+        if trial.slack is not None and min(trial.room) < NEARLY_INFINITE and A_LITTLE_BELOW * t > reached:
+            # Past its first infinity a solution has a negative eigenvalue, which the next infinity outshines.
+            below = _trial(sides, A_LITTLE_BELOW * t)
+            if below.slack is None:
+                trial, t = below, below.t
+        informed = bool(trial.room)
+        _note(known, trial)
+        if trial.slack is not None and trial.slack > 0.0:
+            reached = t
+        else:
+            beyond = min(beyond, t)
+            if trial.axis is not None:
+                level = _unreached(p, trial.axis[0], start.solution, trial.axis[1])
+                informed = level > 0.0 and 1.0 / level**2 < beyond
+                beyond = min(beyond, 1.0 / level**2) if informed else beyond
+        if beyond - reached <= 2.5 * ACCURACY * beyond:
+            break
+        # A coupling far below the level is rounding, and grows only where X or Y does: then their room says when.
+        far = trial.slack is not None and trial.slack > FAR_COUPLING * t
+        guess = min(map(_zero, known[1:] if far else known))
+        if reached == t and t < guess <= t * (1.0 + ACCURACY):
+            break
+        if step % 4 == 3:
+            # Four steps have to halve the interval, whatever the interpolation says.
+            informed, width = informed and beyond - reached < 0.5 * width, beyond - reached
+        if informed:
+            # A little on the side that can be reached.
+            t = min(guess * (1.0 - 0.25 * ACCURACY), beyond * (1.0 - ACCURACY))
+            t = max(t, reached + 0.25 * (ACCURACY * beyond))
+        elif reached > 0.1 * beyond:
+            t = 0.5 * (reached + beyond)
+        else:
+            t = math.sqrt(max(reached, 1e-3 * beyond) * beyond)
+        if t < LARGEST_GAMMA**-2:
+            break
+    if reached == 0.0:
+        raise UnscalableError(
+            f"hinf, riccati: no gamma up to {LARGEST_GAMMA:.0e} in scaled units is reached; expected unstable modes "
+            'well within reach of u and y; give method="lmi"',
+            P,
+        )
+    return 1.0 / math.sqrt(reached)
+
+
+def _note(known: list[list[tuple[float, float]]], trial: Trial) -> None:
+    if trial.slack is not None:
+        known[0].append((trial.t, trial.slack))
+    for points, room in zip(known[1:], trial.room, strict=False):
+        points.append((trial.t, room))
+
+
+def _zero(known: list[tuple[float, float]]) -> float:
+    """Zero of a function by inverse interpolation through its last two or three points; inf where they tell nothing."""
+    if len(known) < 2:
+        return math.inf
+    (t0, s0), (t1, s1) = known[-2:]
+    if t0 == t1 or (s1 - s0) * (t1 - t0) >= 0.0:
+        return math.inf
+    secant = t1 - s1 * (t1 - t0) / (s1 - s0)
+    if len(known) < 3:
+        return secant
+    t2, s2 = known[-3]
+    if s2 in (s0, s1):
+        return secant
+    curved = (
+        t0 * s1 * s2 / ((s0 - s1) * (s0 - s2))
+        + t1 * s0 * s2 / ((s1 - s0) * (s1 - s2))
+        + t2 * s0 * s1 / ((s2 - s0) * (s2 - s1))
+    )
+    # A parabola that disagrees with its chord by more than the chord's own length is not to be trusted.
+    return curved if abs(curved - secant) < abs(secant - t1) else secant
+
+
+def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray) -> float:
+    """Largest gain, at the frequencies and between them, from w to the part of z that no control reaches.
+
+    For the other side, to z from the part of w that no measurement sees. State feedback does not change it; that of the
+    H2 problem takes the poles off the axis. The largest along all frequencies is the gamma from which X (or Y) exists.
+    """
+    if frequencies.size == 0:
+        return 0.0
+    A, B1, B2, C1, D11, D12 = (
+        (p.A, p.B1, p.B2, p.C1, p.D11, p.D12) if side == 0 else (p.A.T, p.C1.T, p.C2.T, p.B1.T, p.D11.T, p.D21.T)
+    )
+    F = -(B2.T @ (start.X if side == 0 else start.Y) + D12.T @ C1)
+    A, C1 = A + B2 @ F, C1 + D12 @ F
+    # Crossings come at both signs: 0 lies between the first two.
+    w = np.concatenate([[0.0], frequencies, 0.5 * (frequencies[1:] + frequencies[:-1])])
+    w = np.concatenate([w, np.sqrt(frequencies[1:] * frequencies[:-1])])
+    states = np.linalg.solve(1j * w[:, None, None] * np.eye(len(A)) - A, np.hstack([B1, B2]).astype(complex))
+    response = C1 @ states + np.hstack([D11, D12])
+    G, M = response[..., : B1.shape[1]], response[..., B1.shape[1] :]
+    reach = np.linalg.qr(M)[0]
+    rest = G - reach @ (np.conj(np.swapaxes(reach, -1, -2)) @ G)
+    return float(np.linalg.norm(rest, 2, axis=(-2, -1)).max())
+
+
+def _central(p: Partition, best: Solution, share: float) -> Realisation:
+    """The controller with the free parameter Q = `share` gamma I, the central one for 0; every |Q| < gamma keeps gamma.
+
+    The names follow theorem 17.1, with 1 and 2 for the parts of the controller's ports.
+    """
+    gamma, X, Y = best.gamma, best.X, best.Y
+    nw, nz, nu, ny = p.B1.shape[1], p.C1.shape[0], p.B2.shape[1], p.C2.shape[0]
+    w, z = nw - ny, nz - nu
+    B, C = np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
+    Drow, Dcol = np.hstack([p.D11, p.D12]), np.vstack([p.D11, p.D21])
+    R = Drow.T @ Drow
+    R[np.diag_indices(nw)] -= gamma**2
+    Rt = Dcol @ Dcol.T
+    Rt[np.diag_indices(nz)] -= gamma**2
+    F = -np.linalg.solve(R, Drow.T @ p.C1 + B.T @ X)
+    L = -np.linalg.solve(Rt, Dcol @ p.B1.T + C @ Y).T
+    F12, F2 = F[w:nw], F[nw:]
+    L12, L2 = L[:, z:nz], L[:, nz:]
+    a, b, c, d = p.D11[:z, :w], p.D11[:z, w:], p.D11[z:, :w], p.D11[z:, w:]
+    square = gamma**2 * np.eye(z) - a @ a.T
+    D11 = -c @ a.T @ np.linalg.solve(square, b) - d
+    E12 = np.eye(nu) - c @ np.linalg.solve(gamma**2 * np.eye(w) - a.T @ a, c.T)  # D̂12 D̂12'
+    E21 = np.eye(ny) - b.T @ np.linalg.solve(square, b)  # D̂21' D̂21
+    D12, D21 = np.linalg.cholesky(E12), np.linalg.cholesky(E21).T
+    Z = np.linalg.inv(np.eye(len(X)) - Y @ X / gamma**2)
+    B2 = Z @ (p.B2 + L12) @ D12
+    C2 = -D21 @ (p.C2 + F12)
+    B1 = -Z @ L2 + B2 @ np.linalg.solve(D12, D11)
+    C1 = F2 + D11 @ np.linalg.solve(D21, C2)
+    A = p.A + B @ F + B1 @ np.linalg.solve(D21, C2)
+    Q = share * gamma * np.eye(nu, ny)
+    return Realisation(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)

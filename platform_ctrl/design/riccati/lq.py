@@ -1,0 +1,484 @@
+"""State feedback, estimators and output feedback by quadratic cost: LQR, the Kalman filter, LQG.
+
+    cost      ∫ x' Q1 x + 2 x' Q12 u + u' Q2 u dt      (sampled plants: the sum over the samples)
+    noise     x' = A x + B u + v1,  y = C x + D u + v2,  v1 and v2 white with intensities R1, R2 and R12 between them
+              (sampled plants: x[k + 1] in place of x', covariances in place of intensities)
+
+State feedback is u = −state_gain x, as in python-control; the controller of `lqg` is u = K y (positive feedback).
+Solved in scaled units; each result is judged by the residual of its Riccati equation and the poles that it leads to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.certificates import Certificate, stability_certificate, static_gain
+from platform_ctrl.common.arguments import real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.lower_bounds import h2_lower_bound
+from platform_ctrl.design.partition import Partition, Realisation, partition, whole, with_direct_path
+from platform_ctrl.design.riccati.equations import well_conditioned
+from platform_ctrl.design.riccati.quadratic_cost import Weights, judged_weights, solved, square_root
+from platform_ctrl.design.scaling import require_stabilisable
+from platform_ctrl.design.synthesis import Synthesis, certify
+from platform_ctrl.errors import ArgumentError, DesignError, NotCertifiedError, NotStabilisableError
+
+if TYPE_CHECKING:
+    from control import StateSpace
+
+# The recomputed cost of LQG may exceed the claimed one by this share of its root.
+TOLERANCE = 1e-5
+
+
+@value
+class StateFeedback:
+    """A state feedback of least quadratic cost.
+
+    Attributes
+    ----------
+    system
+        The plant as given.
+    state_gain : (m, n + p)
+        K of u = −K [x, xi], as `control.lqr`, in the plant's units; xi (p,) are the integrals (sampled: sums) of y,
+        where they are asked for.
+    X : (n + p, n + p)
+        Of all inputs that bring the state x to rest, the least cost is x' X x, in units of the cost.
+    poles : complex (n + p,)
+        Of the closed loop: rad/s, or in z (dimensionless).
+    integrals
+        Number p of integrals.
+    residual
+        Relative residual of the Riccati equation, in scaled units.
+    """
+
+    system: StateSpace
+    state_gain: FloatArray
+    X: FloatArray
+    poles: ComplexArray
+    integrals: int
+    residual: float
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that plant and integrals are stable with this gain, made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found.
+        """
+        arrays = state_arrays(self.system, "lqr")
+        A, B = _integrated(arrays, self.integrals)
+        gain = static_gain(-self.state_gain, arrays.dt)
+        return stability_certificate(A, arrays.dt, B=B, C=np.eye(len(A)), controller=gain, label="state feedback")
+
+
+@value
+class Estimator:
+    """A Kalman filter, x̂' = A x̂ + B u + observer_gain (y − C x̂ − D u); sampled: x̂[k + 1], the predictor.
+
+    Attributes
+    ----------
+    system
+        The plant as given.
+    observer_gain : (n, p)
+        Of the innovation, in units of the states per y (continuous: over s).
+    Y : (n, n)
+        Covariance of x − x̂ in the steady state, in units of the states; sampled: before y[k] is used.
+    poles : complex (n,)
+        Of the estimation error: rad/s, or in z (dimensionless).
+    present_gain : (n, p)
+        Sampled plants, in units of the states per y: x̂[k] + present_gain (y[k] − C x̂[k] − D u[k]) is the estimate
+        that uses y[k]. Empty for others.
+    residual
+        Relative residual of the Riccati equation, in scaled units.
+    """
+
+    system: StateSpace
+    observer_gain: FloatArray
+    Y: FloatArray
+    poles: ComplexArray
+    present_gain: FloatArray
+    residual: float
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof that the estimation error decays, made at each use.
+
+        Raises
+        ------
+        NotCertifiedError
+            No proof was found.
+        """
+        A, _, C, _, dt = state_arrays(self.system, "lqe")
+        gain = static_gain(-self.observer_gain, dt)
+        return stability_certificate(A, dt, B=np.eye(len(A)), C=C, controller=gain, label="estimation error")
+
+
+@value
+class LqgDesign:
+    """LQG output feedback with its parts and the evidence.
+
+    Attributes
+    ----------
+    controller
+        u = K y (positive feedback), from the plant's outputs to its inputs, integrators included.
+    feedback, estimator
+        The two parts.
+    synthesis
+        The same loop as an H2 problem: its plant has the outputs y and, where integrals are asked for, their integrals
+        as measurements, and `synthesis.gamma`² is the cost, recomputed from the closed loop.
+    """
+
+    controller: StateSpace
+    feedback: StateFeedback
+    estimator: Estimator
+    synthesis: Synthesis
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles (n,) of plant and controller: rad/s, or in z (dimensionless)."""
+        return self.synthesis.poles
+
+    @property
+    def cost(self) -> float:
+        """The rate (sampled: mean per sample) of the cost in the steady state, in units of Q1 and Q2; recomputed."""
+        return self.synthesis.gamma**2
+
+    @property
+    def certificate(self) -> Certificate:
+        """Proof of stability and of the root of the cost, of `synthesis`."""
+        return self.synthesis.certificate
+
+
+def lqr(
+    system: StateSpace, Q1: ArrayLike, Q2: ArrayLike, Q12: ArrayLike | None = None, integral: ArrayLike | None = None
+) -> StateFeedback:
+    """State feedback u = −state_gain x of least quadratic cost, with the sign of `control.lqr`.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    Q1, Q2
+        Weights of the states and of the inputs, in units that make x' Q1 x and u' Q2 u alike. Shapes (n, n), (m, m). Q1
+        may be indefinite, and Q2 of sampled plants singular, as long as there is a stabilising solution.
+    Q12 : (n, m), optional
+        Weight between them, in the same units; default 0.
+    integral : (p, p), optional
+        Weight of the integrals of y (sampled: of their sums), in the same units; None for no integral action.
+
+    Returns
+    -------
+    StateFeedback
+        Gain, cost matrix and poles.
+
+    Raises
+    ------
+    ArgumentError
+        The arguments do not make sense.
+    IllPosedError
+        Q2 of a continuous plant is not positive definite; the Riccati equation has no stabilising solution (for
+        semidefinite weights: the cost does not see a mode on the stability boundary, which the message names); or the
+        cost of a sampled plant has no least value, Q2 + B'XB not being positive definite.
+    NotStabilisableError
+        No input moves a mode that is not stable.
+    UnscalableError, NotCertifiedError
+        The Riccati equation was not solved, or the loop is not stable.
+
+    References
+    ----------
+    A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
+
+    D. L. Kleinman, IEEE Trans. Automatic Control 13, 1968.
+
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
+
+    Examples
+    --------
+    >>> import control, numpy as np
+    >>> from platform_ctrl import design
+    >>> double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0)
+    >>> design.lqr(double_integrator, np.eye(2), [[1]]).state_gain.round(4)  # u = -state_gain x
+    array([[1.    , 1.7321]])
+    """
+    arrays = state_arrays(system, "lqr")
+    weights = judged_weights(
+        "lqr",
+        "Q1, Q2, Q12",
+        (Q1, Q2, Q12),
+        len(arrays.A),
+        arrays.B.shape[1],
+        system.input_labels,
+        system,
+        semidefinite=False,
+    )
+    return _feedback(system, arrays, weights, integral, "lqr")
+
+
+def lqe(system: StateSpace, R1: ArrayLike, R2: ArrayLike, R12: ArrayLike | None = None) -> Estimator:
+    """Kalman filter in the steady state.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    R1, R2
+        Intensities (sampled: covariances) of v1 and v2, in units of the states and of y. Noise that enters at G has R1
+        = G R G'. Shapes (n, n), (p, p).
+    R12 : (n, p), optional
+        Intensity between them, in the same units; default 0.
+
+    Returns
+    -------
+    Estimator
+        Gain, covariance and poles.
+
+    Raises
+    ------
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
+        As `lqr`, for noise and measurements in place of weights and inputs; and where [R1, R12; R12', R2] is not
+        positive semidefinite, or R2 not positive definite.
+
+    References
+    ----------
+    A. J. Laub, IEEE Trans. Automatic Control 24, 1979.
+
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 13.
+    """
+    arrays = state_arrays(system, "lqe")
+    noise = judged_weights(
+        "lqe", "R1, R2, R12", (R1, R2, R12), len(arrays.A), len(arrays.C), system.output_labels, system
+    )
+    return _estimator(system, arrays, noise, "lqe")
+
+
+@check_arguments
+def lqg(
+    system: StateSpace,
+    Q1: ArrayLike,
+    Q2: ArrayLike,
+    R1: ArrayLike,
+    R2: ArrayLike,
+    *,
+    Q12: ArrayLike | None = None,
+    R12: ArrayLike | None = None,
+    integral: ArrayLike | None = None,
+    direct: bool = True,
+) -> LqgDesign:
+    """LQG output feedback: the state feedback of least cost on the Kalman filter's estimate.
+
+    Parameters
+    ----------
+    system
+        Continuous or sampled plant.
+    Q1, Q2, R1, R2, Q12, R12
+        As in `lqr` and `lqe`.
+    integral : (p, p), optional
+        Weight of the integrals of y (sampled: of their sums), as in `lqr`. The controller integrates what it measures,
+        so it knows them exactly; it is still the optimum.
+    direct
+        Sampled plants: whether u[k] may use y[k].
+
+    Returns
+    -------
+    LqgDesign
+        The controller, and both halves of it.
+
+    Raises
+    ------
+    ArgumentError, IllPosedError, NotStabilisableError, UnscalableError, NotCertifiedError
+        As `lqr` and `lqe`; IllPosedError also where [Q1, Q12; Q12', Q2] is not positive semidefinite or Q2 not positive
+        definite, since the cost is a norm squared; NotCertifiedError also where the closed loop does not have the cost
+        that was promised.
+
+    References
+    ----------
+    K. Zhou, J. C. Doyle, K. Glover, Robust and Optimal Control, 1996, ch. 14.
+
+    See docs/full-order.md.
+    """
+    arrays = state_arrays(system, "lqg")
+    n, m = arrays.B.shape
+    weights = judged_weights("lqg", "Q1, Q2, Q12", (Q1, Q2, Q12), n, m, system.input_labels, system)
+    noise = judged_weights("lqg", "R1, R2, R12", (R1, R2, R12), n, len(arrays.C), system.output_labels, system)
+    feedback = _feedback(system, arrays, weights, integral, "lqg")
+    estimator = _estimator(system, arrays, noise, "lqg")
+    plant = _cost_plant(arrays, weights, noise, integral)
+    try:
+        K, least = _joined(plant, arrays, feedback, estimator, weights, direct and arrays.dt > 0.0)
+    except np.linalg.LinAlgError:
+        raise NotCertifiedError(
+            "lqg: I + D_K D is singular, the loop is not well posed; try direct=False", system
+        ) from None
+    measured = [*system.output_labels, *(f"integral of {name}" for name in system.output_labels[: feedback.integrals])]
+    P = _as_system(plant, system, measured)
+    parts = partition(P, len(measured), m, sampled=True)
+    synthesis = certify(
+        P, parts, K,
+        gamma_optimal=h2_lower_bound(parts, direct), least=least, backoff=0.0,
+        method="lqg", norm="h2", tolerance=TOLERANCE,
+        residual={
+            "relative residual of the Riccati equation of X": feedback.residual,
+            "relative residual of the Riccati equation of Y": estimator.residual,
+        },
+    )  # fmt: skip
+    return LqgDesign(
+        controller=_with_integrators(K, len(arrays.C), feedback.integrals, system),
+        feedback=feedback, estimator=estimator, synthesis=synthesis,
+    )  # fmt: skip
+
+
+def _with_integrals(
+    arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
+) -> tuple[FloatArray, FloatArray, Weights, int]:
+    """A, B and weights with the integrals of y as further states, and their number."""
+    if integral is None:
+        return arrays.A, arrays.B, weights, 0
+    (n, m), p = arrays.B.shape, len(arrays.C)
+    extra = real_array(f"{where}: integral", integral, (p, p))
+    if np.linalg.eigvalsh(0.5 * (extra + extra.T)).min(initial=0.0) < 0.0 or not np.allclose(extra, extra.T):
+        raise ArgumentError(f"{where}: integral is not positive semidefinite; expected a weight of the integrals of y")
+    A, B = _integrated(arrays, p)
+    Q = np.block([[weights.first, np.zeros((n, p))], [np.zeros((p, n)), extra]])
+    return A, B, Weights(Q, weights.second, np.vstack([weights.cross, np.zeros((p, m))])), p
+
+
+def _integrated(arrays: StateArrays, integrals: int) -> tuple[FloatArray, FloatArray]:
+    """A and B with the integrals (sampled: sums) of y as further states, if there are any."""
+    A, B, C, D, dt = arrays
+    if integrals == 0:
+        return A, B
+    n, p = len(A), integrals
+    keep = np.eye(p) if dt else np.zeros((p, p))
+    return np.block([[A, np.zeros((n, p))], [C, keep]]), np.vstack([B, D])
+
+
+def _feedback(
+    system: StateSpace, arrays: StateArrays, weights: Weights, integral: ArrayLike | None, where: str
+) -> StateFeedback:
+    A, B, weights, p = _with_integrals(arrays, weights, integral, where)
+    with _named_modes(A, B, np.eye(len(A)), arrays.dt, where, system) as require:
+        X, F, poles, residual = solved(A, B, weights, arrays.dt, where, system)
+        if not well_conditioned(A + B @ F, X, arrays.dt > 0):
+            require()
+    return StateFeedback(system=system, state_gain=-F, X=X, poles=poles, integrals=p, residual=residual)
+
+
+def _estimator(system: StateSpace, arrays: StateArrays, noise: Weights, where: str) -> Estimator:
+    A, _, C, _, dt = arrays
+    with _named_modes(A, np.eye(len(A)), C, dt, where, system) as require:
+        Y, Lt, poles, residual = solved(A.T, C.T, noise, dt, where, system)
+        if not well_conditioned(A.T + C.T @ Lt, Y, dt > 0):
+            require()
+    present = np.zeros((len(Y), 0))
+    if arrays.dt:
+        S = noise.second + arrays.C @ Y @ arrays.C.T
+        present = np.asarray(np.linalg.solve(S, arrays.C @ Y).T)
+    return Estimator(system=system, observer_gain=-Lt.T, Y=Y, poles=poles, present_gain=present, residual=residual)
+
+
+@contextmanager
+def _named_modes(
+    A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace
+) -> Iterator[Callable[[], None]]:
+    """Give what raises a NotStabilisableError that names the mode out of reach; it comes before any other error."""
+    require = partial(_require, A, B, C, dt, where, system)
+    try:
+        yield require
+    except NotStabilisableError:
+        raise
+    except DesignError:
+        require()
+        raise
+
+
+def _require(A: FloatArray, B: FloatArray, C: FloatArray, dt: float, where: str, system: StateSpace) -> None:
+    """Raise a NotStabilisableError that names the mode out of reach."""
+    n, m, p = len(A), B.shape[1], len(C)
+    plant = Partition(
+        A=A, B1=np.eye(n), B2=B, C1=np.eye(n), C2=C, D11=np.zeros((n, n)), D12=np.zeros((n, m)),
+        D21=np.zeros((p, n)), D22=np.zeros((p, m)), dt=dt,
+    )  # fmt: skip
+    require_stabilisable(plant, system, where)
+
+
+def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral: ArrayLike | None) -> Partition:
+    """The H2 problem: w = roots of the noise, z = roots of the cost, measurements [y, its integrals]."""
+    n, m = arrays.B.shape
+    A, B, weights, p = _with_integrals(arrays, weights, integral, "lqg")
+    V = square_root(np.block([[noise.first, noise.cross], [noise.cross.T, noise.second]]))
+    Z = square_root(np.block([[weights.first, weights.cross], [weights.cross.T, weights.second]])).T
+    V2 = V[n:]
+    return Partition(
+        A=A, B1=V[: n + p], B2=B, C1=Z[:, : n + p],
+        C2=np.block([[arrays.C, np.zeros((len(V2), p))], [np.zeros((p, n)), np.eye(p)]]),
+        D11=np.zeros((len(Z), V.shape[1])), D12=Z[:, n + p :], D21=np.vstack([V2, np.zeros((p, V.shape[1]))]),
+        D22=np.vstack([arrays.D, np.zeros((p, m))]), dt=arrays.dt,
+    )  # fmt: skip
+
+
+def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSpace:
+    one = whole(p)
+    return state_space(
+        StateArrays(one.A, one.B, one.C, one.D, p.dt),
+        [*(f"noise {k + 1}" for k in range(p.B1.shape[1])), *system.input_labels],
+        [*(f"cost {k + 1}" for k in range(len(p.C1))), *measured],
+    )
+
+
+def _joined(
+    plant: Partition, arrays: StateArrays, feedback: StateFeedback, estimator: Estimator, weights: Weights, direct: bool
+) -> tuple[Realisation, float]:
+    """The controller from [y, its integrals] to u, with the estimate as its states, and the root of the least cost."""
+    n = len(arrays.A)
+    X, F, Y, L = feedback.X, -feedback.state_gain, estimator.Y, estimator.observer_gain
+    Fx, Fi = F[:, :n], F[:, n:]
+    W = weights.second + (plant.B2.T @ X @ plant.B2 if arrays.dt else 0.0)
+    cost = float(np.trace(plant.B1.T @ X @ plant.B1) + np.trace(W @ Fx @ Y @ Fx.T))
+    V2 = plant.D21[: len(arrays.C)]
+    present: FloatArray = np.zeros((len(F), len(V2)))
+    if direct:
+        # What y[k] says about the present state, and about the noise that will drive the next one.
+        S = V2 @ V2.T + arrays.C @ Y @ arrays.C.T
+        ahead = -np.linalg.solve(W, plant.B2.T @ X @ plant.B1 @ V2.T)
+        present = np.asarray(np.linalg.solve(S, (Fx @ Y @ arrays.C.T + ahead).T).T)
+        cost -= float(np.trace(W @ present @ S @ present.T))
+    into = arrays.B @ present + L
+    K = Realisation(
+        A=arrays.A + arrays.B @ Fx - into @ arrays.C,
+        B=np.hstack([into, arrays.B @ Fi]),
+        C=Fx - present @ arrays.C,
+        D=np.hstack([present, Fi]),
+    )
+    return with_direct_path(K, plant.D22), float(np.sqrt(max(cost, 0.0)))
+
+
+def _with_integrators(K: Realisation, ny: int, integrals: int, system: StateSpace) -> StateSpace:
+    """The controller from y alone, with states [x̂, xi]."""
+    n, p = len(K.A), integrals
+    dt = float(system.dt or 0.0)
+    keep = np.eye(p) if dt else np.zeros((p, p))
+    return state_space(
+        StateArrays(
+            np.block([[K.A, K.B[:, ny:]], [np.zeros((p, n)), keep]]),
+            np.vstack([K.B[:, :ny], np.eye(ny)[:p]]),
+            np.hstack([K.C, K.D[:, ny:]]),
+            K.D[:, :ny],
+            dt,
+        ),
+        system.output_labels,
+        system.input_labels,
+        [
+            *(f"estimate_{name}" for name in system.state_labels),
+            *(f"integral_{name}" for name in system.output_labels[:p]),
+        ],
+    )

@@ -1,0 +1,427 @@
+"""A scheme as one header and one source file in C99 that also compile as C++."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.common.values import value
+from platform_ctrl.export.c99.framing import (
+    WIDTH,
+    acts,
+    block,
+    declared,
+    field,
+    header_file,
+    provenance,
+    remark,
+    signature,
+    struct,
+)
+from platform_ctrl.export.c99.identifiers import Names, comment
+from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, acting_excess
+
+
+@value
+class Cost:
+    """Operations of one step.
+
+    Attributes
+    ----------
+    multiplications, additions, comparisons
+        Counts; subtractions count as additions, comparisons are the most that there can be.
+    """
+
+    multiplications: int
+    additions: int
+    comparisons: int
+
+
+def cost_of(scheme: Scheme) -> Cost:
+    """Return what a step of a scheme costs, limits and anti-windup included.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    Cost
+        Counts of one step.
+    """
+    rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
+    limited = int(np.isfinite(scheme.torque_limits).sum())
+    back = acting_excess(scheme)
+    cut = {term.source for row in back for term in row.terms}
+    return Cost(
+        multiplications=sum(abs(term.coefficient) != 1.0 for row in (*rows, *back) for term in row.terms),
+        additions=sum(max(len(row.terms) - 1, 0) for row in rows) + sum(len(row.terms) for row in back) + len(cut),
+        # Two for each number that has to be finite; two to limit and two to tell.
+        comparisons=2 * (len(scheme.inputs) + len(scheme.states) + len(scheme.outputs)) + 4 * limited,
+    )
+
+
+Number = Literal["double", "float"]
+
+# Indentation inside the step's condition.
+_INNER = " " * 8
+_LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
+
+
+@value
+class Unit:
+    """What the source files of a controller are made from.
+
+    Attributes
+    ----------
+    scheme
+        The controller.
+    number
+        Type of all numbers.
+    prefix
+        First part of all external names; the names of the files.
+    signals
+        Identifiers of inputs and outputs by their names.
+    remarks
+        Paragraphs for the head of the header: anti-windup, rounding.
+    """
+
+    scheme: Scheme
+    number: Number
+    prefix: str
+    signals: dict[str, str]
+    remarks: tuple[str, ...] = ()
+
+
+def literal(x: float, number: Number) -> str:
+    """Return a number as a C constant that is read back as it is (a float: the nearest one).
+
+    Parameters
+    ----------
+    x
+        Finite; in its own unit.
+    number
+        Its type.
+
+    Returns
+    -------
+    str
+        With a point or an exponent, and the suffix of its type.
+
+    References
+    ----------
+    ISO/IEC 9899:1999, 6.4.4.2.
+    """
+    text = repr(float(x)) if number == "double" else str(np.float32(x))
+    text = text if "." in text or "e" in text else f"{text}.0"
+    return text if number == "double" else f"{text}F"
+
+
+def header(unit: Unit) -> str:
+    """Return the text of the header file.
+
+    Parameters
+    ----------
+    unit
+        The controller.
+
+    Returns
+    -------
+    str
+        ASCII, ended by a newline.
+
+    References
+    ----------
+    ISO/IEC 9899:1999.
+    """
+    s, p, kind = unit.scheme, unit.prefix, unit.number
+    names = _state_names(unit)
+    inputs = [field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
+    outputs, commanded = [], []
+    for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True):
+        bound = f"{what}, within +-{limit:.9g}: for the torquer" if np.isfinite(limit) else f"{what}, not limited"
+        outputs.append(field(kind, unit.signals[name], bound))
+        commanded.append(field(kind, f"{unit.signals[name]}_commanded", f"{what}, before the limit"))
+    states = [
+        field(kind, names[row.target], f"{number}. {section.name}")
+        for number, section in enumerate(s.sections, 1)
+        for row in section.states
+    ]
+    body = [
+        "/* What a step returns: the sum of what applies. */",
+        f"#define {p.upper()}_OK 0U      /* as it should be */",
+        f"#define {p.upper()}_LIMITED 1U /* an output is at its limit */",
+        f"#define {p.upper()}_HELD 2U    /* an input or a result was not finite: all is as it was */",
+        "",
+        *struct(f"{p}_in", inputs),
+        *struct(f"{p}_out", [*outputs, *commanded]),
+        *struct(f"{p}_state", [*states, f"    {p}_out last; /* what the last step gave */"]),
+        *declared(
+            p,
+            "All states and last outputs to zero.",
+            "One sample: from the inputs of this instant to the outputs; returns the status.",
+        ),
+    ]
+    return header_file(p, _head(unit), (), body)
+
+
+def source(unit: Unit) -> str:
+    """Return the text of the source file.
+
+    Parameters
+    ----------
+    unit
+        The controller.
+
+    Returns
+    -------
+    str
+        ASCII, ended by a newline.
+
+    References
+    ----------
+    ISO/IEC 9899:1999.
+    """
+    return _Source(unit).text()
+
+
+class _Source:
+    """The source file, put together section by section."""
+
+    def __init__(self, unit: Unit) -> None:
+        self.unit, self.scheme, self.kind = unit, unit.scheme, unit.number
+        self.states = _state_names(unit)
+        # Locals and constants: apart from the fields of inputs, outputs and states, which stand behind an arrow.
+        p = unit.prefix
+        self.locals = Names(
+            56, (p, f"{p}_step", f"{p}_reset", f"{p}_in", f"{p}_out", f"{p}_state", f"{p}_usable", f"{p}_limited")
+        )
+        self.body: list[str] = []
+        self.reads = {name: f"in->{unit.signals[name]}" for name in self.scheme.inputs}
+        self.reads |= {name: f"state->{self.states[name]}" for name in self.scheme.states}
+        limits = zip(self.scheme.outputs, self.scheme.torque_limits, strict=True)
+        self.limits = {name: limit for name, limit in limits if np.isfinite(limit)}
+
+    def text(self) -> str:
+        for number, section in enumerate(self.scheme.sections, 1):
+            self._paragraph(f"{number}. {section.name}: {section.note or section.kind}", *self._section(section))
+        if self.limits:
+            self._paragraph("Limits of the torquers", *self._limited())
+            excess = self._excess()
+            if excess[1]:
+                self._paragraph("Anti-windup: what the limits cut off goes back into the states", *excess)
+        return "\n".join([*self._beginning(), *self._reset(), *self._step()])
+
+    def _paragraph(self, title: str, constants: list[str], statements: list[str]) -> None:
+        """Add what belongs together to the body: its constants, which nothing else uses, and its statements."""
+        self.body += ["", *remark(title, _INNER), *constants, *statements]
+
+    def _section(self, section: Section) -> tuple[list[str], list[str]]:
+        constants: list[str] = []
+        statements: list[str] = []
+        for row in section.signals:
+            target = self.locals[row.target]
+            statements += self._sum(target, row, section.name, constants)
+            self.reads[row.target] = target
+        for row in section.states:
+            statements += self._sum(self._next(row.target), row, section.name, constants)
+        return constants, statements
+
+    def _limited(self) -> tuple[list[str], list[str]]:
+        constants, statements = [], []
+        for name, what in zip(self.scheme.outputs, self.scheme.output_units, strict=True):
+            if name in self.limits:
+                bound = self.locals["limit", name]
+                number = literal(self.limits[name], self.kind)
+                constants.append(f"{_INNER}static const {self.kind} {bound} = {number}; /* {comment(what)} */")
+                cut = f"{self.unit.prefix}_limited({self.reads[name]}, {bound})"
+                statements.append(f"{_INNER}const {self.kind} {self.locals['limited', name]} = {cut};")
+        return constants, statements
+
+    def _excess(self) -> tuple[list[str], list[str]]:
+        """Add to the next states what the limits cut off; a state's next value gets another name."""
+        constants: list[str] = []
+        statements: list[str] = []
+        rows = acting_excess(self.scheme)
+        for name in dict.fromkeys(term.source for row in rows for term in row.terms):
+            over = self.reads[f"excess\n{name}"] = self.locals["excess", name]
+            cut = self.locals["limited", name]
+            statements.append(f"{_INNER}const {self.kind} {over} = {cut} - {self.reads[name]};")
+        for row in rows:
+            terms = tuple(Term(coefficient=t.coefficient, source=f"excess\n{t.source}") for t in row.terms)
+            back = Row(target=row.target, terms=terms)
+            before, after = self._next(row.target), ("unwound", row.target)
+            statements += self._sum(self.locals[after], back, "", constants, before)
+            self.locals.rename(("next", row.target), after)
+        return constants, statements
+
+    def _next(self, state: str) -> str:
+        return self.locals["next", state]
+
+    def _sum(self, target: str, row: Row, label: str, constants: list[str], first: str = "") -> list[str]:
+        """Return the statement that makes `target` the sum of a row, on one line or a product a line."""
+        parts = [("", first)] if first else []
+        alone = len(row.terms) == 1 and not first
+        parts += [self._product(term, row, label, constants, alone) for term in row.terms]
+        parts = parts or [("", literal(0.0, self.kind))]
+        sign, text = parts[0]
+        lines = [f"{_INNER}const {self.kind} {target} = {sign}{text}"]
+        lines += [f"{_INNER}    {sign or '+'} {text}" for sign, text in parts[1:]]
+        lines[-1] += ";"
+        joined = " ".join(line.strip() if k else line for k, line in enumerate(lines))
+        return [joined] if len(joined) <= WIDTH else lines
+
+    def _product(self, term: Term, row: Row, label: str, constants: list[str], alone: bool) -> tuple[str, str]:
+        """Return the sign and the text of a product; its coefficient becomes a constant with a name."""
+        taken = self.reads[term.source]
+        if abs(term.coefficient) == 1.0:
+            return "-" if term.coefficient < 0.0 else "", taken
+        name = f"{label} {term.name}" if term.name else f"{row.target} from {term.source}"
+        constant = self.locals.new(f"k {name}")
+        constants.append(f"{_INNER}static const {self.kind} {constant} = {literal(term.coefficient, self.kind)};")
+        product = f"{constant} * {taken}"
+        return "", product if alone else f"({product})"
+
+    def _beginning(self) -> list[str]:
+        lines = [
+            *block(
+                [
+                    f"{self.unit.prefix}.c: the controller {self.scheme.name!r}. See {self.unit.prefix}.h. "
+                    "Generated; do not edit."
+                ]
+            ),
+            f'#include "{self.unit.prefix}.h"',
+            "",
+            "#include <float.h>",
+            "",
+            "#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ > 0))",
+            '#error "numbers that are not finite could not be told from others: compile without -ffast-math"',
+            "#endif",
+            "",
+            "/* Whether a number is finite: no comparison holds for one that is not a number. */",
+            f"static int {self.unit.prefix}_usable({self.kind} value)",
+            "{",
+            f"    return (value >= -{_LARGEST[self.kind]}) && (value <= {_LARGEST[self.kind]});",
+            "}",
+            "",
+        ]
+        if self.limits:
+            lines += [
+                "/* The value within +- the limit. */",
+                f"static {self.kind} {self.unit.prefix}_limited({self.kind} value, {self.kind} limit)",
+                "{",
+                f"    {self.kind} result = value;",
+                "    if (value > limit) {",
+                "        result = limit;",
+                "    } else if (value < -limit) {",
+                "        result = -limit;",
+                "    } else {",
+                "        /* within the limit */",
+                "    }",
+                "    return result;",
+                "}",
+                "",
+            ]
+        return lines
+
+    def _reset(self) -> list[str]:
+        p, zero = self.unit.prefix, literal(0.0, self.kind)
+        outputs = [self.unit.signals[name] for name in self.scheme.outputs]
+        fields = [*outputs, *(f"{name}_commanded" for name in outputs)]
+        return [
+            f"void {p}_reset({p}_state *state)",
+            "{",
+            *(f"    state->{self.states[name]} = {zero};" for name in self.scheme.states),
+            *(f"    state->last.{name} = {zero};" for name in fields),
+            "}",
+            "",
+        ]
+
+    def _step(self) -> list[str]:
+        s, p = self.scheme, self.unit.prefix
+        results = [self._next(name) for name in s.states] + [self.reads[name] for name in s.outputs]
+        lines = [
+            *signature(p),
+            "{",
+            f"    unsigned int status = {p.upper()}_HELD;",
+            "",
+            *_condition([f"{p}_usable(in->{self.unit.signals[name]})" for name in s.inputs], "    "),
+            # No empty line behind the brace.
+            *self.body[1:],
+            "",
+            f"{_INNER}/* Taken over only where every result is finite. */",
+            *_condition([f"{p}_usable({name})" for name in results], _INNER),
+            f"{_INNER}    status = {p.upper()}_OK;",
+        ]
+        for name in s.outputs:
+            last, command = f"{_INNER}    state->last.{self.unit.signals[name]}", self.reads[name]
+            given = self.locals["limited", name] if name in self.limits else command
+            lines += [f"{last} = {given};", f"{last}_commanded = {command};"]
+        lines += [f"{_INNER}    state->{self.states[name]} = {self._next(name)};" for name in s.states]
+        for name in self.limits:
+            command, bound = self.reads[name], self.locals["limit", name]
+            lines += [
+                f"{_INNER}    if (({command} > {bound}) || ({command} < -{bound})) {{",
+                f"{_INNER}        status = {p.upper()}_LIMITED;",
+                f"{_INNER}    }}",
+            ]
+        return [*lines, f"{_INNER}}}", "    }", "    *out = state->last;", "    return status;", "}", ""]
+
+
+def _head(unit: Unit) -> list[str]:
+    s = unit.scheme
+    cost: Cost = cost_of(s)
+    rate = 1.0 / s.period
+    paragraphs = [
+        f"{unit.prefix}.h: the controller {s.name!r}.",
+        f"Generated by platform_ctrl; do not edit. Numbers are of type {unit.number}.",
+        "",
+        *provenance(s.provenance),
+        "",
+        f"Call {unit.prefix}_step once for every sample, {rate:.9g} Hz (every {s.period:.9g} s), with the readings "
+        f"of that instant. {acts(s.period, s.delay)}",
+        "",
+        "Signs: u = K y, with no hidden sign: an output is the torque on its gimbal (or root axis), positive about "
+        "the axis in the plant file, as the angles are.",
+        "",
+        *(
+            f"in:  {name} [{what}]" + ("" if unit.signals[name] == name else f", field {unit.signals[name]}")
+            for name, what in zip(s.inputs, s.input_units, strict=True)
+        ),
+        *(
+            f"out: {name} [{what}]"
+            + ("" if unit.signals[name] == name else f", field {unit.signals[name]}")
+            + (f", limited to +-{limit:.9g} {what}" if np.isfinite(limit) else ", not limited")
+            for name, what, limit in zip(s.outputs, s.output_units, s.torque_limits, strict=True)
+        ),
+        "",
+        *(line for remark in unit.remarks for line in (remark, "")),
+        f"A step takes {cost.multiplications} multiplications, {cost.additions} additions and subtractions, and at "
+        f"most {cost.comparisons} comparisons, always in the same order; {len(s.states)} states. No allocation, "
+        "recursion, loop, global variable or library function.",
+        "",
+        "Inputs that are not finite, and states or commands that would not be: the step changes nothing, gives the "
+        f"last outputs again and returns {unit.prefix.upper()}_HELD. Pointers are not checked.",
+    ]
+    return block(paragraphs)
+
+
+def _condition(tests: Sequence[str], indent: str) -> list[str]:
+    """Return the head of an if statement that all tests have to pass, some of them a line."""
+    lines, line = [], f"{indent}if ("
+    for k, test in enumerate(tests):
+        part = (" && " if k else "") + test
+        if len(line) + len(part) > WIDTH - 4:
+            lines.append(f"{line} &&")
+            line = f"{indent}    {test}"
+        else:
+            line += part
+    return [*lines, f"{line}) {{"]
+
+
+def _state_names(unit: Unit) -> Mapping[str, str]:
+    names = Names(40, ("last",))
+    return {name: names[name] for name in unit.scheme.states}

@@ -1,0 +1,222 @@
+"""Controllers that are to be written out: judged against the job, whatever form they come in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.design.classical.caging import Stage
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.c99.scheme import Row, Section, Term
+from platform_ctrl.job.job import Job
+from platform_ctrl.verification.given import read_controllers
+from platform_ctrl.verification.records import SCHEMA
+
+if TYPE_CHECKING:
+    import control
+
+# What `design.anti_windup` calls the inputs through which the excess of a torque goes back into the states.
+_EXCESS = "excess_"
+
+
+@value
+class Entry:
+    """A controller of a job.
+
+    Attributes
+    ----------
+    loop, design, method
+        As in the job file; empty where nothing is known.
+    arrays
+        x⁺ = A x + B y, u = C x + D y; ``dt`` is the sample period, s.
+    inputs, outputs
+        Names of the signals.
+    options
+        The method's numbers as finally used, in the units of the job file.
+    excess : (n, m)
+        E of the anti-windup that the controller brings along, or None.
+    """
+
+    loop: str
+    design: str = ""
+    method: str = ""
+    arrays: StateArrays
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    options: dict[str, float] = field(default_factory=dict)
+    excess: FloatArray | None = None
+
+
+def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]) -> tuple[Entry, ...]:
+    """Return the controllers of a job, judged.
+
+    Parameters
+    ----------
+    job
+        What they have to fit.
+    given
+        Entries of ``controllers`` in ``result.json``, or `control.StateSpace` with ``dt`` and the names of their
+        signals (that of `design.anti_windup` too, with its inputs ``excess_``), in order of evaluation.
+
+    Returns
+    -------
+    tuple of Entry
+        In the same order.
+    """
+    if isinstance(given, Mapping | str) or not isinstance(given, Sequence):
+        raise ArgumentError(f"entries: given {short(given)}; expected a list of controllers")
+    records = [one if isinstance(one, Mapping) else _record(one, job) for one in given]
+    plain, excess = zip(*(_without_excess(one) for one in records), strict=True) if records else ((), ())
+    judged = read_controllers({"schema": SCHEMA, "controllers": list(plain)}, job)
+    return tuple(
+        Entry(
+            loop=str(record["name"]),
+            design=_text(record, "design"),
+            method=_text(record, "method"),
+            arrays=state_arrays(K, "controller"),
+            inputs=tuple(K.input_labels),
+            outputs=tuple(K.output_labels),
+            options=_numbers(record.get("options")),
+            excess=E,
+        )
+        for record, K, E in zip(plain, judged, excess, strict=True)
+    )
+
+
+def _record(K: control.StateSpace, job: Job) -> dict[str, Any]:
+    arrays = state_arrays(K, "controller")
+    loop, _, design = str(K.name).partition(", ")
+    if loop not in {spec.name for spec in job.loops}:
+        # Named by python-control, or by somebody: the loop is told by what is set.
+        loop, design = _closed_by(job, tuple(K.output_labels)) or str(K.name), ""
+    return {
+        "name": loop,
+        "design": design,
+        "dt": arrays.dt,
+        **{name: item.tolist() for name, item in zip("ABCD", arrays[:4], strict=True)},
+        "inputs": list(K.input_labels),
+        "outputs": list(K.output_labels),
+        "delay": job.sampling.delay,
+    }
+
+
+def _closed_by(job: Job, outputs: tuple[str, ...]) -> str | None:
+    """Return the name of the loop whose torques these are."""
+    gimbals = {torquer.name: torquer.gimbal for torquer in job.platform.torquers}
+    acted_on = {gimbals.get(name) for name in outputs}
+    for spec in job.loops:
+        if acted_on == (set(spec.gimbals) if spec.kind == "caging" else {None}):
+            return spec.name
+    return None
+
+
+def _without_excess(record: Mapping[str, Any]) -> tuple[Mapping[str, Any], FloatArray | None]:
+    """Split a controller from the inputs through which anti-windup acts."""
+    inputs, outputs = record.get("inputs"), record.get("outputs")
+    if not isinstance(inputs, list) or not isinstance(outputs, list):
+        return record, None
+    added = [f"{_EXCESS}{name}" for name in outputs]
+    count = len(inputs) - len(added)
+    if count <= 0 or inputs[count:] != added:
+        return record, None
+    try:
+        B, D = (np.array(record[name], dtype=np.float64) for name in "BD")
+        into, through = B[:, count:], D[:, count:]
+    except (KeyError, TypeError, ValueError, IndexError):
+        return record, None
+    if through.any():
+        raise InputError(
+            f"controller {record.get('name')!r}: the excess of a torque acts on an output of the same step; expected "
+            "it to act on states alone"
+        )
+    plain = {"inputs": inputs[:count], "B": B[:, :count].tolist(), "D": D[:, :count].tolist()}
+    return {**record, **plain}, into
+
+
+def _text(record: Mapping[str, Any], key: str) -> str:
+    item = record.get(key)
+    return item if isinstance(item, str) else ""
+
+
+def _numbers(item: object) -> dict[str, float]:
+    if not isinstance(item, Mapping):
+        return {}
+    return {str(name): float(x) for name, x in item.items() if isinstance(x, int | float) and not isinstance(x, bool)}
+
+
+# What the coefficients of a block with one or two states are called.
+_POLES = {1: (("pole",),), 2: (("a1", "a2"), ("shift", "none"))}
+_SHOWN = {1: ("held",), 2: ("c1", "c2")}
+
+
+def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequence[str] = ()) -> Row:
+    """Return target = Σ weights sources, without what is zero.
+
+    Parameters
+    ----------
+    target
+        Name.
+    weights : (k,)
+        Coefficients, in the unit of the target per unit of the source.
+    sources
+        As many names.
+    names
+        What the coefficients are called; none: nothing.
+
+    Returns
+    -------
+    Row
+        With a term for every weight that is not zero.
+    """
+    labels = names or [""] * len(sources)
+    return Row(
+        target=target,
+        terms=tuple(
+            Term(coefficient=float(x), source=source, name=label)
+            for x, source, label in zip(weights, sources, labels, strict=True)
+            if x != 0.0
+        ),
+    )
+
+
+def sections_of(stages: Iterable[Stage]) -> tuple[Section, ...]:
+    """Return the sections of a block diagram.
+
+    Parameters
+    ----------
+    stages
+        In order of evaluation; those with states have one input and one output.
+
+    Returns
+    -------
+    tuple of Section
+        One for each, the states named after their stages.
+    """
+    return tuple(_section(stage) for stage in stages)
+
+
+def _section(stage: Stage) -> Section:
+    A, B, C, D = stage.block
+    n = len(A)
+    states = [f"{stage.name}_x{k + 1}" if n > 1 else f"{stage.name}_x" for k in range(n)]
+    sources = [*stage.inputs, *states]
+    through = ("direct",) if n else [""] * len(stage.inputs)
+    return Section(
+        name=stage.name,
+        kind=stage.kind,
+        note=stage.note,
+        signals=tuple(
+            row(target, np.concatenate([D[k], C[k]]), sources, [*through, *_SHOWN.get(n, ())])
+            for k, target in enumerate(stage.outputs)
+        ),
+        states=tuple(
+            row(target, np.concatenate([B[k], A[k]]), sources, ["drive", *_POLES[n][k]])
+            for k, target in enumerate(states)
+        ),
+    )

@@ -1,0 +1,271 @@
+"""What single precision does to a controller: its poles, its response, its outputs, and what integrals no longer see.
+
+Every row of a scheme is a sum of a few products, so its rounding is at most (terms + 1) u Σ |coefficient source|, u =
+2^-24, to first order. These errors run through the controller like inputs: the sum of the magnitudes of their impulse
+responses bounds what they do to the outputs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import UnscalableError
+from platform_ctrl.export.c99.scheme import Row, Scheme, arrays
+from platform_ctrl.export.c99.windup import integrating
+
+# Unit roundoff of float.
+_U = 2.0**-24
+# Change of the response or shift of a pole, relative to its distance from z = 1, that is told, and that is refused.
+TOLD, _REFUSED = 1e-3, 1e-2
+# A pole this little outside the unit circle lies on it.
+_ON_CIRCLE = 1e-6
+# Longest response that is summed, samples.
+_LONGEST = 20000
+
+
+@value
+class FloatError:
+    """How far a controller in single precision is from itself.
+
+    Attributes
+    ----------
+    inputs : (m,)
+        Magnitudes of the inputs that the figures hold for, in their units.
+    response
+        Largest relative change of the frequency response by rounded coefficients.
+    pole
+        Largest shift of a pole by them, relative to its distance from z = 1.
+    bound : (p,)
+        Largest difference of the outputs after `steps` samples from equal states, in their units, while no limit acts
+        and the integrals are worth no more than the limits; inf where the controller is unstable by itself.
+    steps
+        Number of samples.
+    unseen : (m,)
+        Magnitude of a constant input that the integrals may lose, in its unit; zero: none.
+
+    References
+    ----------
+    N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 3.
+    """
+
+    inputs: FloatArray
+    response: float
+    pole: float
+    bound: FloatArray
+    steps: int
+    unseen: FloatArray
+
+
+def float_scheme(scheme: Scheme) -> Scheme:
+    """Return the scheme with its coefficients and limits as floats hold them.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    Scheme
+        With rounded numbers.
+
+    References
+    ----------
+    IEEE 754-2019, binary32.
+    """
+    least, most = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+
+    def rounded(x: float, what: str) -> float:
+        if not abs(x) <= most:
+            raise UnscalableError(
+                f"{scheme.name}: {what}: {x:.3g} does not fit a float; expected at most {most:.3g}: use double", scheme
+            )
+        # What is smaller than any normal number is lost; whether that matters, the response tells.
+        return float(np.float32(x)) if abs(x) >= least else 0.0
+
+    def row(one: Row) -> Row:
+        terms = (dataclasses.replace(t, coefficient=rounded(t.coefficient, one.target)) for t in one.terms)
+        return dataclasses.replace(one, terms=tuple(terms))
+
+    return dataclasses.replace(
+        scheme,
+        sections=tuple(
+            dataclasses.replace(
+                section, signals=tuple(row(r) for r in section.signals), states=tuple(row(r) for r in section.states)
+            )
+            for section in scheme.sections
+        ),
+        excess=tuple(row(r) for r in scheme.excess),
+        torque_limits=tuple(
+            rounded(x, f"limit of {name}") if np.isfinite(x) else x
+            for name, x in zip(scheme.outputs, scheme.torque_limits, strict=True)
+        ),
+    )
+
+
+def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None = None) -> FloatError:
+    """Return what single precision does to a controller.
+
+    Parameters
+    ----------
+    scheme
+        The controller.
+    ranges
+        Largest magnitude of each input, in its unit.
+    steps
+        Number of samples; default those of a second.
+
+    Returns
+    -------
+    FloatError
+        To first order in the unit roundoff.
+
+    References
+    ----------
+    N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 3.
+    """
+    K = arrays(scheme)
+    rounded = arrays(float_scheme(scheme))
+    count = max(1, round(1.0 / scheme.period)) if steps is None else steps
+    inputs = np.array([ranges[name] for name in scheme.inputs])
+    response, pole = _moved(K, rounded)
+    if not max(response, pole) <= _REFUSED:
+        raise UnscalableError(
+            f"{scheme.name}: in single precision a pole moves by {pole:.2g} of its distance from z = 1 and the "
+            f"response by {response:.2g}; expected at most {_REFUSED:g}: use double",
+            scheme,
+        )
+    states, lasting = _state_magnitudes(scheme, K, inputs)
+    into, through, errors = _roundings(scheme, K, inputs, states)
+    stable = not len(K.A) or np.abs(np.linalg.eigvals(K.A)).max() < 1.0 + _ON_CIRCLE
+    return FloatError(
+        inputs=inputs,
+        response=response,
+        pole=pole,
+        bound=_grown(K, into, through, count) @ errors if stable else np.full(len(K.C), np.inf),
+        steps=count,
+        unseen=_unseen(scheme, K, lasting),
+    )
+
+
+def _moved(K: StateArrays, rounded: StateArrays) -> tuple[float, float]:
+    """Return the largest relative changes of the response and of the poles."""
+    from scipy.optimize import linear_sum_assignment
+
+    # A resonance changes the most at its own frequency, which a grid misses where it is narrow. Of one without damping
+    # the response there says nothing.
+    z = np.concatenate([np.linalg.eigvals(item.A) for item in (K, rounded)])
+    own = np.abs(np.angle(z[1.0 - np.abs(z) > _ON_CIRCLE]))
+    angles = np.concatenate([np.geomspace(1e-5, np.pi, 300), own])
+    frequency = np.unique(angles[angles >= 1e-5]) / K.dt
+    one, other = (frequency_response_arrays(*item[:4], K.dt, frequency) for item in (K, rounded))
+    size = np.linalg.norm(one, axis=(1, 2))
+    # Where nothing passes any more, nothing is compared.
+    size = np.maximum(size, 1e-3 * np.median(size))
+    response = np.linalg.norm(other - one, axis=(1, 2)) / np.where(size > 0.0, size, 1.0)
+    if not len(K.A):
+        return float(response.max(initial=0.0)), 0.0
+    before, after = np.linalg.eigvals(K.A), np.linalg.eigvals(rounded.A)
+    away = np.abs(before[:, None] - after[None, :])
+    rows, columns = linear_sum_assignment(away)
+    # What the eigenvalues of the exact matrix scatter by themselves is no shift.
+    distance = np.maximum(np.abs(before - 1.0), 1e-7)
+    shift = away[rows, columns] / distance[rows]
+    return float(response.max(initial=0.0)), float(shift.max(initial=0.0))
+
+
+def _state_magnitudes(scheme: Scheme, K: StateArrays, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest magnitudes of the states, and the share in them of what integrates."""
+    n = len(K.A)
+    V, _ = integrating(K)
+    limits = np.array(scheme.torque_limits)
+    limits = np.where(np.isfinite(limits), limits, np.abs(K.D) @ inputs)
+    lasting = np.abs(V) @ (np.abs(np.linalg.pinv(K.C @ V)) @ limits) if V.shape[1] else np.zeros(n)
+    # Left vectors of what integrates, so that the rest is stable.
+    P = np.eye(n)
+    if V.shape[1]:
+        W = _left(K)
+        P = P - V @ np.linalg.solve(W @ V, W)
+    x, total = P @ K.B, np.zeros(K.B.shape)
+    for _ in range(_LONGEST):
+        total += np.abs(x)
+        if np.all(np.abs(x) <= 1e-9 * total.max(initial=0.0)):
+            break
+        x = P @ (K.A @ x)
+    return total @ inputs + lasting, lasting
+
+
+def _roundings(
+    scheme: Scheme, K: StateArrays, inputs: FloatArray, states: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how the rounding of each input and row acts on states and outputs, and its largest magnitude."""
+    n, m = K.B.shape
+    rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
+    width = n + m + m + len(rows)
+    known = dict(zip((*scheme.states, *scheme.inputs), np.eye(n + m, width), strict=True))
+    magnitudes = dict(zip((*scheme.states, *scheme.inputs), (*states, *inputs), strict=True))
+    errors = [*(_U * inputs)]
+    for k, name in enumerate(scheme.inputs):
+        known[name] = known[name] + np.eye(width)[n + m + k]
+    later = []
+    number = n + m + m
+    for section in scheme.sections:
+        for row in (*section.signals, *section.states):
+            out = np.eye(width)[number]
+            terms = [abs(term.coefficient) * magnitudes[term.source] for term in row.terms]
+            errors.append((len(terms) + 1) * _U * sum(terms))
+            for term in row.terms:
+                out = out + term.coefficient * known[term.source]
+            number += 1
+            if row in section.states:
+                later.append(out)
+            else:
+                known[row.target] = out
+                magnitudes[row.target] = sum(terms)
+    following = np.array(later).reshape(n, width)
+    given = np.array([known[name] for name in scheme.outputs])
+    return following[:, n + m :], given[:, n + m :], np.array(errors)
+
+
+def _grown(K: StateArrays, into: FloatArray, through: FloatArray, steps: int) -> FloatArray:
+    """Return the sum of the magnitudes of the impulse responses over `steps` samples."""
+    total = np.abs(through)
+    x = into
+    for _ in range(steps - 1):
+        total = total + np.abs(K.C @ x)
+        x = K.A @ x
+    return total
+
+
+def _unseen(scheme: Scheme, K: StateArrays, lasting: FloatArray) -> FloatArray:
+    """Return which constant inputs are lost in the last digit of states that integrate."""
+    V, _ = integrating(K)
+    out = np.zeros(len(scheme.inputs))
+    if not V.shape[1]:
+        return out
+    size = np.abs(V).max(axis=1)
+    for k in np.flatnonzero((size > 1e-9 * size.max()) & (np.abs(np.diag(K.A) - 1.0) < 1e-6)):
+        # A filter before the integral passes what is constant.
+        drive = np.abs(_constant_gain(K, int(k)))
+        lost = _U * lasting[k] / np.maximum(drive, 1e-300)
+        out = np.maximum(out, np.where(drive > 1e-9 * drive.max(initial=0.0), lost, 0.0))
+    return out
+
+
+def _constant_gain(K: StateArrays, k: int) -> FloatArray:
+    """Return what a constant input adds to state `k` in a sample when all that forgets has settled."""
+    V, _ = integrating(K)
+    W = _left(K)
+    along: FloatArray = (V @ np.linalg.solve(W @ V, W @ K.B))[k]
+    return along
+
+
+def _left(K: StateArrays) -> FloatArray:
+    """Return W with W A = Λ W of what integrates, (k, n)."""
+    return integrating(StateArrays(K.A.T, K.C.T, K.B.T, K.D.T, K.dt))[0].T

@@ -1,0 +1,225 @@
+"""The scheme of a controller: in the blocks of its design where they give its matrices, in its own modes otherwise."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.design.classical.caging import classical_diagram
+from platform_ctrl.design.classical.stabilisation import rate_estimate, servo_diagram
+from platform_ctrl.design.partition import channels
+from platform_ctrl.design.plants import rows_of
+from platform_ctrl.errors import NotCertifiedError, PlatformCtrlError
+from platform_ctrl.export.c99.entries import Entry, row, sections_of
+from platform_ctrl.export.c99.modes import modal_sections, pid_sections, plain_sections
+from platform_ctrl.export.c99.scheme import Provenance, Row, Scheme, Section, arrays
+from platform_ctrl.export.linear_system import signal_units
+from platform_ctrl.job.job import Job
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.plant.platform import Platform
+
+# How far a scheme's matrices and response may be from those of the controller: rounding of a few operations.
+_SAME_MATRICES = 1e-11
+_SAME_RESPONSE = 1e-8
+_FREQUENCIES = 240
+# States of a controller that is taken apart into modes: the time grows with the fourth power.
+_MOST = 400
+
+
+def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> Scheme:
+    """Return a controller written out in sections.
+
+    Parameters
+    ----------
+    job
+        The job that it stands in.
+    entry
+        The controller, as from `entries_of`.
+    provenance
+        Where it comes from.
+
+    Returns
+    -------
+    Scheme
+        Multiplied out it is the controller: with the same matrices, or in other states with the same transfer function.
+        `Scheme.excess` is what the entry brings along.
+    """
+    units = signal_units(job.platform)
+    limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
+
+    def scheme(sections: tuple[Section, ...], excess: tuple[Row, ...] = ()) -> Scheme:
+        return Scheme(
+            name=entry.loop,
+            inputs=entry.inputs,
+            input_units=tuple(units[name] for name in entry.inputs),
+            outputs=entry.outputs,
+            output_units=tuple(units[name] for name in entry.outputs),
+            sections=sections,
+            torque_limits=tuple(limits[name] for name in entry.outputs),
+            excess=excess,
+            period=job.sampling.period,
+            delay=job.sampling.delay,
+            provenance=provenance
+            or Provenance(job=job.name, loop=entry.loop, design=entry.design, method=entry.method),
+        )
+
+    for build in (_classical, _servo, _pid):
+        sections = _tried(build, job, entry)
+        if sections is None:
+            continue
+        made = scheme(sections)
+        if _believed(made, entry):
+            return scheme(sections, _excess_rows(made, entry.excess))
+    for form in (modal_sections, plain_sections) if len(entry.arrays.A) <= _MOST else (plain_sections,):
+        written, T = form(entry)
+        made = scheme(written)
+        if same_response(arrays(made), entry.arrays):
+            gain = None if entry.excess is None else np.asarray(np.linalg.solve(T, entry.excess), dtype=np.float64)
+            return scheme(written, _excess_rows(made, gain))
+    raise NotCertifiedError(
+        f"controller {entry.loop!r}: written out in sections it is another controller; expected matrices that rounding "
+        "does not change so much: give it in balanced states",
+        entry,
+    )
+
+
+def with_excess(scheme: Scheme, gain: FloatArray) -> Scheme:
+    """Return the scheme with another anti-windup gain.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+    gain : (states, outputs)
+        E of x⁺ = A x + B y + E (limited u − u), in its states per unit of its outputs.
+
+    Returns
+    -------
+    Scheme
+        The same controller where no limit acts.
+    """
+    return dataclasses.replace(scheme, excess=_excess_rows(scheme, gain))
+
+
+def same_matrices(one: StateArrays, other: StateArrays) -> bool:
+    """Return whether two controllers have the same matrices up to rounding.
+
+    Parameters
+    ----------
+    one, other
+        Of the same signals.
+
+    Returns
+    -------
+    bool
+        False also where they differ in their shapes.
+    """
+    for a, b in zip(one[:4], other[:4], strict=True):
+        # What is not a number is not the same.
+        if a.shape != b.shape or not np.all(np.abs(a - b) <= _SAME_MATRICES * np.abs(b).max(initial=0.0)):
+            return False
+    return True
+
+
+def same_response(one: StateArrays, other: StateArrays) -> bool:
+    """Return whether two controllers have the same frequency response up to rounding.
+
+    Parameters
+    ----------
+    one, other
+        Of the same signals and period.
+
+    Returns
+    -------
+    bool
+        Relative to the largest singular value at each frequency, at those of the poles too.
+    """
+    T = other.dt
+    angles = np.abs(np.angle(np.linalg.eigvals(other.A)))
+    # On the circle no grid misses a pole: near each it is finer.
+    near = np.concatenate([angles * (1.0 + 10.0**-k) for k in range(2, 7)]) if len(angles) else angles
+    grid = np.concatenate([np.geomspace(1e-6, np.pi, _FREQUENCIES), np.linspace(0.01, np.pi, _FREQUENCIES), near])
+    frequency = np.unique(grid[(grid >= 1e-6) & (grid <= np.pi)]) / T
+    a, b = (frequency_response_arrays(*item[:4], T, frequency) for item in (one, other))
+    # Squares of large or small numbers are no numbers.
+    largest = np.abs(b).max(initial=0.0)
+    if largest > 0.0:
+        a, b = a / largest, b / largest
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
+        return False
+    size = np.linalg.norm(b, axis=(1, 2))
+    return bool(
+        np.all(np.linalg.norm(a - b, axis=(1, 2)) <= _SAME_RESPONSE * np.maximum(size, 1e-12 * size.max(initial=0.0)))
+    )
+
+
+def _tried(
+    build: Callable[[Job, Entry, LinearModel], tuple[Section, ...] | None], job: Job, entry: Entry
+) -> tuple[Section, ...] | None:
+    try:
+        with np.errstate(all="ignore"):
+            return build(job, entry, linearise(job.platform))
+    except (PlatformCtrlError, KeyError, ArithmeticError, ValueError):
+        # Options of another plant, of another version, or nonsense: its modes say it as well.
+        return None
+
+
+def _believed(made: Scheme, entry: Entry) -> bool:
+    """Return whether what options say is the controller: same matrices, and so the same response."""
+    try:
+        with np.errstate(all="ignore"):
+            K = arrays(made)
+            return same_matrices(K, entry.arrays) and same_response(K, entry.arrays)
+    except PlatformCtrlError:
+        return False
+
+
+def _classical(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
+    found = _gimbals(job, entry)
+    if found is None or not {"lead_hz", "inertial_lead_hz"} & set(entry.options):
+        return None
+    gimbals, angles = found
+    channel = channels(model, rows_of(model, gimbals))
+    return sections_of(classical_diagram(entry.options, channel, entry.arrays.dt, angles, entry.outputs))
+
+
+def _servo(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
+    if not {"filter_hz", "filter_damping", "crossover_hz", "position_hz"} <= set(entry.options):
+        return None
+    _, used = rate_estimate(model)
+    torquers = {t.gimbal: t.name for t in job.platform.torquers if t.gimbal is not None}
+    roots = {t.root_axis: t.name for t in job.platform.torquers if t.root_axis is not None}
+    torques = [torquers[model.gimbal_names[k]] for k in used]
+    return sections_of(
+        servo_diagram(entry.options, model, entry.arrays.dt, torques, [roots[axis] for axis in (1, 2, 3)])
+    )
+
+
+def _pid(job: Job, entry: Entry, model: LinearModel) -> tuple[Section, ...] | None:
+    found = _gimbals(job, entry)
+    if found is None:
+        return None
+    gimbals, angles = found
+    return pid_sections(entry, channels(model, rows_of(model, gimbals)), angles)
+
+
+def _gimbals(job: Job, entry: Entry) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Return the gimbals that the outputs act on and the angles that belong to them, if the inputs are just these."""
+    platform: Platform = job.platform
+    on = {t.name: t.gimbal for t in platform.torquers}
+    gimbals = tuple(str(on.get(name)) for name in entry.outputs)
+    sensed = {p.gimbal: p.name for p in platform.pickoffs}
+    angles = tuple(sensed.get(gimbal, "") for gimbal in gimbals)
+    return (gimbals, angles) if set(angles) == set(entry.inputs) and len(angles) == len(entry.inputs) else None
+
+
+def _excess_rows(scheme: Scheme, gain: FloatArray | None) -> tuple[Row, ...]:
+    if gain is None:
+        return ()
+    rows = (row(state, weights, scheme.outputs) for state, weights in zip(scheme.states, gain, strict=True))
+    return tuple(one for one in rows if one.terms)

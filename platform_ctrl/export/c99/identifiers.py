@@ -1,0 +1,152 @@
+"""Names as C identifiers, and texts as C comments, whatever the names in a job are."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+
+from platform_ctrl.common.text import LETTERS
+
+_LATIN = {letter: name for name, letter in LETTERS.items()} | {"−": "-", "·": ".", "°": "deg", "ß": "ss", "ø": "o"}
+# Keywords of C (to C23) and C++ (to C++23), what common headers and compilers define, and what generated code uses.
+_WORDS = """
+    alignas alignof and and_eq asm atomic_cancel atomic_commit atomic_noexcept auto bitand bitor bool break case catch
+    char char8_t char16_t char32_t class co_await co_return co_yield compl complex concept const const_cast consteval
+    constexpr constinit continue decltype default delete do double dynamic_cast else enum explicit export extern false
+    final float for friend goto if imaginary import inline int long module mutable namespace new noexcept not not_eq
+    nullptr operator or or_eq override private protected public reflexpr register reinterpret_cast requires restrict
+    return short signed sizeof static static_assert static_cast struct switch synchronized template this thread_local
+    throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual void volatile wchar_t while
+    xor xor_eq near far huge interrupt fortran NULL NAN INFINITY I EOF errno main linux unix i386 vax arm assert
+    in out state status last
+"""
+_RESERVED = frozenset(_WORDS.split())
+# Headers of the standard libraries, which a file of that name would hide, and what Windows keeps for devices.
+_FILES = """
+    assert ccomplex complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg
+    stdatomic stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+    malloc memory poll pthread sched strings unistd new version aux con nul prn com1 com2 com3 com4 com5 com6 com7
+    com8 com9 lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9
+"""
+FILES = tuple(_FILES.split())
+# What generated code appends to a signal's name.
+_ENDINGS = ("_commanded", "_status")
+
+
+class Names:
+    """Identifiers for names, each of its own; asked twice for a name it gives the same.
+
+    Parameters
+    ----------
+    longest
+        Most characters of an identifier.
+    taken
+        Identifiers that are in use already.
+    """
+
+    def __init__(self, longest: int = 48, taken: tuple[str, ...] = ()) -> None:
+        self._longest = longest
+        # Compared without case: identifiers become file names and macros too.
+        self._used = {name.lower() for name in taken}
+        self._known: dict[str | tuple[str, ...], str] = {}
+
+    def __getitem__(self, name: str | tuple[str, ...]) -> str:
+        """Return the identifier of `name`; what is made from one is given in words, and is no other's name."""
+        if name not in self._known:
+            self._known[name] = self.new(name if isinstance(name, str) else " ".join(name))
+        return self._known[name]
+
+    def new(self, name: str) -> str:
+        """Return an identifier that resembles `name` and was not given before."""
+        base = identifier(name, self._longest)
+        out, count = base, 1
+        while out.lower() in self._used:
+            count += 1
+            out = f"{base[: self._longest - len(str(count)) - 1]}_{count}"
+        self._used.add(out.lower())
+        return out
+
+    def rename(self, name: str | tuple[str, ...], as_name: str | tuple[str, ...]) -> None:
+        """Let `name` give the identifier of another name from now on."""
+        self._known[name] = self[as_name]
+
+
+def field_names(signals: Iterable[str]) -> dict[str, str]:
+    """Return identifiers for the signals of a job, each of its own.
+
+    Parameters
+    ----------
+    signals
+        Names; one that occurs twice is one signal.
+
+    Returns
+    -------
+    dict
+        Identifier by name; with nothing at their ends that generated code appends to others.
+    """
+    names = Names(40)
+    return {name: names[f"{name} n" if identifier(name).endswith(_ENDINGS) else name] for name in signals}
+
+
+def identifier(name: str, longest: int = 48) -> str:
+    """Return a C and C++ identifier that resembles `name`: ASCII, no keyword, not reserved.
+
+    Parameters
+    ----------
+    name
+        Any text.
+    longest
+        Most characters.
+
+    Returns
+    -------
+    str
+        Letters, digits and single underscores; different names may give the same.
+
+    References
+    ----------
+    ISO/IEC 9899:1999, 6.4.2 and 7.1.3.
+    """
+    out = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_ascii(c) for c in name)).strip("_")
+    if len(out) > longest:
+        # A word is not cut where enough stands before it.
+        head, _, last = out[: longest + 1].rpartition("_")
+        out = head if len(head) > longest // 2 and last else out[:longest].rstrip("_")
+    if not out or out[0].isdigit():
+        out = f"n{out}"[:longest]
+    # Macros are written in capitals, types of systems end in _t.
+    if out in _RESERVED or out.lower() in _RESERVED or ("_" in out and out.isupper()) or out.lower().endswith("_t"):
+        out = f"{out[: longest - 2]}_n"
+    return out
+
+
+def comment(text: str) -> str:
+    """Return a text as it may stand in a comment: printable ASCII on one line that neither ends nor nests it.
+
+    Parameters
+    ----------
+    text
+        Any text.
+
+    Returns
+    -------
+    str
+        Letters of other scripts are spelled or given by number.
+
+    References
+    ----------
+    ISO/IEC 9899:1999, 5.2.1.1 (trigraphs) and 6.4.9.
+    """
+    out = " ".join("".join(_ascii(c) if ord(c) > 126 else c if c.isprintable() else " " for c in text).split())
+    # A trigraph would end a line in a backslash; three marks in a row hold two trigraphs' heads.
+    return out.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("??", "? ?").replace("\\", "/")
+
+
+def _ascii(c: str) -> str:
+    if ord(c) < 127:
+        return c
+    if c in _LATIN:
+        return _LATIN[c]
+    plain = unicodedata.normalize("NFKD", c).encode("ascii", "ignore").decode()
+    return plain if plain.strip() else f" U{ord(c):04X} "

@@ -1,0 +1,257 @@
+"""A controller as it is evaluated: named sections in their order, each a few sums of products.
+
+A step takes the inputs of one sample and gives the outputs of that sample:
+
+    for every section:   signals = sums of inputs, earlier signals and states
+    then:                states⁺ = sums of inputs, signals and states, all of this step
+    and where a limit cut an output off:   states⁺ += excess (limited − commanded)
+
+Code is written from this, in floating point or in integers; `arrays` multiplies it out again, so that what was written
+can be held against what was designed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+
+SectionKind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass", "states"]
+
+
+@value
+class Term:
+    """A product in a sum.
+
+    Attributes
+    ----------
+    coefficient
+        In the unit of the target per unit of the source.
+    source
+        Name of an input, of an earlier signal, or of a state.
+    name
+        What the coefficient is called where it has a name of its own, for example ``lead_direct``; else empty.
+    """
+
+    coefficient: float
+    source: str
+    name: str = ""
+
+
+@value
+class Row:
+    """A sum of products: target = Σ coefficient source.
+
+    Attributes
+    ----------
+    target
+        Name of a signal, or of a state.
+    terms
+        None of them: the target is zero.
+    """
+
+    target: str
+    terms: tuple[Term, ...]
+
+
+@value
+class Section:
+    """A part of a controller that means something.
+
+    Attributes
+    ----------
+    name
+        For example ``integral of pair 1, axis 1``.
+    kind
+        What it is.
+    note
+        Its continuous meaning, for example ``zero at 7 Hz, pole at 900 Hz``; or empty.
+    signals
+        Values of this step, in the order in which they are computed.
+    states
+        Next values of its states.
+    """
+
+    name: str
+    kind: SectionKind
+    note: str = ""
+    signals: tuple[Row, ...] = ()
+    states: tuple[Row, ...] = ()
+
+
+@value
+class Provenance:
+    """Where a controller comes from.
+
+    Attributes
+    ----------
+    job, plant
+        Titles.
+    loop, design, method
+        As in the job file.
+    sha256
+        Of the result file, as hexadecimal digits; empty where there is none.
+    versions
+        Of platform_ctrl and what designed the controller, by name.
+    command
+        The command that wrote the code; or empty.
+    """
+
+    job: str = ""
+    plant: str = ""
+    loop: str = ""
+    design: str = ""
+    method: str = ""
+    sha256: str = ""
+    versions: dict[str, str] = field(default_factory=dict)
+    command: str = ""
+
+
+@value
+class Scheme:
+    """A sampled controller u = K y, written out.
+
+    Names of inputs, signals and states are distinct; every output is a signal of that name.
+
+    Attributes
+    ----------
+    name
+        Of the loop.
+    inputs, input_units
+        Signals that it measures, and their units, for example ``rad``.
+    outputs, output_units
+        Signals that it sets.
+    sections
+        In the order in which they are evaluated.
+    torque_limits : (outputs,)
+        Largest magnitude of each output, in its unit; inf where there is none.
+    excess
+        Anti-windup: what is added to a state's next value, Σ coefficient (limited − commanded); the sources are
+        outputs. Empty: none.
+    period, delay
+        Sample period; from the sample to the instant at which its outputs act, s.
+    provenance
+        Where it comes from.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    input_units: tuple[str, ...]
+    outputs: tuple[str, ...]
+    output_units: tuple[str, ...]
+    sections: tuple[Section, ...]
+    torque_limits: tuple[float, ...]
+    excess: tuple[Row, ...] = ()
+    period: float
+    delay: float
+    provenance: Provenance = field(default_factory=Provenance)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of all states, in the order of the sections."""
+        return tuple(row.target for section in self.sections for row in section.states)
+
+
+def arrays(scheme: Scheme) -> StateArrays:
+    """Return the controller that a scheme multiplies out to, without limits.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    StateArrays
+        States in the order of `Scheme.states`, inputs and outputs in theirs; ``dt`` is the period, s.
+    """
+    states, inputs = scheme.states, scheme.inputs
+    known = dict(zip((*states, *inputs), np.eye(len(states) + len(inputs)), strict=True))
+    if len(known) != len(states) + len(inputs):
+        raise ArgumentError(f"scheme {scheme.name!r}: two states or inputs have one name; expected distinct names")
+
+    def total(row: Row) -> FloatArray:
+        out = np.zeros(len(states) + len(inputs))
+        for term in row.terms:
+            if not math.isfinite(term.coefficient):
+                raise ArgumentError(
+                    f"scheme {scheme.name!r}: {row.target!r} has the coefficient {term.coefficient}; expected "
+                    "a finite number"
+                )
+            if term.source not in known:
+                raise ArgumentError(
+                    f"scheme {scheme.name!r}: {row.target!r} takes in {term.source!r}; expected an input, a state or a "
+                    "signal that is computed before it"
+                )
+            out += term.coefficient * known[term.source]
+        return out
+
+    following = []
+    for section in scheme.sections:
+        for row in section.signals:
+            if row.target in known:
+                raise ArgumentError(f"scheme {scheme.name!r}: {row.target!r} is there twice; expected distinct names")
+            known[row.target] = total(row)
+        # What a state becomes may depend on signals of its own section, and on those before it.
+        following += [total(row) for row in section.states]
+    missing = [name for name in scheme.outputs if name not in known]
+    if missing:
+        raise ArgumentError(f"scheme {scheme.name!r}: no signal {missing[0]!r}; expected one for every output")
+    width = len(states) + len(inputs)
+    later = np.array(following).reshape(len(states), width)
+    shown = np.array([known[name] for name in scheme.outputs]).reshape(len(scheme.outputs), width)
+    n = len(states)
+    return StateArrays(later[:, :n], later[:, n:], shown[:, :n], shown[:, n:], scheme.period)
+
+
+def excess_gain(scheme: Scheme) -> FloatArray:
+    """Return E of the anti-windup, x⁺ = A x + B y + E (limited u − u).
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    (states, outputs)
+        Zero where there is none, in units of the states per unit of the outputs.
+    """
+    states, outputs = scheme.states, scheme.outputs
+    out = np.zeros((len(states), len(outputs)))
+    for row in scheme.excess:
+        for term in row.terms:
+            if row.target not in states or term.source not in outputs:
+                raise ArgumentError(
+                    f"scheme {scheme.name!r}: an excess of {term.source!r} into {row.target!r}; expected an output and "
+                    "a state"
+                )
+            out[states.index(row.target), outputs.index(term.source)] += term.coefficient
+    return out
+
+
+def acting_excess(scheme: Scheme) -> tuple[Row, ...]:
+    """Return the rows of `Scheme.excess` without the outputs that have no limit, and without rows of these alone.
+
+    Parameters
+    ----------
+    scheme
+        The scheme.
+
+    Returns
+    -------
+    tuple of Row
+        In their order.
+    """
+    limited = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if math.isfinite(limit)}
+    rows = (
+        Row(target=row.target, terms=tuple(term for term in row.terms if term.source in limited))
+        for row in scheme.excess
+    )
+    return tuple(row for row in rows if row.terms)

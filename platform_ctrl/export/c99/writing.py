@@ -1,0 +1,295 @@
+"""Controllers of a job as C99 source files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from platform_ctrl.common.arguments import known_names
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import at_most
+from platform_ctrl.common.values import value
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export.c99.emission import Unit, header, source
+from platform_ctrl.export.c99.entries import Entry, entries_of
+from platform_ctrl.export.c99.float_error import TOLD, float_error
+from platform_ctrl.export.c99.from_design import scheme_of, with_excess
+from platform_ctrl.export.c99.identifiers import FILES, Names, field_names
+from platform_ctrl.export.c99.job_emission import job_header, job_source
+from platform_ctrl.export.c99.scheme import Provenance, Scheme, excess_gain
+from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
+from platform_ctrl.job.job import Job
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.export.fixed_point.values import FixedPoint
+
+AnyNumber = Literal["double", "float", "q31", "q15"]
+AntiWindup = Literal["back-calculation", "proved", "none"]
+
+# What is told of anti-windup is of the controller before it is put into integers.
+_ROUNDED = " So in real arithmetic: rounding, and the ends of integrals and excess below, come on top."
+_NUMBERS = ("double", "float", "q31", "q15")
+_ANTI_WINDUP = ("back-calculation", "proved", "none")
+
+
+@value
+class Written:
+    """What was written.
+
+    Attributes
+    ----------
+    files
+        Their paths.
+    notes
+        A line each for what a reader should know: rounding, limits without anti-windup.
+    """
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+
+@check_arguments
+def write_c(
+    job: Job,
+    entries: Sequence[Mapping[str, Any] | control.StateSpace],
+    folder: str | os.PathLike[str],
+    *,
+    number: AnyNumber = "double",
+    anti_windup: AntiWindup = "back-calculation",
+    sha256: str = "",
+    versions: Mapping[str, str] | None = None,
+    command: str = "",
+    ranges: Mapping[str, float] | None = None,
+    limits: Mapping[str, float] | None = None,
+    accuracy: float = 0.02,
+) -> Written:
+    """Write the controllers of a job as C99: a header and a source file for each, and one pair that runs all.
+
+    Parameters
+    ----------
+    job
+        The job that they belong to.
+    entries
+        Entries of ``controllers`` in ``result.json``, or `control.StateSpace`, in order of evaluation.
+    folder
+        Where to; made if it is not there.
+    number
+        Type of all numbers: ``"double"``, ``"float"``, or fixed point.
+    anti_windup
+        What the excess of a limited torque does: ``"back-calculation"`` takes integrators back, ``"proved"`` is
+        the gain of `design.anti_windup` where there is one, ``"none"``.
+    sha256
+        Of the result file, hexadecimal digits, for the headers.
+    versions
+        ``versions`` of the result file, for the headers.
+    command
+        The command that writes, for the headers.
+    ranges
+        Fixed point alone: largest magnitudes of inputs, in SI units, that the plant does not say or says otherwise.
+    limits
+        Fixed point alone: where integrals stop, by state, in units of the state; default from the torquers' limits.
+    accuracy
+        Fixed point alone: largest bound of a torque's error as a share of its limit.
+
+    Returns
+    -------
+    Written
+        The files, and what to know about them. The same arguments give the same bytes.
+
+    Raises
+    ------
+    InputError
+        A controller does not fit the job, or the folder cannot be written to.
+    ArgumentError
+        An option is none of those above.
+    DesignError
+        A controller could not be shown to be written out as it is, or does not stand the number type.
+    """
+    for name, given, known in (("number", number, _NUMBERS), ("anti_windup", anti_windup, _ANTI_WINDUP)):
+        if given not in known:
+            raise ArgumentError(f"{name}: given {given!r}; expected one of {', '.join(known)}")
+    judged = entries_of(job, entries)
+    schemes, remarks = [], []
+    notes: list[str] = []
+    for entry in judged:
+        scheme = _scheme(job, entry, sha256, dict(versions or {}), command)
+        windup = _windup(job, scheme, entry, anti_windup)
+        schemes.append(with_excess(scheme, windup.gain))
+        remarks.append(windup.remark)
+        notes += windup.notes
+    signals = field_names([name for scheme in schemes for name in (*scheme.inputs, *scheme.outputs)])
+    known_names("ranges", list(ranges or {}), [name for scheme in schemes for name in scheme.inputs])
+    known_names("limits", list(limits or {}), [name for scheme in schemes for name in scheme.states])
+    if number == "q31" or number == "q15":
+        made = [_fixed(job, scheme, number, ranges, limits, accuracy) for scheme in schemes]
+        texts = _integer_texts(job, made, remarks, signals)
+        notes += [_integer_note(one) for one in made]
+    else:
+        texts, doubts = _floating_texts(job, schemes, remarks, signals, number)
+        notes += doubts
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"{target}: {why}; expected a folder, or a path where one can be") from None
+    files = tuple(write_whole(target / name, text) for name, text in texts.items())
+    return Written(files=files, notes=tuple(notes))
+
+
+def _windup(job: Job, scheme: Scheme, entry: Entry, asked: AntiWindup) -> Windup:
+    if entry.excess is not None and asked != "none":
+        remark = "Anti-windup: the gain E that came with the controller, x+ = A x + B y + E (limited - commanded)."
+        return Windup(gain=excess_gain(scheme), remark=remark)
+    if asked == "none":
+        gain = np.zeros((len(scheme.states), len(scheme.outputs)))
+        return Windup(gain=gain, remark="Anti-windup: none, as asked for: at their limits integrals run on.")
+    return proved(job, scheme) if asked == "proved" else back_calculation(scheme)
+
+
+def _in_single_precision(job: Job, scheme: Scheme) -> tuple[str, list[str]]:
+    """Return a paragraph for the header about what float does to a controller, and what is doubtful in it."""
+    ranges = {name: _range(job, name) for name in scheme.inputs}
+    error = float_error(scheme, ranges)
+    inputs = ", ".join(
+        f"{name} {size:.3g} {what}" for (name, size), what in zip(ranges.items(), scheme.input_units, strict=True)
+    )
+    outputs = ", ".join(
+        f"{name} {at_most(size, 2)} {what}"
+        for name, size, what in zip(scheme.outputs, error.bound, scheme.output_units, strict=True)
+    )
+    differ = (
+        f"inputs within ({inputs}), integrals worth no more than the limits, same states at first: after {error.steps} "
+        f"samples outputs differ by at most ({outputs}), while no limit acts"
+        if np.all(np.isfinite(error.bound))
+        else "the controller is unstable by itself, so that outputs differ ever more; the loop keeps them together"
+    )
+    said = (
+        f"Float against double: {differ}. Rounded "
+        f"coefficients change the response by at most {at_most(error.response, 2)} of its size, and a pole "
+        f"by {at_most(error.pole, 2)} of its distance from z = 1."
+    )
+    notes = []
+    if error.unseen.any():
+        lost = ", ".join(
+            f"{name} {size:.2g} {what}"
+            for name, size, what in zip(scheme.inputs, error.unseen, scheme.input_units, strict=True)
+        )
+        said += f" Smaller than ({lost}) and constant, an input may be lost in the last digit of an integral."
+        still = {pickoff.name: max(pickoff.noise_rms, 0.5 * pickoff.quantisation) for pickoff in job.platform.pickoffs}
+        for name, size in zip(scheme.inputs, error.unseen, strict=True):
+            # Noise that is larger carries what is lost over the last digit.
+            if size > max(still.get(name, 0.0), 1e-4 * ranges[name]):
+                notes.append(
+                    f"{scheme.name}: as float, an integral may lose a constant {name} of {size:.2g}; use double"
+                )
+    if max(error.response, error.pole) > TOLD:
+        notes.append(
+            f"{scheme.name}: as float, the response changes by {error.response:.2g} of its size and a pole by "
+            f"{error.pole:.2g} of its distance from z = 1"
+        )
+    return said, notes
+
+
+def _range(job: Job, name: str) -> float:
+    from platform_ctrl.export.fixed_point.values import input_ranges
+
+    try:
+        return input_ranges((name,), job)[name]
+    except InputError:
+        # Neither stops nor a limit: figures per unit.
+        return 1.0
+
+
+def _fixed(
+    job: Job,
+    scheme: Scheme,
+    number: Literal["q31", "q15"],
+    ranges: Mapping[str, float] | None,
+    limits: Mapping[str, float] | None,
+    accuracy: float,
+) -> FixedPoint:
+    from platform_ctrl.export.fixed_point.lowering import fixed_point
+    from platform_ctrl.export.fixed_point.values import input_ranges
+
+    own = {name: limit for name, limit in (limits or {}).items() if name in scheme.states}
+    found = input_ranges(scheme.inputs, job, ranges)
+    return fixed_point(scheme, found, number=number, limits=own, accuracy=accuracy)
+
+
+def _floating_texts(
+    job: Job,
+    schemes: Sequence[Scheme],
+    remarks: Sequence[str],
+    signals: dict[str, str],
+    number: Literal["double", "float"],
+) -> tuple[dict[str, str], list[str]]:
+    prefixes = Names(24, FILES)
+    texts: dict[str, str] = {}
+    notes: list[str] = []
+    units = []
+    for scheme, remark in zip(schemes, remarks, strict=True):
+        prefix = prefixes.new(scheme.name).lower()
+        said = [remark]
+        if number == "float":
+            more, doubts = _in_single_precision(job, scheme)
+            said.append(more)
+            notes += doubts
+        unit = Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
+        units.append(unit)
+        texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
+    whole = prefixes.new(job.name).lower()
+    return texts | {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}, notes
+
+
+def _integer_texts(
+    job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]
+) -> dict[str, str]:
+    # Ball arithmetic is loaded when it is needed.
+    from platform_ctrl.export.fixed_point import emission, job_emission
+
+    prefixes = Names(24, FILES)
+    units = [
+        emission.Unit(
+            fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark + _ROUNDED,)
+        )
+        for one, remark in zip(made, remarks, strict=True)
+    ]
+    texts: dict[str, str] = {}
+    for unit in units:
+        texts |= {f"{unit.prefix}.h": emission.header(unit), f"{unit.prefix}.c": emission.source(unit)}
+    whole = prefixes.new(job.name).lower()
+    return texts | {
+        f"{whole}.h": job_emission.job_header(whole, units),
+        f"{whole}.c": job_emission.job_source(whole, units),
+    }
+
+
+def _integer_note(made: FixedPoint) -> str:
+    scheme = made.scheme
+    worst = ", ".join(
+        f"{name} {at_most(made.error[name], 2)} {what}"
+        for name, what in zip(scheme.outputs, scheme.output_units, strict=True)
+    )
+    return f"{scheme.name}: {made.number}, no overflow; torques, integrals aside, are off by at most {worst}"
+
+
+def _scheme(job: Job, entry: Entry, sha256: str, versions: dict[str, str], command: str) -> Scheme:
+    origin = Provenance(
+        job=job.name,
+        plant=job.platform.name,
+        loop=entry.loop,
+        design=entry.design,
+        method=entry.method,
+        sha256=sha256,
+        versions=versions,
+        command=command,
+    )
+    return scheme_of(job, entry, origin)

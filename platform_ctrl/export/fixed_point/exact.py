@@ -1,0 +1,282 @@
+"""The rows of a scheme as rational numbers, multiplied out without any rounding, and the poles that they have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import flint
+
+from platform_ctrl.analysis.certificates.intervals import Balls
+from platform_ctrl.common.values import value
+from platform_ctrl.export.fixed_point.values import IntegerRow, Product
+
+# A rational number of flint, which ships no types; and a sum of them by name of the source.
+Rational = Any
+Sum = dict[str, Rational]
+
+
+def rational(number: float | int) -> Rational:
+    """Return a double or an integer as a rational number, exactly."""
+    return flint.fmpq(*number.as_integer_ratio())
+
+
+def power_of_two(exponent: int) -> Rational:
+    """Return 2^exponent."""
+    return flint.fmpq(2) ** exponent
+
+
+def added(rows: Iterable[tuple[Rational, Mapping[str, Rational]]]) -> Sum:
+    """Return Σ factor · sum."""
+    out: Sum = {}
+    for factor, terms in rows:
+        for name, coefficient in terms.items():
+            out[name] = out.get(name, flint.fmpq(0)) + factor * coefficient
+    return {name: coefficient for name, coefficient in out.items() if coefficient != 0}
+
+
+@value
+class ExactSystem:
+    """x⁺ = A x + B u + v, s = C x + D u, with u the free sources and then a disturbance of every signal.
+
+    Attributes
+    ----------
+    states, signals, free
+        Names; the disturbance of a signal is named by `noise_of`.
+    following, shown
+        The sums, by state and signal, of states, free sources and disturbances.
+    """
+
+    states: tuple[str, ...]
+    signals: tuple[str, ...]
+    free: tuple[str, ...]
+    following: dict[str, Sum]
+    shown: dict[str, Sum]
+
+    def balls(self, sources: Sequence[str]) -> tuple[Balls, Balls, Balls, Balls]:
+        """Return A, B, C, D for some of the free sources and disturbances."""
+        following = [self.following[name] for name in self.states]
+        shown = [self.shown[name] for name in self.signals]
+        return (
+            _matrix(following, self.states),
+            _matrix(following, sources),
+            _matrix(shown, self.states),
+            _matrix(shown, sources),
+        )
+
+
+def _matrix(sums: Sequence[Sum], names: Sequence[str]) -> Balls:
+    rows = [[flint.arb(one.get(name, flint.fmpq(0))) for name in names] for one in sums]
+    return flint.arb_mat(rows) if rows and names else flint.arb_mat(len(rows), len(names))
+
+
+def noise_of(signal: str) -> str:
+    """Return the name of a signal's disturbance."""
+    # No name has two lines.
+    return f"noise of\n{signal}"
+
+
+class Rows(NamedTuple):
+    """Rows in order of evaluation: of signals, and of states, as sums of inputs, earlier signals and states."""
+
+    signals: dict[str, Sum]
+    states: dict[str, Sum]
+
+
+def multiplied_out(rows: Rows, free: Sequence[str], states: Sequence[str]) -> ExactSystem:
+    """Return the rows with every signal replaced by what it is made of; states not in `states` are left out."""
+    one = flint.fmpq(1)
+    known: dict[str, Sum] = {name: {name: one} for name in (*free, *states)}
+    for name, row in rows.signals.items():
+        known[name] = added((coefficient, known[source]) for source, coefficient in row.items())
+        known[name][noise_of(name)] = one
+    following = {
+        name: added((coefficient, known[source]) for source, coefficient in rows.states[name].items())
+        for name in states
+    }
+    # A signal's own disturbance is part of it; what others make of it is in their sums.
+    return ExactSystem(
+        states=tuple(states),
+        signals=tuple(rows.signals),
+        free=tuple(free),
+        following=following,
+        shown={name: known[name] for name in rows.signals},
+    )
+
+
+def joined_states(following: Mapping[str, Sum], states: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the states in groups that act on one another (strongly connected), in the order of their first ones."""
+    reach = {name: {name} for name in states}
+    for name in states:
+        frontier = [name]
+        while frontier:
+            for source in following[frontier.pop()]:
+                if source in reach and source not in reach[name]:
+                    reach[name].add(source)
+                    frontier.append(source)
+    groups: list[tuple[str, ...]] = []
+    placed: set[str] = set()
+    for name in states:
+        if name not in placed:
+            group = tuple(other for other in states if other in reach[name] and name in reach[other])
+            placed |= set(group)
+            groups.append(group)
+    return groups
+
+
+def characteristic_polynomial(following: Mapping[str, Sum], group: Sequence[str]) -> Any:
+    """Return the characteristic polynomial of a group of states, `flint.fmpq_poly`."""
+    zero = flint.fmpq(0)
+    return flint.fmpq_mat([[following[row].get(column, zero) for column in group] for row in group]).charpoly()
+
+
+def inside_circle(polynomial: Any) -> bool:
+    """Decide by Schur and Cohn's recursion, exactly, whether all roots lie inside the unit circle."""
+    coefficients = [polynomial[k] for k in range(polynomial.degree() + 1)]
+    while len(coefficients) > 1:
+        first, last = coefficients[0], coefficients[-1]
+        if not abs(first) < abs(last):
+            return False
+        mirrored = coefficients[::-1]
+        coefficients = [(last * a - first * b) for a, b in zip(coefficients, mirrored, strict=True)][1:]
+        coefficients = [a / coefficients[-1] for a in coefficients]
+    return True
+
+
+def largest_root(polynomial: Any) -> float:
+    """Return the largest magnitude of the roots."""
+    if polynomial.degree() == 1:
+        return abs(float(flint.arb(-polynomial[0] / polynomial[1])))
+    # Roots that fall together are found one for all.
+    numerator = polynomial.numer()
+    squarefree = numerator / numerator.gcd(numerator.derivative())
+    if isinstance(squarefree, flint.fmpq_poly):
+        squarefree = squarefree.numer()
+    return max(float(abs(root)) for root, _ in squarefree.complex_roots())
+
+
+# An integral's register and any 64-bit accumulator stay below.
+LARGEST_64 = 2**63 - 1
+LARGEST_32 = 2**31 - 1
+# Bounds of what is zero are no smaller than the smallest numbers.
+_NOTHING = 1e-280
+
+
+def nearest(number: Rational) -> int:
+    """Return the nearest integer, half up."""
+    return int((number + flint.fmpq(1, 2)).floor())
+
+
+def fraction_for(bound: float, bits: int) -> int:
+    """Return the most digits behind the point with which `bound` fits a signed integer of so many bits."""
+    if bound <= _NOTHING:
+        return 0
+    numerator, denominator = float(bound).as_integer_ratio()
+    fraction = bits - 1 - (numerator.bit_length() - denominator.bit_length())
+    while count_of(bound, fraction) > 2 ** (bits - 1) - 1:
+        fraction -= 1
+    return fraction
+
+
+def count_of(bound: float, fraction: int) -> int:
+    """Return ⌊bound · 2^fraction⌋."""
+    numerator, denominator = float(bound).as_integer_ratio()
+    return (numerator << fraction) // denominator if fraction >= 0 else numerator // (denominator << -fraction)
+
+
+def _digits(number: Rational) -> int:
+    """Return e with 2^e ≤ |number| < 2^(e + 1), or one less."""
+    return int(abs(number.p)).bit_length() - int(number.q).bit_length() - 1
+
+
+def _rounded(number: Rational, mantissa: int) -> int:
+    """Return the nearest integer with no more than `mantissa` significant bits."""
+    whole = nearest(number)
+    beyond = max(abs(whole).bit_length() - mantissa, 0)
+    if not beyond:
+        return whole
+    return nearest(number / power_of_two(beyond)) << beyond
+
+
+def integer_row(
+    target: str, row: Sum, largest: Mapping[str, int], mantissa: int, *, keeps: bool, narrow: bool
+) -> IntegerRow:
+    """Return a row of counts in integers.
+
+    Parameters
+    ----------
+    target
+        Its target.
+    row
+        Coefficients in counts per count; of a row that `keeps`, without the state itself.
+    largest
+        Largest magnitude of every source's count.
+    mantissa
+        Significant bits of a coefficient.
+    keeps
+        Whether the state is added behind the shift.
+    narrow
+        Whether an accumulator of 32 bits may do.
+    """
+    exact = {name: coefficient for name, coefficient in row.items() if coefficient != 0}
+    shift = max([mantissa - 1 - _digits(x) for x in exact.values()], default=0)
+    shift = min(max(shift, 0), 62)
+    if narrow:
+        small = _fitted(exact, largest, mantissa, shift, LARGEST_32)
+        if small is not None and _lost(exact, small[0], small[1], largest) <= flint.fmpq(1, 4):
+            return _row(target, *small, largest, keeps, 32)
+    fitted = _fitted(exact, largest, mantissa, shift, LARGEST_64)
+    return _row(target, *(fitted or ({name: nearest(x) for name, x in exact.items()}, 0)), largest, keeps, 64)
+
+
+def _fitted(
+    exact: Sum, largest: Mapping[str, int], mantissa: int, shift: int, most: int
+) -> tuple[dict[str, int], int] | None:
+    """Return coefficients and the largest shift with which their sum stays within `most`; None where none does."""
+    while shift >= 0:
+        whole = {name: _rounded(x * power_of_two(shift), mantissa) for name, x in exact.items()}
+        if sum(abs(k) * largest[name] for name, k in whole.items()) + (1 << shift) // 2 <= most:
+            return whole, shift
+        shift -= 1
+    return None
+
+
+def _lost(exact: Sum, whole: Mapping[str, int], shift: int, largest: Mapping[str, int]) -> Rational:
+    """Return the largest change of the target by rounded coefficients, counts."""
+    return sum((abs(whole[name] / power_of_two(shift) - x) * largest[name] for name, x in exact.items()), flint.fmpq(0))
+
+
+def _row(
+    target: str, whole: Mapping[str, int], shift: int, largest: Mapping[str, int], keeps: bool, accumulator: int
+) -> IntegerRow:
+    whole = {name: k for name, k in whole.items() if k}
+    while shift and all(k % 2 == 0 for k in whole.values()):
+        whole, shift = {name: k // 2 for name, k in whole.items()}, shift - 1
+    return IntegerRow(
+        target=target,
+        products=tuple(Product(coefficient=k, source=name) for name, k in whole.items()),
+        shift=shift,
+        keeps=keeps,
+        accumulator=accumulator,
+        largest=sum(abs(k) * largest[name] for name, k in whole.items()) + (1 << shift) // 2,
+    )
+
+
+def integral_row(target: str, row: Sum, limit: int, largest: Mapping[str, int], mantissa: int) -> IntegerRow:
+    """Return an integral's row, in counts per count: nothing of what it gains is cut off."""
+    shift = min(max([mantissa - 1 - _digits(x) for x in row.values() if x != 0], default=0), 62)
+    shift = max(shift, 0)
+    while True:
+        products = {name: _rounded(x * power_of_two(shift), mantissa) for name, x in row.items()}
+        gained = sum(abs(k) * largest[name] for name, k in products.items())
+        if (limit << shift) + gained <= LARGEST_64 or shift == 0:
+            break
+        shift -= 1
+    return IntegerRow(
+        target=target,
+        products=tuple(Product(coefficient=k, source=name) for name, k in products.items() if k),
+        shift=shift,
+        keeps=True,
+        accumulator=64,
+        largest=(limit << shift) + gained,
+    )

@@ -1,0 +1,348 @@
+"""A scheme lowered to integers, and what is proved of the result.
+
+Formats come from bounds, bounds from the l1 norms of impulse responses. The norms that prove are those of the rounded
+controller, with every rounding of a signal or state as an input of half a count; integrals, which have no finite norm,
+stop at a limit and count as inputs as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import flint
+import numpy as np
+
+from platform_ctrl.common.arguments import known_name, positive
+from platform_ctrl.export.c99.scheme import Scheme
+from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
+from platform_ctrl.export.fixed_point.exact import (
+    Rational,
+    Rows,
+    Sum,
+    characteristic_polynomial,
+    count_of,
+    inside_circle,
+    integer_row,
+    integral_row,
+    joined_states,
+    largest_root,
+    multiplied_out,
+    power_of_two,
+)
+from platform_ctrl.export.fixed_point.formats import WIDTHS, Task, formats_for, scaled
+from platform_ctrl.export.fixed_point.splitting import excess_of, integral_limits, taken_apart
+from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, Format, IntegerRow, Number, check_names
+from platform_ctrl.export.fixed_point.wording import proof_lines
+
+# How often formats whose bound does not fit after rounding give up a digit.
+_ROUNDS = 6
+# Share of a torque's limit that the bound of the error may take.
+ACCURACY = 0.02
+_UP = 1.0 + 1e-10
+
+
+class _Rounded(NamedTuple):
+    """Rows in integers, and what they are in rational numbers, counts per count."""
+
+    rows: dict[str, IntegerRow]
+    exact: Rows
+
+
+def fixed_point(
+    scheme: Scheme,
+    ranges: Mapping[str, float],
+    *,
+    number: Number = "q31",
+    limits: Mapping[str, float] | None = None,
+    accuracy: float = ACCURACY,
+    fractions: Mapping[str, int] | None = None,
+) -> FixedPoint:
+    """Return a controller in integers that provably never overflows.
+
+    Parameters
+    ----------
+    scheme
+        The controller.
+    ranges
+        Largest magnitude of every input, in its unit; see `input_ranges`.
+    number
+        ``"q31"``: 32-bit counts, coefficients of 31 bits; ``"q15"``: 16-bit inputs, signals and outputs, 32-bit
+        states, coefficients of 15 bits.
+    limits
+        Where integrals stop, by state, in its unit; default twice what they need for all torques within the limits.
+    accuracy
+        Largest bound of the error as a share of an output's limit.
+    fractions
+        Digits behind the point of some inputs, signals or states, where they are not to follow from the bounds.
+
+    Returns
+    -------
+    FixedPoint
+        The programme with formats, bounds and proof.
+    """
+    known_name("number", number, tuple(WIDTHS))
+    accuracy = positive("accuracy", accuracy)
+    check_names("ranges", ranges, scheme.inputs)
+    known = {}
+    for name in scheme.inputs:
+        known_name("ranges", name, tuple(ranges))
+        known[name] = positive(f"ranges[{name!r}]", ranges[name])
+    # What grows beyond doubles is refused as a bound.
+    with flint.ctx.workprec(BITS), np.errstate(all="ignore"):
+        parts = taken_apart(scheme)
+        every = (*scheme.inputs, *parts.rows.signals, *parts.rows.states, *parts.integrals)
+        check_names("fractions", fractions or {}, every)
+        task = Task(scheme, parts, number, known, integral_limits(scheme, parts, limits))
+        return _lowered(task, accuracy, dict(fractions or {}))
+
+
+def _lowered(task: Task, accuracy: float, given: Mapping[str, int]) -> FixedPoint:
+    parts, rows = task.parts, task.parts.rows
+    real = _responses(task, rows)
+    bounds = real.bounds(task.sizes, {})
+    # The excess that enters stable states is saturated where it is largest while it does not act.
+    cut = {name: max(bounds[name] - task.torque_limits[name], 0.0) for name in parts.limited}
+    bounds = real.bounds(task.sizes | {excess_of(name): size for name, size in cut.items()}, {})
+    formats = formats_for(task, bounds, given)
+    excesses: dict[str, int] = {}
+    for _ in range(_ROUNDS):
+        excesses = {name: count_of(size, formats[name].fraction) for name, size in cut.items()}
+        rounded = _rounded(task, formats, excesses)
+        poles = _poles(task, rounded.exact)
+        found = _responses(task, rounded.exact)
+        counts = _counts(task, formats, excesses, rounded, found)
+        tight = [
+            name
+            for name, form in formats.items()
+            if name in counts and _stored(task, form) and counts[name] >= 2 ** (form.bits - 1)
+        ]
+        if not tight:
+            break
+        for name in tight:
+            if name in given:
+                raise task.refused(name, f"{name!r} overflows with {given[name]} digits behind the point")
+            formats[name] = dataclasses.replace(formats[name], fraction=formats[name].fraction - 1)
+    else:
+        raise task.refused(tight[0], f"what the roundings add to {tight[0]!r} fits no format")
+    return _proved(task, accuracy, real, formats, excesses, rounded, counts, poles, found.norms.samples)
+
+
+def _stored(task: Task, form: Format) -> bool:
+    """Whether the count before saturation is stored: not where an output is limited at once."""
+    return not form.saturates or form.name in task.parts.outputs_read
+
+
+def _proved(
+    task: Task,
+    accuracy: float,
+    real: Responses,
+    formats: dict[str, Format],
+    excesses: dict[str, int],
+    rounded: _Rounded,
+    counts: dict[str, int],
+    poles: dict[str, float],
+    samples: int,
+) -> FixedPoint:
+    """Return the result: integrals rounded as well, bounds of every sum, the error."""
+    scheme, parts = task.scheme, task.parts
+    formats = {
+        name: form if form.saturates else dataclasses.replace(form, largest=counts[name])
+        for name, form in formats.items()
+    }
+    largest = {name: form.largest for name, form in formats.items()} | counts
+    for name in parts.excesses:
+        beyond = max(counts[name] - formats[name].largest, 0)
+        excesses.setdefault(name, beyond)
+        largest[excess_of(name)] = min(excesses[name], beyond)
+    integer_rows = {name: _with_largest(row, largest) for name, row in rounded.rows.items()}
+    exact = {**parts.rows.signals, **parts.rows.states}
+    given_up = {
+        name: (0.5 if row.shift else 0.0) + _changed(scaled(formats, name, exact[name]), rounded, name, largest)
+        for name, row in integer_rows.items()
+    }
+    for name, increment in parts.integrals.items():
+        row = integral_row(
+            name, scaled(formats, name, increment), formats[name].largest, largest, WIDTHS[task.number][2]
+        )
+        integer_rows[name] = row
+        if not row.products and increment:
+            raise task.refused(name, f"the integral {name!r} gains less in a step than can be counted")
+        if row.largest >= 2**63:
+            raise task.refused(name, f"what the integral {name!r} may gain in a step does not fit 64 bits")
+    noise = {name: count * formats[name].bit for name, count in given_up.items()}
+    read = {name: 0.5 * formats[name].bit for name in parts.integrals}
+    errors = real.bounds(read, noise)
+    conversion = real.bounds({name: 0.5 * formats[name].bit for name in scheme.inputs}, {})
+    limits = task.torque_limits
+    error = {name: _up(errors[name] + _cut_off(formats[name], limits[name])) for name in scheme.outputs}
+    for name in scheme.outputs:
+        full = limits[name] if math.isfinite(limits[name]) else formats[name].range
+        if error[name] > accuracy * full:
+            shares = {row: real.bounds({}, {row: size})[name] for row, size in noise.items()}
+            worst = max(shares, key=lambda row: shares[row])
+            raise task.refused(
+                worst,
+                f"{name} may be wrong by {error[name]:.3g}, {error[name] / full:.2g} of its largest value, most of it "
+                f"by {worst!r}; expected at most {accuracy:g}",
+                "give smaller ranges of the inputs, or a larger accuracy; or ",
+            )
+    drift = {
+        name: _drift(
+            task, name, scaled(formats, name, parts.integrals[name]), integer_rows[name], formats, largest, errors
+        )
+        for name in parts.integrals
+    }
+    out = FixedPoint(
+        scheme=scheme,
+        number=task.number,
+        formats=formats,
+        sections=tuple(
+            FixedSection(
+                name=one.name,
+                kind=one.kind,
+                note=one.note,
+                signals=tuple(integer_rows[row.target] for row in one.signals),
+                states=tuple(integer_rows[parts.differences.get(row.target, row.target)] for row in one.states),
+            )
+            for one in scheme.sections
+        ),
+        commanded={name: counts[name] for name in scheme.outputs},
+        excess_limits={name: excesses[name] for name in parts.limited},
+        error=error,
+        conversion={name: _up(conversion[name]) for name in scheme.outputs},
+        drift=drift,
+        poles=poles,
+        samples=samples,
+        proof=(),
+    )
+    return dataclasses.replace(out, proof=proof_lines(out, parts.leaks))
+
+
+def _responses(task: Task, rows: Rows) -> Responses:
+    system = multiplied_out(rows, task.free, task.parts.states)
+    try:
+        return responses(system)
+    except SlowError:
+        slowest = max(
+            joined_states(system.following, system.states),
+            key=lambda group: largest_root(characteristic_polynomial(system.following, group)),
+        )
+        raise task.refused(slowest[0], "it settles too slowly for a finite bound", "give a faster pole; or ") from None
+
+
+def _rounded(task: Task, formats: Mapping[str, Format], excesses: Mapping[str, int]) -> _Rounded:
+    """Return all rows but those of integrals, for any counts that the formats can hold."""
+    mantissa = WIDTHS[task.number][2]
+    largest = {name: form.largest for name, form in formats.items()}
+    # Before its limit a count of an output that others take in may be as large as the word.
+    largest |= {name: 2 ** (formats[name].bits - 1) - 1 for name in task.parts.outputs_read}
+    largest |= {excess_of(name): size for name, size in excesses.items()}
+    rows: dict[str, IntegerRow] = {}
+    signals: dict[str, Sum] = {}
+    states: dict[str, Sum] = {}
+    for rational_rows, kept, out in ((task.parts.rows.signals, False, signals), (task.parts.rows.states, True, states)):
+        for name, row in rational_rows.items():
+            counted = scaled(formats, name, row)
+            own = counted.get(name, flint.fmpq(0))
+            keeps = kept and flint.fmpq(1, 2) < own < flint.fmpq(3, 2)
+            if keeps:
+                counted[name] = own - 1
+            made = integer_row(name, counted, largest, mantissa, keeps=keeps, narrow=task.number == "q15")
+            for product in made.products:
+                if abs(product.coefficient) >= 2**63:
+                    raise task.refused(name, f"a coefficient of {name!r} is too large")
+            if made.largest >= 2 ** (made.accumulator - 1):
+                raise task.refused(name, f"the sum of {name!r} does not fit {made.accumulator} bits")
+            rows[name] = made
+            out[name] = _exactly(made)
+    return _Rounded(rows, Rows(signals, states))
+
+
+def _exactly(row: IntegerRow) -> Sum:
+    """Return what a row is without its rounding, counts per count."""
+    out = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
+    if row.keeps:
+        out[row.target] = out.get(row.target, flint.fmpq(0)) + 1
+    return out
+
+
+def _poles(task: Task, rows: Rows) -> dict[str, float]:
+    """Return the largest magnitude of a pole by section, and refuse one that rounding moves out of the circle."""
+    system = multiplied_out(rows, task.free, task.parts.states)
+    out: dict[str, float] = {}
+    for group in joined_states(system.following, system.states):
+        polynomial = characteristic_polynomial(system.following, group)
+        size = largest_root(polynomial)
+        if not inside_circle(polynomial):
+            raise task.refused(
+                group[0],
+                f"rounded coefficients move a pole of {', '.join(group)} to magnitude {size:.9g} in z, onto or out of "
+                "the unit circle",
+                "sample more slowly, or ",
+            )
+        name = task.parts.section[group[0]]
+        out[name] = max(out.get(name, 0.0), size)
+    return out
+
+
+def _counts(
+    task: Task, formats: Mapping[str, Format], excesses: Mapping[str, int], rounded: _Rounded, found: Responses
+) -> dict[str, int]:
+    """Return the largest counts of signals and states, before any limit."""
+    sizes = {name: float(formats[name].largest) for name in (*task.ranges, *task.limits)}
+    sizes |= {excess_of(name): float(size) for name, size in excesses.items()}
+    noise = {name: 0.5 if row.shift else 0.0 for name, row in rounded.rows.items()}
+    bounds = found.bounds(sizes, noise)
+    return {name: math.floor(bound * _UP) for name, bound in bounds.items()}
+
+
+def _with_largest(row: IntegerRow, largest: Mapping[str, int]) -> IntegerRow:
+    sums = sum(abs(product.coefficient) * largest[product.source] for product in row.products)
+    return dataclasses.replace(row, largest=sums + (1 << row.shift) // 2)
+
+
+def _changed(wanted: Sum, rounded: _Rounded, name: str, largest: Mapping[str, int]) -> float:
+    """Return by how much rounded coefficients change a row's target at most, counts."""
+    made = rounded.exact.signals.get(name, rounded.exact.states.get(name, {}))
+    return _lost(wanted, made, largest)
+
+
+def _lost(wanted: Sum, made: Sum, largest: Mapping[str, int]) -> float:
+    zero = flint.fmpq(0)
+    names: Iterable[str] = {*wanted, *made}
+    return _above(sum((abs(made.get(k, zero) - wanted.get(k, zero)) * largest[k] for k in names), zero))
+
+
+def _above(number: Rational) -> float:
+    return _up(float(flint.arb(number)))
+
+
+def _up(number: float) -> float:
+    return number * _UP
+
+
+def _cut_off(form: Format, limit: float) -> float:
+    """Return by how much a limit in counts differs from the limit."""
+    return limit - form.range if form.saturates else 0.0
+
+
+def _drift(
+    task: Task,
+    name: str,
+    wanted: Sum,
+    row: IntegerRow,
+    formats: Mapping[str, Format],
+    largest: Mapping[str, int],
+    errors: Mapping[str, float],
+) -> float:
+    """Return how fast an integral may part from the real one, per second, while nothing is at a limit."""
+    made = {product.source: product.coefficient / power_of_two(row.shift) for product in row.products}
+    inner = {source: k for source, k in wanted.items() if source in formats}
+    wrong = _lost(inner, {source: k for source, k in made.items() if source in formats}, largest)
+    for source, coefficient in inner.items():
+        if source in errors:
+            wrong += abs(_above(abs(coefficient))) * errors[source] / formats[source].bit
+    return _up(wrong) * formats[name].bit / task.scheme.period

@@ -1,0 +1,217 @@
+"""A scheme taken apart: exact rows, which states are integrals, and what drives the rest from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import flint
+import numpy as np
+
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.values import value
+from platform_ctrl.errors import InfeasibleError
+from platform_ctrl.export.c99.scheme import Row, Scheme, acting_excess, arrays, excess_gain
+from platform_ctrl.export.fixed_point.exact import (
+    Rows,
+    Sum,
+    added,
+    characteristic_polynomial,
+    inside_circle,
+    joined_states,
+    largest_root,
+    multiplied_out,
+    rational,
+)
+from platform_ctrl.export.fixed_point.values import check_names
+
+# A pole as close to 1 as this is an integral: in a day at 100 Hz it loses less than a percent.
+_INTEGRAL = 1e-9
+# Pairs of poles in direct form are slow if a1 is as close to 2 as this.
+_SLOW = flint.fmpq(1, 2)
+# What integrals can hold, over what they need for all torques within the limits.
+HEADROOM = 2.0
+
+
+@value
+class Parts:
+    """A scheme in exact rows.
+
+    Attributes
+    ----------
+    rows
+        Signals and asymptotically stable states; sources of their own are inputs, integrals and excesses.
+    integrals
+        What is added to each integral in a step, by its name; excesses, named by `excess_of`, among the sources.
+    leaks
+        How far the poles of integrals lie from 1 in the scheme; here they are 1.
+    limited
+        Outputs whose excess enters stable states.
+    excesses
+        Outputs whose excess enters any state.
+    outputs_read
+        Outputs that other rows take in.
+    section
+        Name of every row's section.
+    differences
+        States that are replaced by their difference to the next one, see `_as_differences`: their new names.
+    """
+
+    rows: Rows
+    integrals: dict[str, Sum]
+    leaks: dict[str, float]
+    limited: tuple[str, ...]
+    excesses: tuple[str, ...]
+    outputs_read: frozenset[str]
+    section: dict[str, str]
+    differences: dict[str, str]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the asymptotically stable states."""
+        return tuple(self.rows.states)
+
+
+def excess_of(output: str) -> str:
+    """Return the name under which an output's excess is a source."""
+    # No name has two lines, so that this is none of a signal.
+    return f"excess of\n{output}"
+
+
+def taken_apart(scheme: Scheme) -> Parts:
+    """Return the parts of a scheme."""
+    arrays(scheme)
+    excess_gain(scheme)
+    signals = {row.target: _sum(row) for section in scheme.sections for row in section.signals}
+    following = {row.target: _sum(row) for section in scheme.sections for row in section.states}
+    section = {row.target: one.name for one in scheme.sections for row in (*one.signals, *one.states)}
+    whole = multiplied_out(Rows(signals, following), scheme.inputs, tuple(following))
+    leaks: dict[str, float] = {}
+    for group in joined_states(whole.following, whole.states):
+        polynomial = characteristic_polynomial(whole.following, group)
+        if len(group) == 1 and abs(polynomial[0] + 1) < rational(_INTEGRAL):
+            leaks[group[0]] = float(flint.arb(-polynomial[0] - 1))
+        elif not inside_circle(polynomial):
+            raise InfeasibleError(
+                f"fixed point: section {section[group[0]]!r}: a pole of magnitude {largest_root(polynomial):.9g} in z; "
+                "expected poles inside the unit circle, or single integrals; design a stable controller, or export "
+                "it as double or float",
+                scheme,
+            )
+    excess = {row.target: _sum(row) for row in acting_excess(scheme)}
+    differences = _as_differences(signals, following, excess, section)
+    integrals = {name: _increment(name, following[name], signals, whole.shown) for name in leaks}
+    stable = {name: row for name, row in following.items() if name not in leaks}
+    for rows in (stable, integrals):
+        for name, row in rows.items():
+            row |= {excess_of(output): coefficient for output, coefficient in excess.get(name, {}).items()}
+
+    def entering(rows: Iterable[Sum]) -> tuple[str, ...]:
+        return tuple(output for output in scheme.outputs if any(excess_of(output) in row for row in rows))
+
+    every = (*signals.values(), *following.values())
+    return Parts(
+        rows=Rows(signals, stable),
+        integrals=integrals,
+        leaks=leaks,
+        limited=entering(stable.values()),
+        excesses=entering([*stable.values(), *integrals.values()]),
+        outputs_read=frozenset(name for name in scheme.outputs if any(name in row for row in every)),
+        section=section,
+        differences=differences,
+    )
+
+
+def _as_differences(
+    signals: dict[str, Sum], following: dict[str, Sum], excess: dict[str, Sum], section: dict[str, str]
+) -> dict[str, str]:
+    """Replace x1 of pairs x1⁺ = a1 x1 + a2 x2 + ..., x2⁺ = x1 with slow poles by d = x1 − x2, in place.
+
+    Then d⁺ = (a1 − 1) d + (a1 + a2 − 1) x2 + ... and x2⁺ = x2 + d. Of poles near 1 the place lies in the last digits of
+    a1 and a2, but in the first ones of a1 + a2 − 1, which is their polynomial at 1; and d is small, so that its counts
+    are fine.
+    """
+    one = flint.fmpq(1)
+    out: dict[str, str] = {}
+    for second, row in list(following.items()):
+        if len(row) != 1 or next(iter(row)) not in following or next(iter(row.values())) != one:
+            continue
+        first = next(iter(row))
+        if first == second or first in out or second in out or set(following[first]) & {second} != {second}:
+            continue
+        if not abs(following[first].get(first, flint.fmpq(0)) - 2) < _SLOW:
+            continue
+        name = f"{first}_less_{second}"
+        while name in section:
+            name += "_"
+        out[first] = name
+        section[name] = section[first]
+
+        def replaced(row: Sum, old: str = first, new: str = name, rest: str = second) -> Sum:
+            return added(
+                (coefficient, {new: one, rest: one} if source == old else {source: one})
+                for source, coefficient in row.items()
+            )
+
+        step = added([(one, following[first]), (-one, {first: one})])
+        following.pop(first)
+        following[name] = step
+        for rows in (signals, following):
+            for target in rows:
+                rows[target] = replaced(rows[target])
+        pushed = {target: excess.pop(target, {}) for target in (first, second)}
+        excess[name] = added([(one, pushed[first]), (-one, pushed[second])])
+        excess[second] = pushed[second]
+    return out
+
+
+def _sum(row: Row) -> Sum:
+    one = flint.fmpq(1)
+    return added((one, {term.source: rational(term.coefficient)}) for term in row.terms)
+
+
+def _increment(name: str, row: Sum, signals: Mapping[str, Sum], shown: Mapping[str, Sum]) -> Sum:
+    """Return what an integral gains in a step: its row with signals that contain it written out, less itself."""
+    one = flint.fmpq(1)
+    while True:
+        inside = [source for source in row if source in signals and name in shown[source]]
+        if not inside:
+            return {source: coefficient for source, coefficient in row.items() if source != name}
+        row = added(
+            (coefficient, signals[source] if source in inside else {source: one}) for source, coefficient in row.items()
+        )
+
+
+def integral_limits(scheme: Scheme, parts: Parts, given: Mapping[str, float] | None) -> dict[str, float]:
+    """Return where each integral stops: twice what it needs for any torques within the limits, unless given."""
+    given = dict(given or {})
+    names = tuple(parts.integrals)
+    check_names("limits", given, names)
+    out = {name: positive(f"limits[{name!r}]", number) for name, number in given.items()}
+    if all(name in out for name in names):
+        return out
+    free = (*scheme.inputs, *names, *(excess_of(output) for output in parts.limited))
+    system = multiplied_out(parts.rows, free, parts.states)
+    n = len(parts.states)
+    A, B, C, D = (
+        np.array([[float(x) for x in row] for row in matrix.tolist()]).reshape(matrix.nrows(), matrix.ncols())
+        for matrix in system.balls(names)
+    )
+    chosen = [system.signals.index(name) for name in scheme.outputs]
+    try:
+        gain = D[chosen] + C[chosen] @ np.linalg.solve(np.eye(n) - A, B) if n else D[chosen]
+        # What cannot be told from zero shows nothing.
+        inverse = np.linalg.pinv(gain, rcond=1e-9)
+    except np.linalg.LinAlgError:
+        gain = inverse = np.zeros((len(chosen), len(names)))
+    torque = np.array(scheme.torque_limits)
+    for j, name in enumerate(names):
+        shows = np.abs(gain[:, j]) > 1e-9 * np.abs(gain).max(initial=0.0)
+        if name not in out and not (shows.any() and np.all(np.isfinite(torque[shows]))):
+            raise InfeasibleError(
+                f"fixed point: section {parts.section[name]!r}: no limit is known for the integral {name!r}; expected "
+                "a limit of the torquer that it drives in the plant file; or give its largest value (limits; on the "
+                f"command line --integral-limit {name}=NUMBER)",
+                scheme,
+            )
+    need = np.abs(inverse) @ np.where(np.isfinite(torque), torque, 0.0)
+    return {name: out.get(name, HEADROOM * float(need[j])) for j, name in enumerate(names)}

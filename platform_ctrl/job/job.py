@@ -1,0 +1,409 @@
+"""What has to be designed and checked: the job file as values. SI units; Hz only where a name says so."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Literal
+
+import numpy as np
+
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
+from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.scenario import Mode as Mode
+from platform_ctrl.job.variation import Vary
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+
+Method = Literal["classical", "hinf", "lqg", "structured", "platform-servo"]
+Structure = Literal["cross-axis", "pid", "state-space"]
+LoopKind = Literal["caging", "stabilisation"]
+Points = Literal["sobol", "latin-hypercube", "random"]
+
+
+@input_value
+class Spread:
+    """How far the parameters lie from their nominal values.
+
+    Attributes
+    ----------
+    inertia, spin
+        Relative half-widths: of J about every gimbal axis, of L of every rotor.
+    samples
+        Number of plants taken from inside this box, beside its corners.
+    """
+
+    inertia: float = 0.0
+    spin: float = 0.0
+    samples: int = 0
+
+
+@input_value
+class Faults:
+    """What may fail, one part at a time; None where nothing does.
+
+    Attributes
+    ----------
+    slow_rotor
+        Share of its L that a rotor keeps; 0: it has stopped.
+    weak_torquer
+        Share of its torque that a torquer keeps.
+    """
+
+    slow_rotor: float | None = None
+    weak_torquer: float | None = None
+
+
+@input_value
+class Sampling:
+    """Sample period, and how long the computer takes.
+
+    Attributes
+    ----------
+    period
+        From sample to sample, s.
+    delay
+        From the sample to the torque, s.
+    """
+
+    period: float
+    delay: float
+
+
+@input_value
+class DesignSpec:
+    """One way to design a loop.
+
+    Attributes
+    ----------
+    name
+        What the design is called in tables and plots.
+    method
+        Which method makes it.
+    options
+        The method's own numbers, by the names of the job file, in SI units.
+    tune
+        Whether the method may move the options to meet the loop's limits.
+    structure
+        What a structured controller is made of; None leaves it to the method.
+    """
+
+    name: str
+    method: Method
+    options: dict[str, float]
+    tune: bool = False
+    structure: Structure | None = None
+
+
+@input_value
+class LoopLimits:
+    """What a loop has to reach; None where nothing is asked.
+
+    Names that end in ``_spread`` ask the same of every plant of the spread and of Omega, in ``_faults`` of every plant
+    with a fault.
+
+    Attributes
+    ----------
+    bandwidth_hz
+        Lowest frequency where the largest singular value of S reaches 1/sqrt(2), Hz, at least.
+    disk_margin, disk_margin_spread, disk_margin_faults
+        1/‖(S − T)/2‖, dimensionless, at least.
+    sensitivity_peak, sensitivity_peak_spread, complementary_peak, complementary_peak_spread
+        ‖S‖ and ‖T‖, dimensionless, at most, the larger of plant input and output.
+    damping, damping_spread, damping_faults
+        Damping ratio of every closed-loop pole above a tenth of the nutation frequency, at least.
+    fastest_pole
+        Largest magnitude of a closed-loop pole, in the w-plane of a sampled loop, rad/s, at most.
+    tracking, tracking_hz
+        Largest singular value of S at the output, dimensionless, up to `tracking_hz`, Hz, at most.
+    Omega_rejection
+        Peak gain from the platform's rate to the angles, rad per rad/s, at most.
+    torque_rejection
+        Peak gain from torques that disturb at the torquers to the angles, rad/(N m), at most.
+    torque_noise
+        Rms torque from pick-off noise, N m, per torquer, at most.
+    torque_limit, torque_limit_hz
+        Torque amplitude that any platform rate within the job's Omega asks for, as a share of the torquer's limit, at
+        most; for rates up to `torque_limit_hz`, Hz, None: of any frequency.
+    controller_poles
+        Largest magnitude of a pole of the controller, in the w-plane of a sampled one, rad/s, at most.
+    controller_gain
+        Largest singular value of the controller above a tenth of the nutation frequency, N m/rad, at most.
+    """
+
+    bandwidth_hz: float | None = None
+    disk_margin: float | None = None
+    sensitivity_peak: float | None = None
+    complementary_peak: float | None = None
+    damping: float | None = None
+    fastest_pole: float | None = None
+    tracking: float | None = None
+    tracking_hz: float | None = None
+    Omega_rejection: float | None = None
+    torque_rejection: float | None = None
+    torque_noise: float | None = None
+    torque_limit: float | None = None
+    torque_limit_hz: float | None = None
+    controller_poles: float | None = None
+    controller_gain: float | None = None
+    disk_margin_spread: float | None = None
+    sensitivity_peak_spread: float | None = None
+    complementary_peak_spread: float | None = None
+    damping_spread: float | None = None
+    disk_margin_faults: float | None = None
+    damping_faults: float | None = None
+
+
+@input_value
+class LoopSpec:
+    """A loop to be designed.
+
+    Attributes
+    ----------
+    name, kind, gimbals
+        Which loop, on which gimbals.
+    designs, use
+        By which methods, and the name of the design that is closed.
+    limits
+        What it has to reach: the verdict rests on it.
+    soft
+        Goals: a method that optimises makes their largest ratio small within the limits. No part of the verdict.
+    """
+
+    name: str
+    kind: LoopKind
+    gimbals: tuple[str, ...]
+    designs: tuple[DesignSpec, ...]
+    use: str
+    limits: LoopLimits
+    soft: LoopLimits = field(default_factory=LoopLimits)
+
+
+@input_value
+class CoupledLimits:
+    """What the coupled system has to reach; None where nothing is asked.
+
+    Attributes
+    ----------
+    disk_margin
+        Simultaneous disk margin in all channels, dimensionless, at least.
+    coupling_cost
+        Largest relative loss of a loop-by-loop disk margin against the decoupled design.
+    """
+
+    disk_margin: float | None = None
+    coupling_cost: float | None = None
+
+
+@input_value
+class Manoeuvre:
+    """A run of the non-linear plant.
+
+    Attributes
+    ----------
+    name, mode
+        ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free and a torque acts on it.
+    axis
+        Root axis of the rate or torque, 1 to 3.
+    duration
+        Length of the run, s.
+    rate, rise, hold
+        Caged: half-cosine rise to `rate` rad/s in `rise` s, held for `hold` s, and back in `rise` s; no rate: none.
+    torque
+        Stabilised: step of the torque on the platform at t = 0, N m.
+    Omega_table, torque_table
+        Caged: a platform rate, stabilised: a torque on the platform, over time; it adds to the above.
+    vibrations
+        Of the base.
+    faults
+        Names of the faults that happen in it.
+    initial
+        What does not begin at zero: angles and angle + ``_rate``, rad and rad/s; stabilised: Omega1 to Omega3.
+    limits
+        ``angle``: largest gimbal angle, rad; ``attitude``: largest platform angle, rad; ``torque_share``: largest
+        share of a torquer's limit (1: at the limit).
+    """
+
+    name: str
+    mode: Mode
+    axis: int = 1
+    duration: float
+    rate: float = 0.0
+    rise: float = 0.0
+    hold: float = 0.0
+    torque: float = 0.0
+    Omega_table: TimeTable | None = None
+    torque_table: TimeTable | None = None
+    vibrations: tuple[Vibration, ...] = ()
+    faults: tuple[str, ...] = ()
+    initial: dict[str, float] = field(default_factory=dict)
+    limits: dict[str, float]
+
+
+@input_value
+class CampaignManoeuvre:
+    """A manoeuvre of a campaign.
+
+    Attributes
+    ----------
+    name
+        Of a manoeuvre of the job.
+    weight
+        How often it is flown, relative to the others.
+    """
+
+    name: str
+    weight: float = 1.0
+
+
+@input_value
+class CampaignFault:
+    """A fault of the job that happens in some runs.
+
+    Attributes
+    ----------
+    fault
+        Its name.
+    probability
+        That it happens in a run: probability from 0 to 1.
+    """
+
+    fault: str
+    probability: float
+
+
+@input_value
+class Campaign:
+    """Many runs that differ.
+
+    Attributes
+    ----------
+    runs, seed
+        How many; what everything random is drawn from.
+    sampling
+        How the runs fill the space of what varies.
+    step
+        Longest integration step, s.
+    manoeuvres
+        Which are flown; none: all of the job's, equally often.
+    vary, faults
+        What differs from run to run, and what may fail.
+    """
+
+    runs: int = 1000
+    seed: int = 0
+    sampling: Points = "sobol"
+    step: float = 1e-4
+    manoeuvres: tuple[CampaignManoeuvre, ...] = ()
+    vary: tuple[Vary, ...] = ()
+    faults: tuple[CampaignFault, ...] = ()
+
+
+@input_value
+class Job:
+    """A job file: the plant, what it has to stand, the loops and the checks.
+
+    `Omega_grid` is the number of points between −Omega and Omega about each axis; 2: the corners alone. `faults` are
+    those that the design allows for, `fault_events` those that happen at a time in a simulated run.
+
+    Attributes
+    ----------
+    name, plant
+        Title; the shipped name or path of the plant.
+    platform
+        The plant itself.
+    Omega : (3,)
+        Largest platform rate about each axis, rad/s.
+    spread, faults
+        How far the parameters may lie from their nominal values, and the faults that the design allows for.
+    sampling
+        Sample period and delay of the controllers.
+    loops, coupled
+        The loops with their designs and limits, and what all of them together have to reach.
+    manoeuvres, fault_events
+        The simulated runs, and the faults that happen at a time in them.
+    seed
+        What everything random in design and simulation is drawn from.
+    Omega_grid
+        Number of points between −Omega and Omega about each axis; 2: the corners alone.
+    campaign
+        Many runs, or None.
+    """
+
+    name: str
+    plant: str
+    platform: Platform
+    Omega: FloatArray
+    spread: Spread
+    sampling: Sampling
+    loops: tuple[LoopSpec, ...]
+    coupled: CoupledLimits
+    manoeuvres: tuple[Manoeuvre, ...]
+    seed: int = 0
+    Omega_grid: int = 2
+    faults: Faults = field(default_factory=Faults)
+    fault_events: tuple[Fault, ...] = ()
+    campaign: Campaign | None = None
+
+    @property
+    def flown(self) -> tuple[tuple[Manoeuvre, float], ...]:
+        """Manoeuvres of the campaign with their weights, relative to one another.
+
+        All alike where it names none or there is no campaign.
+        """
+        if self.campaign is None or not self.campaign.manoeuvres:
+            return tuple((manoeuvre, 1.0) for manoeuvre in self.manoeuvres)
+        by_name = {manoeuvre.name: manoeuvre for manoeuvre in self.manoeuvres}
+        return tuple((by_name[one.name], one.weight) for one in self.campaign.manoeuvres)
+
+
+@check_arguments
+def manoeuvre_scenario(job: Job, manoeuvre: Manoeuvre) -> Scenario:
+    """Return a manoeuvre as it is flown on the plant as it stands: the job's seed, run 0.
+
+    Parameters
+    ----------
+    job
+        The job that it stands in.
+    manoeuvre
+        One of the job's.
+
+    Returns
+    -------
+    Scenario
+        With the job's seed as run 0.
+
+    Raises
+    ------
+    ArgumentError
+        The manoeuvre does not fit the plant.
+    """
+    caged = manoeuvre.mode == "caged"
+    torque = np.zeros(3)
+    torque[manoeuvre.axis - 1] = manoeuvre.torque
+    q, rate, Omega = (np.zeros(k) for k in (len(job.platform.gimbals), len(job.platform.gimbals), 3))
+    angles = job.platform.angle_names
+    for name, number in manoeuvre.initial.items():
+        if name in angles:
+            q[angles.index(name)] = number
+        elif name in OMEGA_NAMES:
+            Omega[OMEGA_NAMES.index(name)] = number
+        else:
+            rate[angles.index(name.removesuffix("_rate"))] = number
+    profile = HalfCosine(axis=manoeuvre.axis, rate=manoeuvre.rate, rise=manoeuvre.rise, hold=manoeuvre.hold)
+    return Scenario(
+        platform=job.platform,
+        mode=manoeuvre.mode,
+        duration=manoeuvre.duration,
+        delay=job.sampling.delay,
+        profile=profile if caged and manoeuvre.rate else None,
+        Omega_table=manoeuvre.Omega_table,
+        torque=torque,
+        torque_table=manoeuvre.torque_table,
+        vibrations=manoeuvre.vibrations,
+        faults=tuple(fault for fault in job.fault_events if fault.name in manoeuvre.faults),
+        q=q,
+        rate=rate,
+        Omega=Omega,
+        seed=job.seed,
+        limits=dict(manoeuvre.limits),
+    )

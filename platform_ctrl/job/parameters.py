@@ -1,0 +1,409 @@
+"""The numbers of a run by their paths: which there are, where they stand, what they may be, and what they are now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.common.arguments import nearest
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import replaced, value
+from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Scenario
+from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.plant.force_elements import Unbalance
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
+
+__all__ = ["Parameter", "parameters", "varied_scenario"]
+
+_SENSOR = {"noise_rms": NOT_NEGATIVE, "noise_bandwidth_hz": POSITIVE, "quantisation": NOT_NEGATIVE}
+# Arrays of the plant: (the path's first word, field of Platform, what a part is called by, its numbers).
+_PARTS: tuple[tuple[str, str, str, dict[str, Range]], ...] = (
+    ("gimbal", "gimbals", "name", {"inertia": POSITIVE, "restitution": SHARE}),
+    (
+        "rotor",
+        "rotors",
+        "name",
+        {"spin": ANY, "angular_momentum": ANY, "axial_inertia": POSITIVE, "transverse_inertia": POSITIVE},
+    ),
+    (
+        "torquer",
+        "torquers",
+        "name",
+        {"limit": POSITIVE, "lag": NOT_NEGATIVE, "rate_limit": POSITIVE, "gain": NOT_NEGATIVE},
+    ),
+    ("pickoff", "pickoffs", "name", _SENSOR),
+    ("rate_sensor", "rate_sensors", "name", _SENSOR),
+    ("spring", "springs", "gimbal", {"stiffness": ANY, "rest": ANY}),
+    (
+        "friction",
+        "frictions",
+        "gimbal",
+        {
+            "viscous": NOT_NEGATIVE,
+            "coulomb": NOT_NEGATIVE,
+            "coulomb_rate": POSITIVE,
+            "breakaway": NOT_NEGATIVE,
+            "stribeck_rate": POSITIVE,
+        },
+    ),
+    (
+        "cage",
+        "cages",
+        "gimbal",
+        {"stiffness": POSITIVE, "damping": NOT_NEGATIVE, "clearance": NOT_NEGATIVE, "angle": ANY},
+    ),
+    ("erection", "erections", "gimbal", {"gain": ANY, "limit": POSITIVE}),
+)
+_FAULT_RANGES = {
+    "at": NOT_NEGATIVE,
+    "until": POSITIVE,
+    "share": NOT_NEGATIVE,
+    "time_constant": POSITIVE,
+    "amplitude": POSITIVE,
+    "frequency_hz": POSITIVE,
+    "rate": ANY,
+    "probability": SHARE,
+    "impulse": ANY,
+}
+_MANOEUVRE_RANGES = {
+    "rate": ANY,
+    "rise": POSITIVE,
+    "hold": NOT_NEGATIVE,
+    "torque": ANY,
+    "Omega_scale": ANY,
+    "torque_scale": ANY,
+}
+
+
+@value
+class Parameter:
+    """A number of a run.
+
+    Attributes
+    ----------
+    path
+        What a job file calls it.
+    group, index
+        Where it stands: the plant's array and the place in it, or one of ``"root"``, ``"unbalances"``, ``"sampling"``,
+        ``"initial"``, ``"manoeuvre"``, ``"fault"``, ``"vibration"``; `index` is −1 for an unbalance that the plant
+        lacks.
+    part, key
+        Name of the part or fault; the number of it that is meant.
+    allowed
+        What it may be; of a factor: what the factor may be.
+    factor
+        Whether it multiplies something that is more than a number (an inertia matrix, a table) and is 1 as it stands.
+    """
+
+    path: str
+    group: str
+    key: str
+    part: str = ""
+    index: int = 0
+    allowed: Range
+    factor: bool = False
+
+
+@check_arguments
+def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[str, Parameter]:
+    """Return what may be varied, by its path.
+
+    Parameters
+    ----------
+    scenarios
+        The runs as they stand, all of one plant: one for each manoeuvre that is flown.
+    faults
+        What may fail in them.
+
+    Returns
+    -------
+    dict
+        What the number is and what it may be, by its path.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    if not scenarios:
+        return {}
+    found = [
+        *_of_plant(scenarios[0].platform),
+        Parameter(path="sampling.delay", group="sampling", key="delay", allowed=NOT_NEGATIVE),
+        *_initial(scenarios),
+        *_of_manoeuvres(scenarios),
+        *(
+            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key, allowed=_FAULT_RANGES[key])
+            for f in faults
+            for key in ("at", *FAULT_KEYS[f.kind].needed, *FAULT_KEYS[f.kind].optional)
+        ),
+    ]
+    return {one.path: one for one in found}
+
+
+def _of_plant(platform: Platform) -> Iterator[Parameter]:
+    yield Parameter(path="root.inertia", group="root", key="inertia", allowed=POSITIVE, factor=True)
+    for axis in (1, 2, 3):
+        key = f"specific_force{axis}"
+        yield Parameter(path=f"root.{key}", group="root", key=key, index=axis - 1, allowed=ANY)
+    for word, group, called, numbers in _PARTS:
+        taken: dict[str, int] = {}
+        for k, part in enumerate(getattr(platform, group)):
+            name = getattr(part, called)
+            taken[name] = taken.get(name, 0) + 1
+            title = name if taken[name] == 1 else f"{name}#{taken[name]}"
+            for key, allowed in numbers.items():
+                if not _there(part, key):
+                    continue
+                yield Parameter(
+                    path=f"{word}.{title}.{key}",
+                    group=group,
+                    part=name,
+                    key=key,
+                    index=k,
+                    allowed=allowed,
+                    factor=key == "inertia" or (group, key) == ("torquers", "gain"),
+                )
+    having = {one.body: k for k, one in reversed([*enumerate(platform.unbalances)])}
+    for body in (platform.root_name, *platform.gimbal_names):
+        for axis in (1, 2, 3):
+            yield Parameter(
+                path=f"unbalance.{body}.moment{axis}",
+                group="unbalances",
+                part=body,
+                key=f"moment{axis}",
+                index=having.get(body, -1),
+                allowed=ANY,
+            )
+
+
+def _there(part: Any, key: str) -> bool:
+    """Whether a part has what a number is about: a Stribeck curve, stops to bounce off."""
+    match key:
+        case "breakaway" | "stribeck_rate":
+            return math.isfinite(part.stribeck_rate)
+        case "restitution":
+            return part.stops is not None
+        case _:
+            return True
+
+
+def _initial(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+    gimbals = scenarios[0].platform.gimbals
+    for k, gimbal in enumerate(gimbals):
+        within = ANY
+        if gimbal.stops is not None:
+            low, high = gimbal.stops
+            within = Range(words=f"an angle between the stops, {low:.6g} to {high:.6g} rad", low=low, high=high)
+        yield Parameter(path=f"initial.{gimbal.angle}_rate", group="initial", key="rate", index=k, allowed=ANY)
+        yield Parameter(path=f"initial.{gimbal.angle}", group="initial", key="q", index=k, allowed=within)
+    if any(one.mode == "stabilised" for one in scenarios):
+        for k, name in enumerate(OMEGA_NAMES):
+            yield Parameter(path=f"initial.{name}", group="initial", key="Omega", index=k, allowed=ANY)
+
+
+def _of_manoeuvres(scenarios: Sequence[Scenario]) -> Iterator[Parameter]:
+    for key, allowed in _MANOEUVRE_RANGES.items():
+        if any(in_manoeuvre(key, one) is not None for one in scenarios):
+            scale = key.endswith("_scale")
+            yield Parameter(path=f"manoeuvre.{key}", group="manoeuvre", key=key, allowed=allowed, factor=scale)
+    if any(one.vibrations for one in scenarios):
+        yield Parameter(path="vibration.scale", group="vibration", key="scale", allowed=NOT_NEGATIVE, factor=True)
+
+
+def unknown_parameter(path: str, known: Iterable[str]) -> str:
+    """Return what exists in the place of a path that does not: its nearest relative, or names at the first step."""
+    known = list(known)
+    close = nearest(path, known)
+    if close is not None and path.partition(".")[0] == close.partition(".")[0]:
+        return f'did you mean "{close}"?'
+    # Everything up to where the path leaves those that exist.
+    steps = path.split(".")
+    for depth in range(len(steps) - 1, -1, -1):
+        head = "".join(f"{step}." for step in steps[:depth])
+        if any(one.startswith(head) for one in known):
+            # A name may hold dots: what is listed are whole paths once one step is settled.
+            rest = [one if depth else one.partition(".")[0] for one in known if one.startswith(head)]
+            return "known: " + ", ".join(f'"{one}"' for one in dict.fromkeys(rest))
+    return "none is known"
+
+
+def nominal(parameter: Parameter, scenario: Scenario, faults: Sequence[Fault]) -> float | None:
+    """Return the number as it stands; None where there is none, because the run or the plant does not have it."""
+    if parameter.factor and parameter.group not in ("manoeuvre", "vibration"):
+        return 1.0
+    platform, k, key = scenario.platform, parameter.index, parameter.key
+    match parameter.group:
+        case "root":
+            return float(platform.specific_force[k])
+        case "unbalances":
+            return float(platform.unbalances[k].moment[int(key[-1]) - 1]) if k >= 0 else 0.0
+        case "sampling":
+            return scenario.delay
+        case "initial":
+            return None if key == "Omega" and scenario.mode == "caged" else float(getattr(scenario, key)[k])
+        case "manoeuvre":
+            return in_manoeuvre(key, scenario)
+        case "vibration":
+            return 1.0 if scenario.vibrations else None
+        case "fault":
+            found = float(getattr(next(one for one in faults if one.name == parameter.part), key))
+            return found if math.isfinite(found) else None
+        case _:
+            number = getattr(getattr(platform, parameter.group)[k], key)
+            # Of two directions the larger stands for both.
+            return None if number is None else float(np.max(number))
+
+
+def in_manoeuvre(key: str, scenario: Scenario) -> float | None:
+    """Return a number of the manoeuvre itself as it stands; None where the run does not have it."""
+    match key:
+        case "torque":
+            return float(scenario.torque[np.argmax(np.abs(scenario.torque))]) if scenario.torque.any() else None
+        case "Omega_scale":
+            return None if scenario.Omega_table is None else 1.0
+        case "torque_scale":
+            return None if scenario.torque_table is None else 1.0
+        case _:
+            return None if scenario.profile is None else float(getattr(scenario.profile, key))
+
+
+@check_arguments
+def varied_scenario(
+    scenario: Scenario,
+    drawn: Sequence[tuple[Parameter, float, bool]],
+    *,
+    faults: tuple[Fault, ...] | None = None,
+    seed: int | None = None,
+    run: int = 0,
+) -> Scenario:
+    """Return the run with drawn numbers in their places; `scenario` stays as it is.
+
+    Parameters
+    ----------
+    scenario
+        The run as it stands.
+    drawn
+        Parameter, number, and whether the number is a factor of what stands there. What the run does not have is passed
+        over: the rate of a half-cosine where there is none, a fault that does not happen.
+    faults, seed, run
+        What happens in it, and what its noise is drawn from, where these differ from `scenario`.
+
+    Returns
+    -------
+    Scenario
+        A new one.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    parts: dict[tuple[str, int, str], dict[str, Any]] = {}
+    own: dict[str, Any] = {"faults": scenario.faults if faults is None else faults}
+    own |= {"seed": scenario.seed if seed is None else seed, "run": run}
+    root: dict[str, Any] = {}
+    for parameter, number, relative in drawn:
+        key, k = parameter.key, parameter.index
+        match parameter.group:
+            case "root" if key == "inertia":
+                root["root_inertia"] = scenario.platform.root_inertia * number
+            case "root":
+                force = root.setdefault("specific_force", scenario.platform.specific_force.copy())
+                force[k] = number * (scenario.platform.specific_force[k] if relative else 1.0)
+            case "sampling":
+                own["delay"] = number * (scenario.delay if relative else 1.0)
+            case "initial" if key != "Omega" or scenario.mode == "stabilised":
+                start = own.setdefault(key, getattr(scenario, key).copy())
+                start[k] = number * (getattr(scenario, key)[k] if relative else 1.0)
+            case "manoeuvre":
+                own |= _moved(key, number, relative, own, scenario)
+            case "vibration":
+                own["vibrations"] = tuple(
+                    replaced(one, {"densities": one.densities * number**2}) for one in scenario.vibrations
+                )
+            case "fault":
+                own["faults"] = tuple(
+                    one if one.name != parameter.part else replaced(one, {key: drawn_value(one, key, number, relative)})
+                    for one in own["faults"]
+                )
+            case "torquers" if key == "gain":
+                weak = Fault(name=parameter.path, kind="torquer weak", part=parameter.part, at=0.0, share=number)
+                own["faults"] = (weak, *own["faults"])
+            case "initial":
+                pass
+            case group:
+                parts.setdefault((group, k, parameter.part), {})[key] = (number, relative)
+    if parts or root:
+        own["platform"] = _varied_platform(scenario.platform, parts, root)
+    return replaced(scenario, own)
+
+
+def _moved(key: str, number: float, relative: bool, own: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """Return what a drawn number of the manoeuvre changes in the run."""
+    as_it_stands = in_manoeuvre(key, scenario)
+    if as_it_stands is None:
+        return {}
+    if key == "torque":
+        return {"torque": scenario.torque * (number if relative else number / as_it_stands)}
+    if key.endswith("_scale"):
+        name = key.replace("_scale", "_table")
+        table = getattr(scenario, name)
+        # Runs whose tables differ in the scale alone fly side by side.
+        return {name: replaced(table, {"scale": table.scale * number})}
+    profile: Any = own.get("profile", scenario.profile)
+    return {"profile": replaced(profile, {key: number * (as_it_stands if relative else 1.0)})}
+
+
+def _varied_platform(
+    platform: Platform, parts: dict[tuple[str, int, str], dict[str, Any]], root: dict[str, Any]
+) -> Platform:
+    arrays: dict[str, list[Any]] = {}
+    for (group, k, body), changes in parts.items():
+        if group not in arrays:
+            arrays[group] = list(getattr(platform, group))
+        array = arrays[group]
+        if group == "unbalances":
+            moment = array[k].moment.copy() if k >= 0 else np.zeros(3)
+            for key, (number, relative) in changes.items():
+                axis = int(key[-1]) - 1
+                moment[axis] = number * (moment[axis] if relative else 1.0)
+            if k >= 0:
+                array[k] = replaced(array[k], {"moment": moment})
+            else:
+                array.append(Unbalance(body=body, moment=moment))
+            continue
+        part = array[k]
+        if group == "rotors":
+            array[k] = _varied_rotor(part, changes)
+        else:
+            # An inertia is scaled as a whole whatever was said: a matrix has no other number.
+            array[k] = replaced(
+                part,
+                {
+                    key: drawn_value(part, key, x, relative or key == "inertia")
+                    for key, (x, relative) in changes.items()
+                },
+            )
+    changed: dict[str, Any] = root | {group: tuple(array) for group, array in arrays.items()}
+    return replaced(platform, changed)
+
+
+def _varied_rotor(rotor: Rotor, changes: dict[str, tuple[float, bool]]) -> Rotor:
+    """Return a rotor with other numbers; another axial inertia keeps its spin: L follows."""
+    new = {key: drawn_value(rotor, key, number, relative) for key, (number, relative) in changes.items()}
+    spin = new.pop("spin", rotor.spin)
+    if "angular_momentum" not in new and ("spin" in changes or "axial_inertia" in changes):
+        new["angular_momentum"] = new.get("axial_inertia", rotor.axial_inertia) * spin
+    return replaced(rotor, new)
+
+
+def drawn_value(part: Any, key: str, number: float, relative: bool) -> Any:
+    """Return what stands under `key` once a number is drawn."""
+    old = getattr(part, key)
+    if isinstance(old, tuple):
+        return tuple(x * number for x in old) if relative else (number,) * len(old)
+    return old * number if relative else number

@@ -1,0 +1,198 @@
+"""What must fit together about simulated runs of a job file: manoeuvres, how they begin, what shakes, what fails."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from platform_ctrl.job.job import Campaign
+from platform_ctrl.job.scenario import FAULT_KEYS
+from platform_ctrl.plant.checks import number_of
+from platform_ctrl.plant.fields import ROUNDING
+from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+
+Data = dict[str, Any]
+
+# The keys that make a motion of each mode: all of them or none; and the table that adds to it or stands for it.
+MOTION = {"caged": ("rate", "rise", "hold"), "stabilised": ("torque",)}
+MOTION_TABLE = {"caged": "Omega_table", "stabilised": "torque_table"}
+# Samples of a run, all of which are recorded, and integration steps: hours of work.
+MOST_SAMPLES, MOST_STEPS = 1e7, 1e9
+LONGEST_STEP = Campaign().step  # that of manoeuvres, too
+
+# What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
+EVENTS = ("vibration", "faults", "initial")
+
+_FAULT_NUMBERS = sorted({key for keys in FAULT_KEYS.values() for key in (*keys.needed, *keys.optional)})
+_PART_WORDS = {
+    "rotor": "a rotor",
+    "torquer": "a torquer",
+    "pick-off": "a pick-off or rate sensor, by its signal",
+    "gimbal": "a gimbal",
+}
+
+
+def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
+    """Walk what does not fit together; without a platform, what can be said without it."""
+    faults = dict.fromkeys(name for _, table in tables(data, "fault") if (name := text_of(table, "name")) is not None)
+    for k, table in tables(data, "manoeuvre"):
+        path: Path = ("manoeuvre", k)
+        mode = text_of(table, "mode")
+        if mode in MOTION:
+            yield from _motion(table, path, mode)
+            yield from _initial(table, path, mode, platform)
+        yield from _length(table, path, data)
+        yield from _tables(table, path)
+        yield from _vibrations(table, path, mode)
+        yield from _names_of_faults(table, path, faults)
+    for k, table in tables(data, "fault"):
+        yield from _fault(table, ("fault", k), platform)
+
+
+def _motion(table: Data, path: Path, mode: str) -> Iterator[Mistake]:
+    keys, instead = MOTION[mode], MOTION_TABLE[mode]
+    needed = f"a {mode} manoeuvre needs {', '.join(keys)} and axis, or {instead}"
+    if any(key in table for key in keys):
+        for key in (*keys, "axis"):
+            if key not in table:
+                yield Mistake((*path, key), f'missing key "{key}": {needed}')
+    elif not any(table.get(key) for key in (instead, *EVENTS)):
+        yield Mistake((*path, keys[0]), f'missing key "{keys[0]}": {needed}')
+    for other in MOTION:
+        for key in (*MOTION[other], MOTION_TABLE[other]):
+            if other != mode and key in table:
+                wrong = f"{key} = {given(table[key])}: belongs to a {other} manoeuvre"
+                yield Mistake((*path, key), f"{wrong}; leave it out where mode = {given(mode)}")
+    duration, rise, hold = (number_of(table, key) for key in ("duration", "rise", "hold"))
+    if mode == "caged" and duration is not None and rise is not None and hold is not None:
+        least = 2 * rise + hold
+        if rise > 0 and hold >= 0 and 0 < duration < least * (1 - ROUNDING):
+            wrong = f"duration = {given(duration)}: shorter than 2 rise + hold"
+            yield Mistake((*path, "duration"), f"{wrong}; expected at least {least:.6g} s")
+
+
+def _length(table: Data, path: Path, data: Data) -> Iterator[Mistake]:
+    duration, sampling, campaign = number_of(table, "duration"), data.get("sampling"), data.get("campaign")
+    if duration is None:
+        return
+    rate = number_of(sampling, "rate_hz") if isinstance(sampling, dict) else None
+    step = number_of(campaign, "step") if isinstance(campaign, dict) and "step" in campaign else LONGEST_STEP
+    if rate is not None and rate > 0.0 and duration * rate > MOST_SAMPLES:
+        wrong = f"duration = {given(duration)}: is {duration * rate:.4g} sample periods"
+        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_SAMPLES:.0e}, or a lower rate_hz")
+    elif duration / LONGEST_STEP > MOST_STEPS:
+        wrong = f"duration = {given(duration)}: is {duration / LONGEST_STEP:.4g} integration steps"
+        yield Mistake((*path, "duration"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
+    elif step is not None and step > 0.0 and duration / step > MOST_STEPS:
+        wrong = f"step = {given(step)}: is {duration / step:.4g} steps of [[manoeuvre]] {int(path[1]) + 1}"
+        yield Mistake(("campaign", "step"), f"{wrong}; expected at most {MOST_STEPS:.0e}")
+
+
+def _tables(table: Data, path: Path) -> Iterator[Mistake]:
+    for key, columns in (("Omega_table", OMEGA_NAMES), ("torque_table", ("M1", "M2", "M3"))):
+        over_time = table.get(key)
+        if not isinstance(over_time, dict):
+            continue
+        if not any(column in over_time for column in columns):
+            first, second, third = columns
+            wrong = f'missing key "{first}": the table says nothing beside the times'
+            yield Mistake((*path, key, first), f"{wrong}; expected {first}, {second} or {third}")
+        for column in columns:
+            yield from _of_length(over_time, column, "t", (*path, key))
+
+
+def _of_length(table: Data, key: str, beside: str, path: Path) -> Iterator[Mistake]:
+    one, other = table.get(key), table.get(beside)
+    if isinstance(one, list) and isinstance(other, list) and len(one) != len(other):
+        wrong = f"{key} = {given(one)}: has {len(one)} element{'' if len(one) == 1 else 's'}"
+        yield Mistake((*path, key), f"{wrong}; expected {len(other)}, as {beside} has")
+
+
+def _vibrations(table: Data, path: Path, mode: str | None) -> Iterator[Mistake]:
+    for k, vibration in tables(table, "vibration"):
+        own: Path = (*path, "vibration", k)
+        if vibration.get("kind") == "rate" and mode == "stabilised":
+            wrong = 'kind = "rate": the rate of a stabilised platform is not prescribed'
+            yield Mistake((*own, "kind"), f'{wrong}; expected "force", or mode = "caged"')
+        yield from _of_length(vibration, "densities", "frequencies_hz", own)
+
+
+def _names_of_faults(table: Data, path: Path, known: Collection[str]) -> Iterator[Mistake]:
+    names = table.get("faults")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return
+    taken = Counter(names)
+    for name in taken:
+        if name in known and taken[name] == 1:
+            continue
+        wrong = f"faults = {given(names)}: {given(name)}"
+        if name not in known:
+            yield Mistake((*path, "faults"), f"{wrong} is no [[fault]] of the job; {suggestion(name, known)}")
+        else:
+            yield Mistake((*path, "faults"), f"{wrong} stands there twice; expected it once")
+        return
+
+
+def _initial(table: Data, path: Path, mode: str, platform: Platform | None) -> Iterator[Mistake]:
+    initial = table.get("initial")
+    if not isinstance(initial, dict) or platform is None:
+        return
+    stops = {gimbal.angle: gimbal.stops for gimbal in platform.gimbals}
+    known = [*stops, *(f"{angle}_rate" for angle in stops), *(OMEGA_NAMES if mode == "stabilised" else ())]
+    for key in initial:
+        number, own = number_of(initial, key), (*path, "initial", key)
+        if key not in known and key in OMEGA_NAMES:
+            wrong = f"{key} = {given(initial[key])}: the rate of a caged platform is prescribed"
+            yield Mistake(own, f'{wrong}; expected Omega_table, or mode = "stabilised"')
+        elif key not in known:
+            yield Mistake(own, f"unknown key {given(key)}; {suggestion(key, known)}")
+        elif (bounds := stops.get(key)) is not None and number is not None and not bounds[0] <= number <= bounds[1]:
+            wrong = f"{key} = {given(number)}: lies beyond a stop of the gimbal"
+            yield Mistake(own, f"{wrong}; expected {bounds[0]:.6g} to {bounds[1]:.6g} rad")
+
+
+def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mistake]:
+    at, until = number_of(table, "at"), number_of(table, "until")
+    if at is not None and until is not None and at >= until > 0:
+        yield Mistake((*path, "until"), f"until = {given(until)}: not after at = {given(at)}; expected a later time")
+    kind = text_of(table, "kind")
+    keys = next((keys for name, keys in FAULT_KEYS.items() if name == kind), None)
+    if keys is None:
+        return
+    for key in keys.needed:
+        if key not in table:
+            needed = ", ".join(keys.needed)
+            yield Mistake((*path, key), f'missing key "{key}": kind = {given(kind)} needs {needed}')
+    for key in _FAULT_NUMBERS:
+        if key in table and key not in keys.needed + keys.optional:
+            allowed = ", ".join((*keys.needed, *keys.optional)) or "at alone"
+            wrong = f"{key} = {given(table[key])}: means nothing for kind = {given(kind)}"
+            yield Mistake((*path, key), f"{wrong}; expected {allowed}")
+    part = text_of(table, "part")
+    if keys.part is None:
+        if "part" in table:
+            wrong = f"part = {given(table['part'])}: kind = {given(kind)} is of all controllers"
+            yield Mistake((*path, "part"), f"{wrong}; leave the key out")
+    elif "part" not in table:
+        wrong = f'missing key "part": kind = {given(kind)} needs the name of {_PART_WORDS[keys.part]}'
+        yield Mistake((*path, "part"), wrong)
+    elif part is not None and platform is not None:
+        yield from _part(part, keys.part, path, platform)
+
+
+def _part(part: str, kind: str, path: Path, platform: Platform) -> Iterator[Mistake]:
+    known = {
+        "rotor": [rotor.name for rotor in platform.rotors],
+        "torquer": [torquer.name for torquer in platform.torquers],
+        "pick-off": [one.name for one in platform.pickoffs] + [one.name for one in platform.rate_sensors],
+        "gimbal": [*platform.gimbal_names],
+    }[kind]
+    if part not in known:
+        wrong = f"part = {given(part)}: does not exist; expected the name of {_PART_WORDS[kind]}"
+        yield Mistake((*path, "part"), f"{wrong}, {suggestion(part, known)}")
+    elif kind == "gimbal" and platform.gimbals[platform.gimbal(part)].stops is None:
+        having = [gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None]
+        wrong = f"part = {given(part)}: has no stops to come up against"
+        yield Mistake((*path, "part"), f"{wrong}; expected a gimbal with stops, {suggestion(part, having)}")

@@ -1,0 +1,367 @@
+"""One run of the non-linear plant as values: what is flown, what moves the platform, what fails and when. SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole, within
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, input_value, read_only, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.platform import Platform
+
+Mode = Literal["caged", "stabilised"]
+VibrationKind = Literal["rate", "force"]
+FaultKind = Literal[
+    "rotor run-down",
+    "rotor run-up",
+    "speed ripple",
+    "torquer dead",
+    "torquer stuck",
+    "torquer weak",
+    "pick-off dead",
+    "pick-off stuck",
+    "pick-off drift",
+    "pick-off dropout",
+    "controller overrun",
+    "stop contact",
+]
+# What a fault happens to: a rotor, a torquer, a pick-off or rate sensor by its signal, a gimbal; None: the controllers.
+PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
+# Numbers of a fault that divide, or would stand still at zero.
+POSITIVE = ("time_constant", "frequency_hz")
+# Sinusoids that a vibration may be the sum of.
+MOST_LINES = 10_000
+
+
+@input_value
+class HalfCosine:
+    """A platform rate that rises to `rate` about a root axis along half a cosine, is held, and falls back.
+
+    Attributes
+    ----------
+    axis
+        Root axis, 1 to 3.
+    rate
+        Rate that is held, rad/s.
+    rise, hold
+        Length of the rise (and of the fall), and of the time between, s.
+    """
+
+    axis: int
+    rate: float
+    rise: float
+    hold: float
+
+    def __post_init__(self) -> None:
+        """Judge the axis and the times."""
+        whole("HalfCosine: axis", self.axis, 1, 3)
+        number("HalfCosine: rate", self.rate)
+        positive("HalfCosine: rise", self.rise, zero=True)
+        positive("HalfCosine: hold", self.hold, zero=True)
+
+
+@input_value
+class TimeTable:
+    """Three numbers over time, given at points; before the first and after the last point they stay as there.
+
+    Attributes
+    ----------
+    t : (k,)
+        Times of the points, increasing, s.
+    values : (k, 3)
+        Of a rate, rad/s, or a torque, N m, in root axes.
+    smooth
+        Between the points: a cubic spline with natural ends, or straight lines.
+    scale
+        Factor on all of the values.
+    """
+
+    t: FloatArray
+    values: FloatArray
+    smooth: bool = False
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Judge the points, and keep them where nobody writes."""
+        points = np.size(self.t)
+        for name, shape in (("t", (points,)), ("values", (points, 3))):
+            given = real_array(f"TimeTable: {name}", getattr(self, name), shape)
+            object.__setattr__(self, name, read_only(given))
+        if points < (2 if self.smooth else 1) or np.any(np.diff(self.t) <= 0.0):
+            least = "two times or more" if self.smooth else "times"
+            raise ArgumentError(f"TimeTable: t is {short(self.t.tolist())}; expected {least} that increase, s")
+        number("TimeTable: scale", self.scale)
+
+    @property
+    def pieces(self) -> FloatArray:
+        """Coefficients (k − 1, 3, 4) of each piece in powers 0 to 3 of the time since its first point.
+
+        SI units, unscaled.
+        """
+        if self.smooth:
+            from scipy.interpolate import CubicSpline
+
+            # SciPy's order: highest power first, (power, piece, component).
+            spline = CubicSpline(self.t, self.values, bc_type="natural")
+            return np.ascontiguousarray(spline.c[::-1].transpose(1, 2, 0))
+        out = np.zeros((len(self.t) - 1, 3, 4))
+        out[:, :, 0] = self.values[:-1]
+        out[:, :, 1] = np.diff(self.values, axis=0) / np.diff(self.t)[:, None]
+        return out
+
+    @check_arguments
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Return the three numbers at given times.
+
+        Parameters
+        ----------
+        t : any shape (...)
+            Times, s.
+
+        Returns
+        -------
+        (..., 3)
+            In the units of `values`, scaled.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        times = np.clip(real_numbers("TimeTable.at: t", t), self.t[0], self.t[-1])
+        if len(self.t) == 1:
+            return self.scale * np.broadcast_to(self.values[0], (*times.shape, 3))
+        piece = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        c, s = self.scale * self.pieces[piece], (times - self.t[piece])[..., None]
+        return np.asarray(c[..., 0] + s * (c[..., 1] + s * (c[..., 2] + s * c[..., 3])))
+
+
+@input_value
+class Vibration:
+    """Random vibration of the base about or along a root axis, with a one-sided power spectral density.
+
+    Flown as a sum of `lines` sinusoids at the middles of equal slices of logarithmic frequency, with phases drawn from
+    the run's seed alone (Shinozuka, J. Acoust. Soc. Am. 49, 1971).
+
+    Attributes
+    ----------
+    kind
+        ``"rate"`` adds to the prescribed Omega (caged alone); ``"force"`` adds to the specific force.
+    axis
+        Root axis, 1 to 3.
+    frequencies_hz : (k,)
+        Increasing, Hz.
+    densities : (k,)
+        One-sided, (rad/s)²/Hz or (m/s²)²/Hz. Straight lines between the points on logarithmic scales, zero outside.
+    lines
+        Number of sinusoids.
+
+    References
+    ----------
+    M. Shinozuka, Journal of the Acoustical Society of America 49, 1971.
+    """
+
+    kind: VibrationKind
+    axis: int
+    frequencies_hz: FloatArray
+    densities: FloatArray
+    lines: int = 64
+
+    def __post_init__(self) -> None:
+        """Judge the density, and keep it where nobody writes."""
+        whole("Vibration: axis", self.axis, 1, 3)
+        whole("Vibration: lines", self.lines, 1, MOST_LINES)
+        points = np.size(self.frequencies_hz)
+        for name in ("frequencies_hz", "densities"):
+            given = real_array(f"Vibration: {name}", getattr(self, name), (points,))
+            object.__setattr__(self, name, read_only(given))
+        f, densities = self.frequencies_hz, self.densities
+        if points < 2 or f[0] <= 0.0 or np.any(np.diff(f) <= 0.0):
+            raise ArgumentError(
+                f"Vibration: frequencies_hz is {short(f.tolist())}; expected two or more that increase, > 0"
+            )
+        if densities.any() and densities.min() <= 0.0:
+            raise ArgumentError(
+                f"Vibration: densities is {short(densities.tolist())}; expected numbers > 0, or all of them 0"
+            )
+
+    @property
+    def amplitudes(self) -> tuple[FloatArray, FloatArray]:
+        """Frequencies of the lines, rad/s, and their amplitudes sqrt(2 S(f) Δf), rad/s or m/s²; each (lines,)."""
+        low, high = math.log(self.frequencies_hz[0]), math.log(self.frequencies_hz[-1])
+        edges = np.exp(np.linspace(low, high, self.lines + 1))
+        middle = np.sqrt(edges[:-1] * edges[1:])
+        density = np.zeros(self.lines)
+        if self.densities.any():  # else it has been scaled to nothing
+            density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
+        return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
+
+
+@input_value
+class Fault:
+    """A part that fails at a given time.
+
+    Attributes
+    ----------
+    name
+        What tables call it.
+    kind
+        ``"rotor run-down"``: L falls from its nominal value towards `share` of it with `time_constant` from `at` on;
+        ``"rotor run-up"``: it is at `share` before `at` and rises to the nominal value with `time_constant`;
+        ``"speed ripple"``: L (1 + `amplitude` sin(2π `frequency_hz` (t − `at`))) between `at` and `until`;
+        ``"torquer dead"``: no torque between `at` and `until`;
+        ``"torquer stuck"``: the torque that it had at `at` stays until `until`;
+        ``"torquer weak"``: `share` of the commanded torque between `at` and `until`;
+        ``"pick-off dead"``: reads 0 between `at` and `until`;
+        ``"pick-off stuck"``: the last reading before `at` stays until `until`;
+        ``"pick-off drift"``: reads `rate` (t − `at`) too much between `at` and `until`;
+        ``"pick-off dropout"``: each sample between `at` and `until` is lost with `probability`, and the last one that
+        was delivered is used in its place;
+        ``"controller overrun"``: each sample between `at` and `until` is missed with `probability`: commands and the
+        controllers' states stay;
+        ``"stop contact"``: an `impulse` at the gimbal's joint at `at` throws it towards a stop, the upper one if it is
+        positive.
+    part
+        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; None for the controllers.
+    at, until
+        When it begins and when the part is sound again, s.
+    share, time_constant, amplitude, frequency_hz, rate, probability, impulse
+        Numbers of the kinds above: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
+    """
+
+    name: str
+    kind: FaultKind
+    part: str | None = None
+    at: float
+    until: float = math.inf
+    share: float = 0.0
+    time_constant: float = 0.0
+    amplitude: float = 0.0
+    frequency_hz: float = 0.0
+    rate: float = 0.0
+    probability: float = 1.0
+    impulse: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Judge the times, and the numbers that its kind has."""
+        positive(f"fault {self.name!r}: at", self.at, zero=True)
+        if not self.until > self.at:
+            raise ArgumentError(
+                f"fault {self.name!r}: until is {self.until!r}; expected a time after at = {self.at:.6g} s"
+            )
+        keys = FAULT_KEYS[self.kind]
+        for key in (*keys.needed, *keys.optional):
+            given, called = getattr(self, key), f"fault {self.name!r}: {key}"
+            if key in POSITIVE:
+                positive(called, given)
+            elif key == "probability":
+                within(called, given, 0.0, 1.0)
+            elif key != "until":
+                number(called, given)
+
+
+@value
+class FaultKeys:
+    """What a kind of fault is made of beside `at`.
+
+    Attributes
+    ----------
+    part
+        The kind of part that fails; None for the controllers.
+    needed, optional
+        Names of the numbers that it needs, and of those it may have.
+    """
+
+    part: PartKind | None
+    needed: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ("until",)
+
+
+FAULT_KEYS: dict[FaultKind, FaultKeys] = {
+    "rotor run-down": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
+    "rotor run-up": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
+    "speed ripple": FaultKeys(part="rotor", needed=("amplitude", "frequency_hz")),
+    "torquer dead": FaultKeys(part="torquer"),
+    "torquer stuck": FaultKeys(part="torquer"),
+    "torquer weak": FaultKeys(part="torquer", needed=("share",)),
+    "pick-off dead": FaultKeys(part="pick-off"),
+    "pick-off stuck": FaultKeys(part="pick-off"),
+    "pick-off drift": FaultKeys(part="pick-off", needed=("rate",)),
+    "pick-off dropout": FaultKeys(part="pick-off", needed=("probability",)),
+    "controller overrun": FaultKeys(part=None, optional=("until", "probability")),
+    "stop contact": FaultKeys(part="gimbal", needed=("impulse",), optional=()),
+}
+
+
+@input_value
+class Scenario:
+    """One run: the plant as it is in this run, how it begins, what moves it, what fails, and what it is judged by.
+
+    Noise and random phases depend on (`seed`, `run`), the sample and the channel alone.
+
+    Attributes
+    ----------
+    platform
+        The plant, tolerances included.
+    mode
+        ``"caged"``: Omega is prescribed; ``"stabilised"``: the platform is free.
+    duration, delay
+        Length of the run, and from the sample to the torque, s.
+    profile, Omega_table
+        Caged: what Omega is the sum of, rate vibration included; none of them: zero.
+    torque : (3,)
+        Stabilised: constant torque on the platform in its own axes, N m; `torque_table` adds to it.
+    torque_table
+        Stabilised: a torque over time, or None.
+    vibrations
+        Of the base.
+    faults
+        What fails. Of several on one part: a weak torquer is weak, then stuck, then dead; a sensor drifts, then loses
+        samples, then is stuck, then dead.
+    q, rate : (n,)
+        Gimbal angles and their rates at t = 0, rad and rad/s; empty: all zero.
+    Omega : (3,)
+        Platform rate at t = 0 (stabilised alone), rad/s.
+    attitude : (4,)
+        Unit quaternion w, x, y, z of the platform at t = 0, dimensionless.
+    spin : (servo rotors,)
+        Spins against the carriers at t = 0, rad/s; None: the nominal ones of `platform`.
+    seed, run
+        What the noise is drawn from.
+    limits
+        Largest ``angle``, ``attitude``, ``torque_share``, as in `platform_ctrl.job.job.Manoeuvre`.
+    """
+
+    platform: Platform
+    mode: Mode
+    duration: float
+    delay: float
+    profile: HalfCosine | None = None
+    Omega_table: TimeTable | None = None
+    torque: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
+    torque_table: TimeTable | None = None
+    vibrations: tuple[Vibration, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    q: FloatArray = field(default_factory=lambda: read_only(()))
+    rate: FloatArray = field(default_factory=lambda: read_only(()))
+    Omega: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
+    attitude: FloatArray = field(default_factory=lambda: read_only((1.0, 0.0, 0.0, 0.0)))
+    spin: FloatArray | None = None
+    seed: int = 0
+    run: int = 0
+    limits: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Fill in the angles and rates that were left out."""
+        n = len(self.platform.gimbals)
+        for name in ("q", "rate", "torque", "Omega", "attitude", "spin"):
+            if getattr(self, name) is not None:
+                given = getattr(self, name)
+                left_out = name in ("q", "rate") and not given.size
+                object.__setattr__(self, name, read_only(np.zeros(n) if left_out else given))

@@ -1,0 +1,122 @@
+"""How a number is drawn from run to run: distributions as values. What they reach is known without drawing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field
+from typing import Literal
+
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import input_value, value
+
+Distribution = Literal["uniform", "normal", "truncated-normal", "log-uniform", "log-normal", "triangular", "choice"]
+
+# The numbers that each distribution is made of.
+DISTRIBUTION_NUMBERS: dict[Distribution, tuple[str, ...]] = {
+    "uniform": ("low", "high"),
+    "normal": ("mean", "deviation"),
+    "truncated-normal": ("mean", "deviation", "low", "high"),
+    "log-uniform": ("low", "high"),
+    "log-normal": ("median", "deviation"),
+    "triangular": ("low", "peak", "high"),
+    "choice": (),
+}
+# Centres: 1 unless given where the numbers multiply the nominal value.
+CENTRES = frozenset({"mean", "median", "peak"})
+
+
+@input_value
+class Vary:
+    """A parameter that differs from run to run.
+
+    Attributes
+    ----------
+    parameter
+        Its path, as `platform_ctrl.parameters` knows it.
+    distribution
+        What it is drawn from.
+    numbers
+        What the distribution is made of, in the parameter's unit: ``low``, ``high``, ``mean``, ``median``, ``peak``;
+        ``deviation`` is the standard deviation (before truncation), of the natural logarithm for ``"log-normal"``.
+    values, weights
+        ``"choice"``: what is chosen from, in the parameter's unit, and how often, relative to one another; no weights:
+        all alike.
+    relative
+        Whether what is drawn multiplies the nominal value instead of taking its place.
+    """
+
+    parameter: str
+    distribution: Distribution
+    numbers: dict[str, float] = field(default_factory=dict)
+    values: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+    relative: bool = False
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Names of the numbers that the distribution is made of."""
+        return DISTRIBUTION_NUMBERS[self.distribution]
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Lowest and highest number that can be drawn, in the parameter's unit; infinite where there is none."""
+        match self.distribution:
+            case "normal":
+                return -math.inf, math.inf
+            case "log-normal":
+                return 0.0, math.inf
+            case "choice":
+                weights = self.weights or (1.0,) * len(self.values)
+                drawn = [x for x, weight in zip(self.values, weights, strict=True) if weight > 0.0]
+                return min(drawn), max(drawn)
+            case _:
+                return self.numbers["low"], self.numbers["high"]
+
+
+@value
+class Range:
+    """Which values a number may have.
+
+    Attributes
+    ----------
+    words
+        As a message says it.
+    low, high
+        The bounds, in the parameter's unit.
+    low_itself
+        Whether `low` itself is allowed.
+    """
+
+    words: str
+    low: float = -math.inf
+    high: float = math.inf
+    low_itself: bool = True
+
+    @check_arguments
+    def holds(self, low: float, high: float, continuous: bool) -> bool:
+        """Return whether everything drawn between two numbers is allowed.
+
+        Parameters
+        ----------
+        low, high
+            Lowest and highest number that can be drawn, in the parameter's unit.
+        continuous
+            Whether the distribution is: then it never hits its end.
+
+        Returns
+        -------
+        bool
+            True if it is.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        return self.low <= low and high <= self.high and (low > self.low or self.low_itself or continuous)
+
+
+ANY = Range(words="any number")
+POSITIVE = Range(words="a number > 0", low=0.0, low_itself=False)
+NOT_NEGATIVE = Range(words="a number >= 0", low=0.0)
+SHARE = Range(words="a number from 0 to 1", low=0.0, high=1.0)

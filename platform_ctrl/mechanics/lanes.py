@@ -1,0 +1,550 @@
+"""Eight numbers in one register: the number type of compiled functions, and how these are compiled.
+
+A memory of the kernel is an array (slots, LANES): a slot holds one quantity of LANES scenarios side by side. `load`
+takes a slot of it in one piece as a `lane`, a number like any other in the code that computes with it: LLVM's vector of
+eight doubles, which compilers of this kind do not find by themselves in code with branches and short loops. Where
+scenarios differ, comparisons give a mask and `choose` picks.
+
+The same code runs one scenario at a time where `lane` is a whole number, the column of the memory: in plain Python and
+on a graphics processor, where neighbouring threads take neighbouring columns.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import lower_builtin, lower_cast
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, models, overload, register_model
+from numpy.typing import NDArray
+
+from platform_ctrl.common.values import FloatArray
+
+LANES = 8
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# A number of the kernel: one float, or LANES of them; a mask likewise. For readers and type checkers.
+Number = Any
+Mask = Any
+
+
+class _Lane(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name=f"Lane{LANES}")
+
+
+class _LaneMask(types.Type):
+    def __init__(self) -> None:
+        super().__init__(name=f"LaneMask{LANES}")
+
+
+_lane, _mask = _Lane(), _LaneMask()
+_VECTOR, _BITS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(ir.IntType(1), LANES)
+
+
+@register_model(_Lane)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+@register_model(_LaneMask)
+class _LaneMaskModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _BITS)
+
+
+def _stamp(source: str) -> tuple[float, int]:
+    """Newest change and total size of the files beside a source file, and of this one."""
+    files = [path.stat() for path in (Path(__file__), *sorted(Path(source).parent.glob("*.py")))]
+    return max(file.st_mtime for file in files), sum(file.st_size for file in files)
+
+
+_njit: Any = numba.njit  # its types know nothing of the switches for wrappers
+
+# error_model="numpy": a vanishing pivot becomes inf or NaN instead of an exception in the middle of a run.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+
+
+def compiled(function: F) -> F:
+    """Compile a function that Python calls, and keep the result until any file beside it changes."""
+    try:
+        dispatcher = _njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:  # nowhere to keep a cache: compile in every process
+        return cast(F, _njit(**_OPTIONS)(function))
+    return cast(F, kept(dispatcher))
+
+
+def kept(dispatcher: Any) -> Any:
+    """A function that is cached, with all files beside its own, and this one, deciding whether that is old."""
+    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
+        dispatcher._cache._cache_file._source_stamp = _stamp(dispatcher.py_func.__code__.co_filename)
+    return dispatcher
+
+
+def internal(function: F) -> F:
+    """Compile for callers in the kernel alone.
+
+    Without wrappers for Python and C, which take as long as a small function, and without a cache of its own: it is
+    kept within what its callers keep.
+    """
+    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function))
+
+
+def inlined(function: F) -> F:
+    """Compile into every caller."""
+    return cast(F, _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)(function))
+
+
+# Said of functions below, which compiled ones alone call: a wrapper for C takes longer than what is in it.
+_INSIDE: Any = {"no_cfunc_wrapper": True}
+
+
+def apart() -> None:
+    """Said first by a function that many call: on a graphics processor it stays one, not copied into its callers."""
+
+
+@intrinsic
+def _not_inlined(typing: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        if "nvptx" in builder.module.triple:
+            builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.none(), generate
+
+
+@overload(apart, inline="always", strict=False, jit_options=_INSIDE)
+def _apart() -> Any:
+    return lambda: _not_inlined()
+
+
+def memory(slots: int, columns: int = LANES) -> FloatArray:
+    """Return zeros (slots, columns) that begin at a cache line, so that a slot does not straddle two."""
+    size = slots * columns
+    raw = np.zeros(size + 8)
+    start = (-raw.ctypes.data // 8) % 8
+    return raw[start : start + size].reshape(slots, columns)
+
+
+# Arithmetic.
+
+_FLAGS = ("contract",)
+
+
+def _widened(builder: Any, kind: Any, number: Any) -> Any:
+    """A scalar as a lane that holds it LANES times."""
+    if kind == _lane:
+        return number
+    if isinstance(kind, types.Integer):
+        number = builder.sitofp(number, ir.DoubleType())
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    )
+
+
+def _binary(name: Any, result: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
+    @infer_global(name)
+    class _Typing(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            if len(args) == 2 and not kws and _lane in args:
+                given = [types.unliteral(kind) for kind in args]
+                if all(kind == _lane or isinstance(kind, (types.Float, types.Integer)) for kind in given):
+                    return signature(result, *given)
+            return None
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        a, b = (_widened(builder, kind, number) for kind, number in zip(sig.args, args, strict=True))
+        return emit(builder, a, b)
+
+    for kinds in ((_lane, _lane), (_lane, types.Float), (types.Float, _lane), (_lane, types.Integer)):
+        lower_builtin(name, *kinds)(lower)
+    lower_builtin(name, types.Integer, _lane)(lower)
+
+
+for _name, _emit in (
+    (operator.add, lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS)),
+    (operator.sub, lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS)),
+    (operator.mul, lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS)),
+    (operator.truediv, lambda builder, a, b: builder.fdiv(a, b)),
+):
+    _binary(_name, _lane, _emit)
+for _name, _in_place, _emit in (
+    (operator.iadd, operator.add, lambda builder, a, b: builder.fadd(a, b, flags=_FLAGS)),
+    (operator.isub, operator.sub, lambda builder, a, b: builder.fsub(a, b, flags=_FLAGS)),
+    (operator.imul, operator.mul, lambda builder, a, b: builder.fmul(a, b, flags=_FLAGS)),
+):
+    _binary(_name, _lane, _emit)
+
+
+def _comparison(name: Any, sign: str) -> None:
+    _binary(name, _mask, lambda builder, a, b: builder.fcmp_ordered(sign, a, b))
+
+
+for _name, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _comparison(_name, _sign)
+
+
+@infer_global(operator.neg)
+class _Negative(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(_lane, _lane) if tuple(args) == (_lane,) else None
+
+
+@lower_builtin(operator.neg, _lane)
+def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.fneg(args[0])
+
+
+def _of_masks(name: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
+    @infer_global(name)
+    class _Typing(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            return signature(_mask, _mask, _mask) if tuple(args) == (_mask, _mask) else None
+
+    lower_builtin(name, _mask, _mask)(lambda context, builder, sig, args: emit(builder, *args))
+
+
+_of_masks(operator.and_, lambda builder, a, b: builder.and_(a, b))
+_of_masks(operator.or_, lambda builder, a, b: builder.or_(a, b))
+
+
+@infer_global(operator.invert)
+class _Inverse(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(_mask, _mask) if tuple(args) == (_mask,) else None
+
+
+@lower_builtin(operator.invert, _mask)
+def _inverse(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.not_(args[0])
+
+
+@lower_cast(types.Float, _lane)
+@lower_cast(types.Integer, _lane)
+def _cast(context: Any, builder: Any, given: Any, wanted: Any, number: Any) -> Any:
+    return _widened(builder, given, number)
+
+
+# Memory. `lane` is None for all columns at once, else the number of the column; a memory (slots,) has but one.
+
+
+def load(memory: FloatArray, slot: int, lane: int | None) -> Number:
+    """Return a slot of the memory."""
+    return memory[slot] if memory.ndim == 1 else memory[slot, lane]
+
+
+def store(memory: FloatArray, slot: int, lane: int | None, number: Number) -> None:
+    """Put a number into a slot of the memory."""
+    if memory.ndim == 1:
+        memory[slot] = number
+    else:
+        memory[slot, lane] = number
+
+
+def store_pairs(array: NDArray[np.complex128], first: int, re: Number, im: Number) -> None:
+    """Put complex numbers, as many as a number stands for, into a contiguous array from its element `first` on."""
+    array.flat[first] = complex(re, im)
+
+
+def columns(lane: int) -> tuple[int, int]:
+    """Return the first column that `lane` stands for, and the one behind the last: for what goes one by one."""
+    return lane, lane + 1
+
+
+@overload(columns, strict=False, jit_options=_INSIDE)
+def _columns(lane: Any) -> Any:
+    if isinstance(lane, types.NoneType):
+        return lambda lane: (0, LANES)
+    return lambda lane: (lane, lane + 1)
+
+
+def _row(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    first = builder.gep(data, [builder.mul(slot, ir.Constant(slot.type, LANES))])
+    return builder.bitcast(first, _VECTOR.as_pointer())
+
+
+@intrinsic
+def _load_row(typing: Any, memory: Any, slot: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_row(context, builder, sig.args[0], *args), align=8)
+
+    return _lane(memory, slot), generate
+
+
+@intrinsic
+def _store_row(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        row = _row(context, builder, sig.args[0], args[0], args[1])
+        builder.store(_widened(builder, sig.args[2], args[2]), row, align=8)
+        return context.get_dummy_value()
+
+    return types.none(memory, slot, number), generate
+
+
+@intrinsic
+def _store_pairs_of_lanes(typing: Any, array: Any, first: Any, re: Any, im: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        pairs = builder.bitcast(builder.gep(data, [args[1]]), _VECTOR.as_pointer())
+        for k in range(2):
+            order = [k * LANES // 2 + t // 2 + t % 2 * LANES for t in range(LANES)]
+            half = builder.shuffle_vector(args[2], args[3], ir.Constant(ir.VectorType(ir.IntType(32), LANES), order))
+            builder.store(half, builder.gep(pairs, [ir.Constant(ir.IntType(32), k)]), align=8)
+        return context.get_dummy_value()
+
+    return types.none(array, first, re, im), generate
+
+
+def _slot(context: Any, builder: Any, kind: Any, array: Any, slot: Any) -> Any:
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [slot])
+
+
+# Where a scenario has a memory of its own, a slot is found by one addition: numba's own indexing looks at the sign and
+# the strides of every index, on a graphics processor several times the work of what is computed.
+
+
+@intrinsic
+def _load_slot(typing: Any, memory: Any, slot: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_slot(context, builder, sig.args[0], *args))
+
+    return types.float64(memory, types.intp), generate
+
+
+@intrinsic
+def _store_slot(typing: Any, memory: Any, slot: Any, number: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _slot(context, builder, sig.args[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return types.none(memory, types.intp, types.float64), generate
+
+
+@overload(load, strict=False, jit_options=_INSIDE)
+def _load(memory: Any, slot: Any, lane: Any) -> Any:
+    if isinstance(lane, types.NoneType):
+        return lambda memory, slot, lane: _load_row(memory, slot)
+    if memory.ndim == 1:
+        return lambda memory, slot, lane: _load_slot(memory, slot)
+    return lambda memory, slot, lane: memory[slot, lane]
+
+
+@overload(store, strict=False, jit_options=_INSIDE)
+def _store(memory: Any, slot: Any, lane: Any, number: Any) -> Any:
+    if isinstance(lane, types.NoneType):
+        return lambda memory, slot, lane, number: _store_row(memory, slot, number)
+    if memory.ndim == 1:
+        return lambda memory, slot, lane, number: _store_slot(memory, slot, number)
+
+    def put(memory, slot, lane, number):
+        memory[slot, lane] = number
+
+    return put
+
+
+@overload(store_pairs, strict=False, jit_options=_INSIDE)
+def _store_pairs(array: Any, first: Any, re: Any, im: Any) -> Any:
+    if re == im == _lane:
+        return lambda array, first, re, im: _store_pairs_of_lanes(array, first, re, im)
+    return None
+
+
+# Elementary functions.
+
+
+def choose(mask: Mask, a: Number, b: Number) -> Number:
+    """Return a where the mask holds, else b."""
+    return a if mask else b
+
+
+def anywhere(mask: Mask) -> bool:
+    """Return whether the mask holds in any scenario."""
+    return bool(mask)
+
+
+def root(x: Number) -> Number:
+    """Return the square root."""
+    return math.sqrt(x)
+
+
+def whole(x: Number) -> Number:
+    """Return the largest whole number not above x, as a float."""
+    return math.floor(x)
+
+
+def lesser(a: Number, b: Number) -> Number:
+    """Return the smaller of two numbers."""
+    return choose(a < b, a, b)
+
+
+def greater(a: Number, b: Number) -> Number:
+    """Return the larger of two numbers."""
+    return choose(a > b, a, b)
+
+
+def fused(a: Number, b: Number, c: Number) -> Number:
+    """Return a b + c, rounded once."""
+    return float(Fraction(a) * Fraction(b) + Fraction(c))
+
+
+def power_of_two(k: Number) -> Number:
+    """Return 2 to the whole number k, from -1022 to 1023."""
+    return math.ldexp(1.0, int(k))
+
+
+def mantissa_and_exponent(x: Number) -> tuple[Number, Number]:
+    """Return m in [1, 2) and the whole number e with x = m 2^e, for a normal x > 0."""
+    m, e = math.frexp(x)
+    return 2.0 * m, float(e - 1)
+
+
+@intrinsic
+def _choose_lane(typing: Any, mask: Any, a: Any, b: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(args[0], _widened(builder, a, args[1]), _widened(builder, b, args[2]))
+
+    return _lane(mask, a, b), generate
+
+
+@intrinsic
+def _anywhere_in_lane(typing: Any, mask: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(mask), generate
+
+
+@intrinsic
+def _fused_lanes(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        wide = [_widened(builder, kind, number) for kind, number in zip(sig.args, args, strict=True)]
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64"), wide)
+
+    return _lane(a, b, c), generate
+
+
+def _by_llvm(name: str) -> Any:
+    @intrinsic
+    def call(typing: Any, x: Any) -> Any:
+        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+            return builder.call(function, args)
+
+        return _lane(x), generate
+
+    return call
+
+
+_root_of_lane, _floor_of_lane = _by_llvm("sqrt"), _by_llvm("floor")
+_WHOLE = ir.VectorType(ir.IntType(64), LANES)
+
+
+def _repeated(number: int) -> Any:
+    return ir.Constant(_WHOLE, [number] * LANES)
+
+
+@intrinsic
+def _power_of_lane(typing: Any, k: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        exponent = builder.add(builder.fptosi(args[0], _WHOLE), _repeated(1023))
+        return builder.bitcast(builder.shl(exponent, _repeated(52)), _VECTOR)
+
+    return _lane(k), generate
+
+
+@intrinsic
+def _mantissa_of_lane(typing: Any, x: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.and_(builder.bitcast(args[0], _WHOLE), _repeated((1 << 52) - 1))
+        return builder.bitcast(builder.or_(bits, _repeated(1023 << 52)), _VECTOR)
+
+    return _lane(x), generate
+
+
+@intrinsic
+def _exponent_of_lane(typing: Any, x: Any) -> Any:
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.lshr(builder.bitcast(args[0], _WHOLE), _repeated(52))
+        return builder.sitofp(builder.sub(bits, _repeated(1023)), _VECTOR)
+
+    return _lane(x), generate
+
+
+@overload(choose, strict=False, jit_options=_INSIDE)
+def _choose(mask: Any, a: Any, b: Any) -> Any:
+    if mask == _mask:
+        return lambda mask, a, b: _choose_lane(mask, a, b)
+    return lambda mask, a, b: a if mask else b
+
+
+@overload(anywhere, strict=False, jit_options=_INSIDE)
+def _anywhere(mask: Any) -> Any:
+    if mask == _mask:
+        return lambda mask: _anywhere_in_lane(mask)
+    return lambda mask: mask
+
+
+@overload(root, strict=False, jit_options=_INSIDE)
+def _root(x: Any) -> Any:
+    return (lambda x: _root_of_lane(x)) if x == _lane else (lambda x: math.sqrt(x))
+
+
+@overload(whole, strict=False, jit_options=_INSIDE)
+def _whole(x: Any) -> Any:
+    return (lambda x: _floor_of_lane(x)) if x == _lane else (lambda x: float(math.floor(x)))
+
+
+@overload(fused, strict=False, jit_options=_INSIDE)
+def _fused(a: Any, b: Any, c: Any) -> Any:
+    return (lambda a, b, c: _fused_lanes(a, b, c)) if _lane in (a, b, c) else None
+
+
+@overload(power_of_two, strict=False, jit_options=_INSIDE)
+def _power_of_two(k: Any) -> Any:
+    return (lambda k: _power_of_lane(k)) if k == _lane else (lambda k: math.ldexp(1.0, int(k)))
+
+
+@overload(mantissa_and_exponent, strict=False, jit_options=_INSIDE)
+def _mantissa_and_exponent(x: Any) -> Any:
+    if x == _lane:
+        return lambda x: (_mantissa_of_lane(x), _exponent_of_lane(x))
+
+    def parts(x):
+        m, e = math.frexp(x)
+        return 2.0 * m, float(e - 1)
+
+    return parts
+
+
+@overload(lesser, strict=False, jit_options=_INSIDE)
+def _lesser(a: Any, b: Any) -> Any:
+    return lambda a, b: choose(a < b, a, b)
+
+
+@overload(greater, strict=False, jit_options=_INSIDE)
+def _greater(a: Any, b: Any) -> Any:
+    return lambda a, b: choose(a > b, a, b)

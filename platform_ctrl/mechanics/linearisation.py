@@ -1,0 +1,247 @@
+"""Linear equations in the gimbal angles, eq. (19), about any constant platform rate.
+
+About angles q0 at rest in the platform and a constant rate Omega0 the gimbal rows are
+
+    M q̈ + (G − ∂Q/∂q̇) q̇ + (K − ∂Q/∂q) q + M_Omega ω' + G_Omega ω = Q − Q0
+
+with ω the deviation of Omega. The left side without ∂Q follows from T = T2 + T1 alone: with p(q, Omega) = ∂T/∂q̇ at
+q̇ = 0, G = ∂p/∂q − (∂p/∂q)ᵀ and K = −∂²T/∂q², so that G is skew and K symmetric. ∂Q belongs to springs, friction,
+cages, unbalance and erection; Q on the right is what the torquers do.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.common.arguments import one_of, real_array
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.forces import element_forces, force_slopes
+from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
+from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
+from platform_ctrl.plant.platform import Platform
+
+Terms = Literal["exact", "paper"]
+
+
+@value
+class LinearModel:
+    """Linear equations of the gimbals, and of the root when it is free.
+
+    Attributes
+    ----------
+    platform, terms
+        What was linearised, and which terms were kept.
+    q0 : (n,)
+        Angles of the trim, rad.
+    Omega0, specific_force : (3,)
+        Constant platform rate, rad/s, and specific force, m/s², of the trim.
+    Q0 : (n,)
+        Torques that the torquers need to hold the trim, N m.
+    M, G, K : (n, n)
+        Inertia (symmetric), kg m², gyroscopic (skew), N m s, and stiffness (symmetric) matrix, N m/rad.
+    M_Omega, G_Omega : (n, 3)
+        Coefficients of ω', kg m², and ω, N m s: the deviation of the platform's rate from `Omega0`.
+    M_Omega_q : (n, 3, n)
+        Coefficient of Omega'_a q_j in row i, ``[i, a, j]``, kg m²: for rates that change during a manoeuvre.
+    root_inertia : (3, 3)
+        A* of the root rows, kg m².
+    root_momentum : (3,)
+        ∂T/∂Omega at the trim, N m s (``terms="paper"``: the rotors' part h₀ alone).
+    Q_angle, Q_rate : (n, n)
+        ∂Q/∂q, N m/rad, and ∂Q/∂q̇, N m s, of the force elements.
+    Q_force, M_force
+        ∂Q/∂f and ∂M/∂f, N m per m/s² of specific force: what unbalance makes of vibration and manoeuvres. Shapes (n,
+        3), (3, 3).
+    M_angle : (3, n)
+        ∂M/∂q, the root's rows, N m/rad.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
+    """
+
+    platform: Platform
+    terms: Terms
+    q0: FloatArray
+    Omega0: FloatArray
+    specific_force: FloatArray
+    Q0: FloatArray
+    M: FloatArray
+    G: FloatArray
+    K: FloatArray
+    M_Omega: FloatArray
+    G_Omega: FloatArray
+    M_Omega_q: FloatArray
+    root_inertia: FloatArray
+    root_momentum: FloatArray
+    Q_angle: FloatArray
+    Q_rate: FloatArray
+    Q_force: FloatArray
+    M_force: FloatArray
+    M_angle: FloatArray
+
+    @property
+    def damping(self) -> FloatArray:
+        """G − ∂Q/∂q̇, (n, n), N m s: all that stands before q̇ in (19)."""
+        return np.asarray(self.G - self.Q_rate)
+
+    @property
+    def stiffness(self) -> FloatArray:
+        """K − ∂Q/∂q, (n, n), N m/rad: all that stands before q in (19)."""
+        return np.asarray(self.K - self.Q_angle)
+
+    @property
+    def gimbal_names(self) -> tuple[str, ...]:
+        """Names of the gimbals, in the order of the rows."""
+        return self.platform.gimbal_names
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self.platform.angle_names
+
+
+def linearise(
+    platform: Platform,
+    Omega: ArrayLike = (0.0, 0.0, 0.0),
+    terms: Terms = "exact",
+    q: ArrayLike | None = None,
+    specific_force: ArrayLike | None = None,
+    rate_amplitude: ArrayLike | None = None,
+) -> LinearModel:
+    """Linearise in the gimbal angles about a constant platform rate.
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    Omega : (3,)
+        Constant rate of the root in its own axes, rad/s.
+    terms
+        ``"exact"``: every term linear in the angles. ``"paper"``: the rule behind (27): A constant, BᵀA_R B and G_R to
+        first order, G_A dropped; what is left out is of the order J Omega against L.
+    q : (n,)
+        Angles of the trim, rad; default zero.
+    specific_force : (3,)
+        f of the trim in root axes, m/s²; default the platform's own.
+    rate_amplitude : (n,)
+        Amplitudes of the gimbal rates, rad/s, > 0, at which dry friction is replaced by its describing function.
+        Default: dry friction has no slope at rest and is left out.
+
+    Returns
+    -------
+    LinearModel
+        The matrices of (19) at the trim, and those of the root's rows.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape, not finite, or unknown `terms`.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
+
+    See docs/the-paper.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> model = pc.linearise(pc.read_platform("three_gyro_platform"))
+    >>> model.G[3:, 3:].round(3)  # gimbals 9 and 10: the gyroscopic matrix of one rotor
+    array([[ 0.  ,  0.15],
+    [-0.15,  0.  ]])
+    """
+    tree = topology(platform)
+    n = len(tree.parents)
+    rate = real_array("Omega", Omega, (3,))
+    angles = real_array("q", q, (n,), 0.0)
+    one_of("terms", terms, ("exact", "paper"))
+    f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
+    amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
+    if amplitude is not None and not np.all(amplitude > 0.0):
+        raise ArgumentError(f"rate_amplitude: given {amplitude.tolist()}; expected {n} numbers > 0, rad/s")
+    slopes = force_slopes(platform, angles, f, amplitude)
+    at = kinematics(platform, angles)
+    inertias = world_inertias(platform, at)
+    A_star, B = mass_matrix(at.jacobians, inertias), directions(platform, at)
+    change = derivatives(platform, at)
+    spin_momentum = B.T @ tree.L
+    # ∂/∂q of the momenta at q̇ = 0: the rotors' part, and with "exact" that of A* Omega.
+    momentum_change = np.einsum("jrx,r->xj", change.B, tree.L)
+    stiffness = _spin_stiffness(platform, at, rate)
+    root_momentum = spin_momentum[:3].copy()
+    if terms == "exact":
+        momentum_change = momentum_change + np.einsum("jxa,a->xj", change.A_star[:, :, :3], rate)
+        stiffness = stiffness + _inertia_stiffness(platform, at, inertias, rate)
+        root_momentum += A_star[:3, :3] @ rate
+        rate_change = np.einsum("jia->iaj", change.A_star[:, 3:, :3])
+        slope = np.einsum("a,jab,b->j", rate, change.A_star[:, :3, :3], rate)
+    else:
+        axial = tree.C * tree.regulated
+        half = np.einsum("jri,r,ra->iaj", change.B[:, :, 3:], axial, B[:, :3])
+        rate_change = half + np.einsum("ri,r,jra->iaj", B[:, 3:], axial, change.B[:, :, :3])
+        slope = np.zeros(n)
+    spin_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, rate)
+    gyro = momentum_change[3:] - momentum_change[3:].T
+    return LinearModel(
+        platform=platform,
+        terms=terms,
+        q0=angles,
+        Omega0=rate,
+        specific_force=f,
+        Q0=-(0.5 * slope + spin_slope) - element_forces(platform, angles, specific_force=f)[3:],
+        M=A_star[3:, 3:],
+        G=gyro,
+        K=-stiffness,
+        M_Omega=A_star[3:, :3],
+        G_Omega=-momentum_change[:3].T,
+        M_Omega_q=rate_change,
+        root_inertia=A_star[:3, :3],
+        root_momentum=root_momentum,
+        Q_angle=slopes.angle[3:],
+        Q_rate=slopes.rate,
+        Q_force=slopes.force[3:],
+        M_force=slopes.force[:3],
+        M_angle=slopes.angle[:3],
+    )
+
+
+def _spin_stiffness(platform: Platform, at: Kinematics, rate: FloatArray) -> FloatArray:
+    """∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    out = np.zeros((n, n))
+    for rotor, body in enumerate(tree.carriers):
+        for j in np.flatnonzero(tree.on_path[body]):
+            for i in np.flatnonzero(tree.on_path[1 + j]):
+                # The outer gimbal turns what the inner one has turned.
+                second = np.cross(at.axes[i], np.cross(at.axes[j], at.spin_axes[rotor]))
+                out[i, j] += tree.L[rotor] * (second @ rate)
+    return _mirrored(out)
+
+
+def _inertia_stiffness(platform: Platform, at: Kinematics, inertias: FloatArray, rate: FloatArray) -> FloatArray:
+    """∂²(½ Omegaᵀ A*_OmegaOmega Omega)/∂q², (n, n)."""
+    tree = topology(platform)
+    n = len(tree.parents)
+    out = np.zeros((n, n))
+    turned = np.cross(rate, at.axes)
+    for body in range(1, 1 + n):
+        momentum = inertias[body] @ rate
+        for j in np.flatnonzero(tree.on_path[body]):
+            for i in np.flatnonzero(tree.on_path[1 + j]):
+                # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j.
+                second = np.cross(at.axes[j], np.cross(at.axes[i], rate))
+                out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
+    return _mirrored(out)
+
+
+def _mirrored(upper: FloatArray) -> FloatArray:
+    """Fill in [j, i] from [i, j]: only pairs with i above j were set."""
+    out: FloatArray = upper + upper.T - np.diag(np.diag(upper))
+    return out

@@ -1,0 +1,617 @@
+"""The model as a value: frozen rows, the state-space form affine in its parameters, vertices, grids, simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import numbers
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.common.arguments import distinct, known_names, real_array
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.linearisation import Terms, linearise
+from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.mechanics.polynomials import (
+    MatrixPolynomial,
+    acceleration_part,
+    inertia_part,
+    monomial_values,
+    polynomial,
+    product,
+    rotor_part,
+    total,
+)
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = [
+    "AffineModel",
+    "FrozenRows",
+    "FrozenSystem",
+    "MatrixPolynomial",
+    "ParameterVaryingModel",
+    "monomial_values",
+    "parameter_varying",
+]
+
+Form = Literal["rates", "momenta"]
+Signal = ArrayLike | Callable[[float], ArrayLike]
+
+# Points of a grid at most: a synthesis with more of them is out of reach anyway.
+_MOST_POINTS = 2**14
+
+
+@value
+class FrozenRows:
+    """The rows M q̈ + G q̇ + K (q − q0) + forcing = Q at one Omega and Omega'.
+
+    Attributes
+    ----------
+    M, G, K : (k, k)
+        Inertia, kg m², what stands before q̇ (friction included), N m s, what stands before q − q0 (springs and Omega'
+        included), N m/rad.
+    forcing : (k,)
+        M_Omega Omega' + Q0(Omega), N m.
+    """
+
+    M: FloatArray
+    G: FloatArray
+    K: FloatArray
+    forcing: FloatArray
+
+
+@value
+class AffineModel:
+    """ẋ = (A_0 + Σ rho_i A_i) x + B u, y = C x: the state matrix affine in the monomials that occur.
+
+    Attributes
+    ----------
+    parameters
+        Names of the monomials rho.
+    A_0, A
+        Constant part and coefficients, in the units of the states over s and the monomials. Shapes (2k, 2k),
+        (parameters, 2k, 2k).
+    B, C
+        Constant, in SI units. Shapes (2k, inputs), (k, 2k).
+    states, inputs, outputs
+        Signal names.
+    """
+
+    parameters: tuple[str, ...]
+    A_0: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def state_matrix(self, parameters: ArrayLike) -> FloatArray:
+        """Return A at values of the monomials.
+
+        Parameters
+        ----------
+        parameters : (parameters,)
+            In the order of `parameters`, SI units.
+
+        Returns
+        -------
+        (2k, 2k)
+            In the units of the states over s.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
+        rho = real_array("parameters", parameters, (len(self.parameters),))
+        return np.asarray(self.A_0 + np.tensordot(rho, self.A, axes=1))
+
+    def system(self, parameters: ArrayLike) -> control.StateSpace:
+        """Return the system at values of the monomials, which need not belong to any Omega.
+
+        Parameters
+        ----------
+        parameters : (parameters,)
+            In the order of `parameters`, SI units.
+
+        Returns
+        -------
+        control.StateSpace
+            With the names of `states`, `inputs` and `outputs`.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
+        import control
+
+        names = {kind: distinct(kind, getattr(self, kind)) for kind in ("states", "inputs", "outputs")}
+        A, D = self.state_matrix(parameters), np.zeros((len(self.C), self.B.shape[1]))
+        return control.StateSpace(A, self.B, self.C, D, remove_useless_states=False, **names)
+
+
+@value
+class FrozenSystem:
+    """The model frozen at one point: a vertex of the parameters' box or a point of a grid.
+
+    Attributes
+    ----------
+    parameters : (parameters,)
+        Values of the monomials, in the order of `AffineModel.parameters`, SI units.
+    system
+        The control.StateSpace.
+    Omega, Omega_dot : (3,)
+        The rate, rad/s, and its derivative, rad/s², at a grid point; None at a vertex, which need not belong to any.
+    """
+
+    parameters: FloatArray
+    system: control.StateSpace
+    Omega: FloatArray | None = None
+    Omega_dot: FloatArray | None = None
+
+
+@value
+class ParameterVaryingModel:
+    """Rows of the chosen gimbals, linear in their angles, polynomial in Omega(t) and Omega'(t).
+
+    Attributes
+    ----------
+    platform, terms
+        What was linearised, and which terms were kept.
+    form
+        What the states p are, see `parameter_varying`.
+    gimbals, angles
+        Names of the k gimbals whose angles are coordinates, in the file's order, and of the angles.
+    q0 : (n,)
+        Angles of all gimbals that the model is about; the gimbals that are no coordinates are held there, rad.
+    M, M_Omega
+        Coefficients of q̈ and Omega', kg m². Shapes (k, k), (k, 3).
+    G, K, Q0
+        Matrix polynomials, (k, k), (k, k), (k,): before q̇ (G − ∂Q/∂q̇ of `linearise`), N m s, before q − q0 (K − ∂Q/∂q
+        and the Omega' terms), N m/rad, and what torquers must supply at q0 while Omega' = 0, N m.
+    """
+
+    platform: Platform
+    terms: Terms
+    form: Form
+    gimbals: tuple[str, ...]
+    angles: tuple[str, ...]
+    q0: FloatArray
+    M: FloatArray
+    M_Omega: FloatArray
+    G: MatrixPolynomial
+    K: MatrixPolynomial
+    Q0: MatrixPolynomial
+
+    def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FrozenRows:
+        """Return the matrices at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        FrozenRows
+            Of the chosen gimbals.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
+        rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
+        forcing = self.M_Omega @ change + self.Q0.at(rate)
+        return FrozenRows(M=self.M, G=self.G.at(rate), K=self.K.at(rate, change), forcing=forcing)
+
+    def affine(self) -> AffineModel:
+        """Return the state-space form, affine in the monomials that occur.
+
+        States: the angles (from q0), then ``p_`` + angle. Inputs: the gimbals' torquers in the file's order, then
+        ``d_`` + the states that Omega drives: `forcing` says how. Outputs: the angles.
+
+        Returns
+        -------
+        AffineModel
+            With a proper name for each signal.
+
+        Raises
+        ------
+        MechanicsError
+            M is singular.
+        """
+        return _affine(self)
+
+    def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
+        """Return the system frozen at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        control.StateSpace
+            Signals as in `affine`.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        MechanicsError
+            M is singular.
+        """
+        affine = _affine(self)
+        return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
+
+    def forcing(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
+        """Return what Omega adds to ẋ, the values of the inputs ``d_``.
+
+        ``form="rates"``: (k,), −M_Omega Omega' − Q0(Omega), N m. ``form="momenta"``: (2k,), rad/s and N m, and Omega'
+        does not enter.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        (k,) or (2k,)
+            N m, or rad/s and N m.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        MechanicsError
+            M is singular.
+        """
+        rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
+        if self.form == "rates":
+            return np.asarray(-self.M_Omega @ change - self.Q0.at(rate))
+        to_rates = _affine(self).A_0[: len(self.M), len(self.M) :]
+        carried = to_rates @ self.M_Omega @ rate
+        rest = (self.G.at(rate) - _momentum_slope(self).at(rate)) @ carried - self.Q0.at(rate)
+        return np.concatenate([-carried, rest])
+
+    def state(self, q: ArrayLike, rates: ArrayLike, Omega: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
+        """Return the state x of the state-space form at a motion.
+
+        Parameters
+        ----------
+        q : (k,)
+            Angles, counted from q0, rad.
+        rates : (k,)
+            Gimbal rates, rad/s.
+        Omega : (3,)
+            Platform rate, rad/s.
+
+        Returns
+        -------
+        (2k,)
+            Angles, rad, and the states p, N m s.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
+        k = len(self.M)
+        angles, rate = real_array("q", q, (k,)), real_array("Omega", Omega, (3,))
+        momenta = self.M @ real_array("rates", rates, (k,))
+        if self.form == "momenta":
+            momenta = momenta + _momentum_slope(self).at(rate) @ angles + self.M_Omega @ rate
+        return np.concatenate([angles, momenta])
+
+    @check_arguments
+    def rhs(
+        self, t: float, x: ArrayLike, Omega: Signal, Omega_dot: Signal | None = None, Q: Signal | None = None
+    ) -> FloatArray:
+        """Return ẋ along a manoeuvre, for `scipy.integrate.solve_ivp` and the like.
+
+        Parameters
+        ----------
+        t
+            Time, s.
+        x : (2k,)
+            State, see `affine` and `state`: rad and N m s.
+        Omega, Omega_dot : (3,) or functions of time
+            rad/s, rad/s². ``form="momenta"`` needs no `Omega_dot`.
+        Q : (k,) or a function of time
+            Torques on the gimbals, N m; default zero.
+
+        Returns
+        -------
+        (2k,)
+            rad/s and N m.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape, not finite, or `Omega_dot` left out where the rate changes and ``form="rates"``.
+        MechanicsError
+            M is singular.
+        """
+        if self.form == "rates" and Omega_dot is None and callable(Omega):
+            raise ArgumentError("Omega_dot: not given; expected it with Omega(t), or a model with form='momenta'")
+        k, affine = len(self.M), _affine(self)
+        rate = _now(Omega, t)
+        change = np.zeros(3) if Omega_dot is None else _now(Omega_dot, t)
+        A = affine.state_matrix(monomial_values(affine.parameters, rate, change))
+        out: FloatArray = A @ real_array("x", x, (2 * k,))
+        forcing = self.forcing(rate, change)
+        out[2 * k - len(forcing) :] += forcing
+        if Q is not None:
+            out[k:] += real_array("Q", _now(Q, t), (k,))
+        return out
+
+    def vertices(self, Omega_max: ArrayLike, Omega_dot_max: ArrayLike | None = None) -> list[FrozenSystem]:
+        """Return the vertices of the box of monomials that holds all |Omega_a| <= max and |Omega'_a| <= max.
+
+        Squares run over [0, max²], products over ± the product of the limits: the box covers every Omega(t), and
+        more, because it takes the monomials for independent. No model has more than twelve, so 2^12 vertices; one of
+        a subsystem has fewer, and so has ``form="momenta"``.
+
+        Parameters
+        ----------
+        Omega_max, Omega_dot_max : (3,)
+            Largest sizes, >= 0, rad/s and rad/s². A zero leaves the axis out; `Omega_dot_max` is zero by default.
+
+        Returns
+        -------
+        list of FrozenSystem
+            One for each vertex.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape, not finite or negative.
+        MechanicsError
+            M is singular.
+        """
+        affine = _affine(self)
+        rates, changes = _limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)
+        high = monomial_values(affine.parameters, rates, changes)
+        low = np.array([0.0 if name.endswith("^2") else -1.0 for name in affine.parameters]) * high
+        ends = [sorted({a, b}) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        corners = [np.array(corner, dtype=np.float64) for corner in itertools.product(*ends)]
+        return [FrozenSystem(parameters=corner, system=affine.system(corner)) for corner in corners]
+
+    def grid(
+        self,
+        points: int | Sequence[int] | NDArray[np.integer[Any]],
+        Omega_max: ArrayLike,
+        Omega_dot_max: ArrayLike | None = None,
+    ) -> list[FrozenSystem]:
+        """Return the model frozen on a regular grid of |Omega_a| <= max (and |Omega'_a| <= max).
+
+        Parameters
+        ----------
+        points
+            Points along an axis, >= 1 (an odd number holds zero, 1 is zero alone): one number, three for Omega, or six
+            for Omega and Omega'. An axis whose limit is zero has one point.
+        Omega_max, Omega_dot_max : (3,)
+            Largest sizes, >= 0, rad/s and rad/s²; `Omega_dot_max` is zero by default.
+
+        Returns
+        -------
+        list of FrozenSystem
+            One for each point.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape, not finite, negative, `points` that are no whole numbers >= 1, or more than 2^14 in all.
+        MechanicsError
+            M is singular.
+        """
+        affine = _affine(self)
+        limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
+        counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
+        if (count := math.prod(counts)) > _MOST_POINTS:
+            raise ArgumentError(
+                f"points: given {short(points)}, {count} in all; expected at most {_MOST_POINTS}: take fewer, or a "
+                "limit of zero for an axis that hardly turns"
+            )
+        axes = [
+            np.linspace(-end, end, number) if number > 1 else np.zeros(1)
+            for end, number in zip(limits, counts, strict=True)
+        ]
+        out = []
+        for point in itertools.product(*axes):
+            rate, change = np.array(point[:3]), np.array(point[3:])
+            rho = monomial_values(affine.parameters, rate, change)
+            out.append(FrozenSystem(parameters=rho, system=affine.system(rho), Omega=rate, Omega_dot=change))
+        return out
+
+
+def _momentum_slope(model: ParameterVaryingModel) -> MatrixPolynomial:
+    """∂A*/∂q Omega, (k, k): how the momenta of resting gimbals change with the angles."""
+    return polynomial({name: model.K[f"{name}'"] for name in OMEGA_NAMES}, model.M.shape)
+
+
+@lru_cache(maxsize=64)
+def _affine(model: ParameterVaryingModel) -> AffineModel:
+    k = len(model.M)
+    one = polynomial({"1": inverse_inertia(model.M, model.angles)}, (k, k))
+    minus = polynomial({"1": -np.eye(k)}, (k, k))
+    zero = polynomial({}, (k, k))
+    if model.form == "rates":
+        # ṗ = −G q̇ − K q
+        blocks = [[zero, one], [product(minus, model.K), product(minus, product(model.G, one))]]
+        driven = range(k, 2 * k)
+    else:
+        # q̇ = M⁻¹ (p − N q), ṗ = (N − G) q̇ − K q: the Omega' terms of K are the derivative of N.
+        slope = _momentum_slope(model)
+        rates = [product(minus, product(one, slope)), one]
+        rest = total(slope, product(minus, model.G))
+        constant = {name: model.K[name] for name in model.K.monomials if not name.endswith("'")}
+        stiffness = product(minus, polynomial(constant, (k, k)))
+        blocks = [rates, [total(stiffness, product(rest, rates[0])), product(rest, one)]]
+        driven = range(2 * k)
+    whole = total(*(_placed(block, i, j) for i, row in enumerate(blocks) for j, block in enumerate(row)))
+    parameters = tuple(name for name in whole.monomials if name != "1")
+    torquers = [t for t in model.platform.torquers if t.gimbal in model.gimbals]
+    B = np.zeros((2 * k, len(torquers) + len(driven)))
+    for column, torquer in enumerate(torquers):
+        B[k + model.gimbals.index(str(torquer.gimbal)), column] = 1.0
+    B[:, len(torquers) :] = np.eye(2 * k)[:, driven]
+    states = (*model.angles, *(f"p_{angle}" for angle in model.angles))
+    return AffineModel(
+        parameters=parameters,
+        A_0=whole["1"],
+        A=np.array([whole[name] for name in parameters]).reshape(-1, 2 * k, 2 * k),
+        B=B,
+        C=np.eye(k, 2 * k),
+        states=states,
+        inputs=(*(t.name for t in torquers), *(f"d_{states[j]}" for j in driven)),
+        outputs=model.angles,
+    )
+
+
+def _placed(block: MatrixPolynomial, i: int, j: int) -> MatrixPolynomial:
+    """Put a (k, k) block into its place in a (2k, 2k) matrix."""
+    count, k, _ = block.coefficients.shape
+    out = np.zeros((count, 2 * k, 2 * k))
+    out[:, i * k : (i + 1) * k, j * k : (j + 1) * k] = block.coefficients
+    return dataclasses.replace(block, coefficients=out)
+
+
+def _now(signal: Signal, t: float) -> ArrayLike:
+    if hasattr(signal, "ninputs"):
+        raise ArgumentError(f"rhs: given {short(signal)} as a signal; expected numbers or a function of time")
+    return signal(t) if callable(signal) else signal
+
+
+def _limits(name: str, given: ArrayLike | None) -> FloatArray:
+    limits = real_array(name, given, (3,), 0.0)
+    if np.any(limits < 0.0):
+        raise ArgumentError(f"{name}: given {limits.tolist()}; expected three numbers >= 0: largest sizes, not ends")
+    return limits
+
+
+def _points(points: int | Sequence[int] | NDArray[np.integer[Any]]) -> list[int]:
+    given: list[Any]
+    if isinstance(points, Sequence) or (isinstance(points, np.ndarray) and points.ndim > 0):
+        given = list(points)
+    else:  # a number, or an array that is one
+        given = [points.item() if isinstance(points, np.ndarray) else points] * 6
+    if len(given) == 3:
+        given += [1] * 3
+    if len(given) != 6 or not all(_is_count(number) for number in given):
+        raise ArgumentError(f"points: given {short(points)}; expected a whole number >= 1, or three, or six of them")
+    return [int(number) for number in given]
+
+
+def _is_count(number: object) -> bool:
+    return isinstance(number, numbers.Integral) and not isinstance(number, bool) and int(number) >= 1
+
+
+@check_arguments
+def parameter_varying(
+    platform: Platform,
+    gimbals: Sequence[str] | None = None,
+    q: ArrayLike | None = None,
+    terms: Terms = "exact",
+    form: Form = "rates",
+    specific_force: ArrayLike | None = None,
+    rate_amplitude: ArrayLike | None = None,
+) -> ParameterVaryingModel:
+    """Linearise in gimbal angles alone and keep Omega(t): eq. (27).
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    gimbals
+        Names of the gimbals whose angles are coordinates, default all. The others are held.
+    q : (n,)
+        Angles of all gimbals about which is linearised, or at which they are held, rad; default zero.
+    terms
+        ``"exact"`` or ``"paper"``, see `linearise`.
+    form
+        What the states p of the state-space form are. ``"rates"``: p = M q̇; the parameters are monomials of Omega and
+        Omega'. ``"momenta"``: p = M q̇ + (∂A*/∂q Omega) (q − q0) + M_Omega Omega; Omega' drops out, without
+        approximation, and fewer parameters are left.
+    specific_force : (3,)
+        For unbalance, see `linearise`, m/s²; constant.
+    rate_amplitude : (n,)
+        For dry friction, see `linearise`, rad/s.
+
+    Returns
+    -------
+    ParameterVaryingModel
+        Exact in Omega and Omega', first order in the angles.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape, not finite, no gimbal, an unknown one, or unknown `terms` or `form`.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    See docs/parameter-varying.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> platform = pc.read_platform("three_gyro_platform")
+    >>> varying = pc.parameter_varying(platform, gimbals=("9", "10"), form="momenta")
+    >>> varying.affine().parameters
+    ('Omega2', 'Omega1^2', 'Omega1*Omega3', 'Omega2^2', 'Omega3^2')
+    """
+    if form not in ("rates", "momenta"):
+        raise ArgumentError(f"form: given {form!r}; expected 'rates' or 'momenta'")
+    # Its L and J parts vanish at Omega = 0, except the gyroscopic action: what is left is that of the force elements.
+    rest = linearise(platform, terms=terms, q=q, specific_force=specific_force, rate_amplitude=rate_amplitude)
+    rows, n = _rows(platform, gimbals), len(platform.gimbals)
+    parts = [rotor_part(platform, rest.q0)]
+    if terms == "exact":
+        parts.append(inertia_part(platform, rest.q0))
+    turning = acceleration_part(platform, rest.q0, terms)
+    friction, springs = polynomial({"1": -rest.Q_rate}, (n, n)), polynomial({"1": -rest.Q_angle}, (n, n))
+    return ParameterVaryingModel(
+        platform=platform,
+        terms=terms,
+        form=form,
+        gimbals=tuple(platform.gimbal_names[k] for k in rows),
+        angles=tuple(platform.angle_names[k] for k in rows),
+        q0=rest.q0,
+        M=rest.M[np.ix_(rows, rows)],
+        M_Omega=rest.M_Omega[rows],
+        G=total(friction, *(part.G for part in parts)).part(rows, rows),
+        K=total(springs, turning, *(part.K for part in parts)).part(rows, rows),
+        Q0=total(polynomial({"1": rest.Q0}, (n,)), *(part.Q0 for part in parts)).part(rows),
+    )
+
+
+def _rows(platform: Platform, gimbals: Sequence[str] | None) -> list[int]:
+    names = platform.gimbal_names
+    rows = known_names("gimbals", names if gimbals is None else gimbals, names)
+    if not rows:
+        where = f"platform {platform.name!r} has none" if not names else "given none"
+        raise ArgumentError(f"gimbals: {where}; expected at least one whose angle is a coordinate")
+    return rows

@@ -1,0 +1,212 @@
+"""Matrices that are polynomial in Omega and affine in Omega'."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from platform_ctrl.common.arguments import known_name, real_array
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.mechanics.coupling import inertia_rounding, momentum_rounding
+from platform_ctrl.mechanics.linearisation import LinearModel, Terms, linearise
+from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
+
+_VARIABLES = (*OMEGA_NAMES, *(f"{name}'" for name in OMEGA_NAMES))
+
+
+def _name(factors: tuple[int, ...]) -> str:
+    """Name of a product of at most two of Omega1..3, or of one of Omega1'..3'; the factors are sorted."""
+    if len(factors) == 2 and factors[0] == factors[1]:
+        return f"{_VARIABLES[factors[0]]}^2"
+    return "*".join(_VARIABLES[k] for k in factors) or "1"
+
+
+_PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
+_FACTORS = {_name(factors): factors for factors in ((), (0,), (1,), (2,), *_PAIRS, (3,), (4,), (5,))}
+
+
+@value
+class MatrixPolynomial:
+    """A matrix that is polynomial in Omega and affine in Omega'.
+
+    Attributes
+    ----------
+    monomials
+        Those that occur, such as ``"1"``, ``"Omega1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
+    coefficients : (monomials, ...)
+        Their coefficient matrices, SI units.
+    """
+
+    monomials: tuple[str, ...]
+    coefficients: FloatArray
+
+    def at(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
+        """Return the matrix at a rate and its derivative.
+
+        Parameters
+        ----------
+        Omega : (3,)
+            rad/s.
+        Omega_dot : (3,)
+            rad/s²; default zero.
+
+        Returns
+        -------
+        (...)
+            In SI units.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong shape or not finite.
+        """
+        values = monomial_values(self.monomials, Omega, Omega_dot)
+        return np.asarray(np.tensordot(values, self.coefficients, axes=1))
+
+    def part(self, *rows: Sequence[int]) -> MatrixPolynomial:
+        """Return the polynomial of some rows (and columns, and so on).
+
+        Parameters
+        ----------
+        *rows
+            Indices along each axis.
+
+        Returns
+        -------
+        MatrixPolynomial
+            With the same monomials.
+        """
+        chosen = self.coefficients[np.ix_(range(len(self.monomials)), *rows)]
+        return polynomial(dict(zip(self.monomials, chosen, strict=True)), chosen.shape[1:])
+
+    def __getitem__(self, monomial: str) -> FloatArray:
+        """Return the coefficient of a monomial, zero where it does not occur; an unknown name is an ArgumentError."""
+        if monomial in self.monomials:
+            return np.asarray(self.coefficients[self.monomials.index(monomial)])
+        known_name("monomial", monomial, tuple(_FACTORS))
+        return np.zeros(self.coefficients.shape[1:])
+
+
+@check_arguments
+def monomial_values(
+    monomials: Sequence[str], Omega: ArrayLike = (0.0, 0.0, 0.0), Omega_dot: ArrayLike | None = None
+) -> FloatArray:
+    """Return the values of named monomials at a rate and its derivative.
+
+    Parameters
+    ----------
+    monomials
+        Names such as ``"1"``, ``"Omega1^2"``, ``"Omega1*Omega2"``, ``"Omega1'"``.
+    Omega : (3,)
+        rad/s.
+    Omega_dot : (3,)
+        rad/s²; default zero.
+
+    Returns
+    -------
+    (monomials,)
+        In SI units.
+
+    Raises
+    ------
+    ArgumentError
+        Wrong shape, not finite, or a name that is no monomial.
+    """
+    variables = np.concatenate([real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)])
+    for name in monomials:
+        if name not in _FACTORS:
+            known_name("monomial", name, tuple(_FACTORS))
+    values = [math.prod(variables[k] for k in _FACTORS[name]) for name in monomials]
+    return np.array(values, dtype=np.float64)
+
+
+def polynomial(terms: Mapping[str, FloatArray], shape: tuple[int, ...]) -> MatrixPolynomial:
+    """Return the sum of coefficient times monomial, without the monomials whose coefficient is zero."""
+    occurring = tuple(name for name in _FACTORS if name in terms and np.any(terms[name]))
+    stack = np.array([terms[name] for name in occurring], dtype=np.float64)
+    return MatrixPolynomial(monomials=occurring, coefficients=stack.reshape(len(occurring), *shape))
+
+
+def total(*parts: MatrixPolynomial) -> MatrixPolynomial:
+    """Return the sum of polynomials of one shape."""
+    out: dict[str, FloatArray] = {}
+    for part in parts:
+        for name in part.monomials:
+            out[name] = out.get(name, 0.0) + part[name]
+    return polynomial(out, parts[0].coefficients.shape[1:])
+
+
+def product(first: MatrixPolynomial, second: MatrixPolynomial) -> MatrixPolynomial:
+    """Return the matrix product of two polynomials that are affine in Omega."""
+    out: dict[str, FloatArray] = {}
+    for left, right in itertools.product(first.monomials, second.monomials):
+        name = _name(tuple(sorted(_FACTORS[left] + _FACTORS[right])))
+        out[name] = out.get(name, 0.0) + first[left] @ second[right]
+    return polynomial(out, (first.coefficients.shape[1], second.coefficients.shape[2]))
+
+
+@value
+class RowPolynomials:
+    """G (n, n), K (n, n) and Q0 (n,) of all gimbals' rows, or one part of them."""
+
+    G: MatrixPolynomial
+    K: MatrixPolynomial
+    Q0: MatrixPolynomial
+
+
+def bare(platform: Platform) -> Platform:
+    """Return the platform without force elements."""
+    return dataclasses.replace(platform, springs=(), frictions=(), cages=(), unbalances=(), erections=())
+
+
+def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
+    """Return what L does about the angles q (n,): gyroscopic action, restraint and disturbance."""
+    n = len(q)
+    at = [linearise(bare(platform), rate, "paper", q) for rate in np.eye(3)]
+    shared = momentum_rounding(platform)
+    G = {"1": clean(at[0].G, shared)}
+    K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
+    Q0 = {name: clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
+    return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
+
+
+def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
+    """Return what the inertias do about the angles q (n,) at constant Omega: Coriolis and centrifugal terms."""
+    n = len(q)
+    rotors = tuple(dataclasses.replace(rotor, angular_momentum=0.0) for rotor in platform.rotors)
+    still = dataclasses.replace(bare(platform), rotors=rotors)
+    shared = inertia_rounding(platform)
+    G, K, Q0 = {}, {}, {}
+    at: dict[tuple[int, int], LinearModel] = {}
+    for a, b in itertools.combinations_with_replacement(range(3), 2):
+        rate = np.zeros(3)
+        rate[[a, b]] = 1.0
+        at[a, b] = linearise(still, rate, "exact", q)
+    for (a, b), model in at.items():
+        if a == b:
+            G[OMEGA_NAMES[a]] = clean(model.G, shared)
+            K[f"{OMEGA_NAMES[a]}^2"] = clean(model.K, shared)
+            Q0[f"{OMEGA_NAMES[a]}^2"] = clean(model.Q0, np.diag(shared))
+        else:
+            name = f"{OMEGA_NAMES[a]}*{OMEGA_NAMES[b]}"
+            K[name] = clean(model.K - at[a, a].K - at[b, b].K, shared)
+            Q0[name] = clean(model.Q0 - at[a, a].Q0 - at[b, b].Q0, np.diag(shared))
+    return RowPolynomials(G=polynomial(G, (n, n)), K=polynomial(K, (n, n)), Q0=polynomial(Q0, (n,)))
+
+
+def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> MatrixPolynomial:
+    """Return the coefficient of q from Omega' about the angles q (n,): all of it, or C alone as the paper has it."""
+    turning = linearise(bare(platform), terms=terms, q=q).M_Omega_q
+    shared = inertia_rounding(platform)
+    return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
+
+
+def clean(array: FloatArray, rounding: FloatArray) -> FloatArray:
+    """Return the array without the entries that are rounding alone."""
+    return np.where(np.abs(array) > rounding, array, 0.0)

@@ -1,0 +1,298 @@
+"""Linear models as control.StateSpace with momentum states: exact and proper, without the derivative of Omega.
+
+With p = M q̇ + M_Omega ω the gimbal rows become
+
+    q̇ = M⁻¹ (p − M_Omega ω),        ṗ = Q − (G − ∂Q/∂q̇) q̇ − (K − ∂Q/∂q) q − G_Omega ω.
+
+With a free root the momenta of the root rows, P = J ω + M_Omegaᵀ q̇, are states as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.arguments import distinct, known_names
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, portable
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
+from platform_ctrl.mechanics.kinematics import cross_matrix
+from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.matrices import inverse_inertia
+from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
+
+if TYPE_CHECKING:
+    import control
+
+
+@check_arguments
+def subsystems(model: LinearModel) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals whose equations are coupled while Omega stays constant, in the file's order.
+
+    Found from the entries of M, G, K and ∂Q at the model's trim that are more than rounding of what both gimbals carry;
+    not from the tree. What Omega' multiplies (`M_Omega_q`) couples nothing at a constant rate, and in small deviations
+    from one it is of second order.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+
+    Returns
+    -------
+    tuple of tuples
+        Names of the gimbals of each group.
+
+    Raises
+    ------
+    ArgumentError
+        It is not a linear model.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eq. (27).
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> pc.subsystems(pc.linearise(pc.read_platform("three_gyro_platform")))
+    (('4', '5', '7'), ('9', '10'))
+    """
+    return subsystems_of_all([model])
+
+
+@check_arguments
+def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of gimbals whose equations are coupled in any of several models of the same gimbals.
+
+    Parameters
+    ----------
+    models
+        From `linearise`, for example at several platform rates.
+
+    Returns
+    -------
+    tuple of tuples
+        Names of the gimbals of each group.
+
+    Raises
+    ------
+    ArgumentError
+        There are none, or not all of them are of the same gimbals.
+    """
+    names = {model.gimbal_names for model in models}
+    if len(names) != 1:
+        given = "; ".join(", ".join(gimbals) for gimbals in sorted(names)) or "none"
+        raise ArgumentError(f"models: given models of the gimbals {given}; expected one or more, of the same gimbals")
+    coupled = np.any([_coupled(model) for model in models], axis=0)
+    return tuple(tuple(models[0].gimbal_names[k] for k in group) for group in connected(coupled))
+
+
+def _coupled(model: LinearModel) -> NDArray[np.bool_]:
+    """Return which gimbals' rows contain which other's angle or its derivatives at a constant Omega, (n, n)."""
+    platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
+    inertia, momentum = inertia_rounding(platform), momentum_rounding(platform)
+    forces = force_rounding(platform, float(np.linalg.norm(model.specific_force)))
+    gyroscopic = momentum + inertia * rate
+    coupled = np.abs(model.M) > inertia
+    coupled |= (np.abs(model.G) > gyroscopic) | (np.abs(model.K) > gyroscopic * rate)
+    coupled |= (np.abs(model.Q_angle) > forces) | (model.Q_rate != 0.0)
+    return np.asarray(coupled)
+
+
+@check_arguments
+def state_space(
+    model: LinearModel,
+    root: Literal["prescribed", "free"] = "prescribed",
+    gimbals: Sequence[str] | None = None,
+    specific_force: bool = False,
+) -> control.StateSpace:
+    """Return the linear model as a state-space system.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    root
+        ``"prescribed"``: Omega is an input, the platform feels no reaction. ``"free"``: the platform reacts.
+    gimbals
+        Names of the gimbals of one or several subsystems; default all. Only with a prescribed root.
+    specific_force
+        Whether the specific force is an input as well, for platforms with unbalance: f1 to f3 behind the others, m/s².
+
+    Returns
+    -------
+    control.StateSpace
+        States: angles, then their momenta ``p_`` + angle (free root: then the root's momenta P1 to P3).
+        Inputs: the torquers in the file's order, then Omega1 to Omega3 (free root: the gimbals' torquers, then M1 to
+        M3). Outputs: the angles in the file's order (free root: then Omega1 to Omega3). All deviate from the trim.
+
+    Raises
+    ------
+    ArgumentError
+        Unknown gimbal or `root`; `gimbals` cuts through a subsystem; `gimbals` with a free root.
+    MechanicsError
+        A* is singular at the trim (gimbal lock).
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (19), (27).
+
+    See docs/theory.md.
+
+    Examples
+    --------
+    >>> import platform_ctrl as pc
+    >>> model = pc.linearise(pc.read_platform("three_gyro_platform"))
+    >>> pc.state_space(model, gimbals=("9", "10")).input_labels
+    ['Q9', 'Q10', 'Omega1', 'Omega2', 'Omega3']
+    """
+    if root not in ("prescribed", "free"):
+        raise ArgumentError(f"root: given {root!r}; expected 'prescribed' or 'free'")
+    if root == "free":
+        if gimbals is not None:
+            raise ArgumentError("gimbals: given with root='free'; a free platform couples them all: leave it out")
+        return _free(model, specific_force)
+    rows = whole_subsystems(model, gimbals)
+    names = [model.angle_names[k] for k in rows]
+    chosen = [model.gimbal_names[k] for k in rows]
+    torquers, torque_map = gimbal_torquers(model, chosen)
+    part = np.ix_(rows, rows)
+    M, G, K = model.M[part], model.damping[part], model.stiffness[part]
+    M_Omega, G_Omega = model.M_Omega[rows], model.G_Omega[rows]
+    n = len(rows)
+    mobility = inverse_inertia(M, names)
+    A = np.block([[np.zeros((n, n)), mobility], [-K, -G @ mobility]])
+    B = np.block(
+        [
+            [np.zeros((n, len(torquers))), -mobility @ M_Omega, np.zeros((n, 3))],
+            [torque_map, G @ mobility @ M_Omega - G_Omega, model.Q_force[rows]],
+        ]
+    )
+    C = np.hstack([np.eye(n), np.zeros((n, n))])
+    inputs = [*torquers, *OMEGA_NAMES, *FORCE_NAMES]
+    return _named(A, B, C, inputs, names, [*names, *(f"p_{name}" for name in names)], specific_force)
+
+
+def _free(model: LinearModel, specific_force: bool) -> control.StateSpace:
+    n = len(model.gimbal_names)
+    names = list(model.angle_names)
+    torquers, torque_map = gimbal_torquers(model, list(model.gimbal_names))
+    inertia = np.block([[model.M, model.M_Omega], [model.M_Omega.T, model.root_inertia]])
+    to_rates = inverse_inertia(inertia, (*names, *OMEGA_NAMES))
+    q_dot, omega = to_rates[:n], to_rates[n:]
+    turn = cross_matrix(model.Omega0)
+    # Root rows: δp = P − G_Omegaᵀ q, and d(δp)/dt + Omega0 × δp + ω × p0 = δM.
+    root_rates = model.G_Omega.T @ q_dot - turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+    root_rates += cross_matrix(model.root_momentum) @ omega
+    A = np.zeros((2 * n + 3, 2 * n + 3))
+    A[:n, n:] = q_dot
+    A[n : 2 * n, :n] = -model.stiffness
+    A[n : 2 * n, n:] = -model.damping @ q_dot - model.G_Omega @ omega
+    A[2 * n :, :n] = turn @ model.G_Omega.T + model.M_angle
+    A[2 * n :, n:] = root_rates
+    if model.terms == "paper":
+        # J Omega Omega is dropped with G_A: the root's momentum P turns no further.
+        A[2 * n :, n:] += turn @ np.hstack([np.zeros((3, n)), np.eye(3)])
+    B = np.zeros((2 * n + 3, len(torquers) + 6))
+    B[n : 2 * n, : len(torquers)] = torque_map
+    B[2 * n :, len(torquers) : -3] = np.eye(3)
+    B[n:, -3:] = np.vstack([model.Q_force, model.M_force])
+    C = np.zeros((n + 3, 2 * n + 3))
+    C[:n, :n] = np.eye(n)
+    C[n:, n:] = omega
+    states = [*names, *(f"p_{name}" for name in names), "P1", "P2", "P3"]
+    inputs = [*torquers, *ROOT_TORQUE_NAMES, *FORCE_NAMES]
+    return _named(A, B, C, inputs, [*names, *OMEGA_NAMES], states, specific_force)
+
+
+@check_arguments
+def whole_subsystems(model: LinearModel, gimbals: Sequence[str] | None) -> list[int]:
+    """Return the rows of the named gimbals, of all without names.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    gimbals
+        Names; None: all.
+
+    Returns
+    -------
+    list of int
+        Indices of rows, in the file's order.
+
+    Raises
+    ------
+    ArgumentError
+        A string, an unknown name, or names that cut through a subsystem.
+    """
+    if gimbals is None:
+        return list(range(len(model.gimbal_names)))
+    chosen = set(known_names("gimbals", gimbals, model.gimbal_names))
+    for group in subsystems(model):
+        members = {model.gimbal_names.index(name) for name in group}
+        if members & chosen and not members <= chosen:
+            inside = ", ".join(model.gimbal_names[k] for k in sorted(members & chosen))
+            outside = ", ".join(model.gimbal_names[k] for k in sorted(members - chosen))
+            rate = " rad/s, ".join(f"{name} = {x:g}" for name, x in zip(OMEGA_NAMES, model.Omega0, strict=True) if x)
+            at = f" at {rate} rad/s" if rate else ""
+            raise ArgumentError(
+                f"gimbals: {inside} and {outside} are coupled{at}; expected whole subsystems, here {group}"
+            )
+    return sorted(chosen)
+
+
+@check_arguments
+def gimbal_torquers(model: LinearModel, gimbals: Sequence[str]) -> tuple[list[str], FloatArray]:
+    """Return the torquers on the named gimbals.
+
+    Parameters
+    ----------
+    model
+        From `linearise`.
+    gimbals
+        Names of gimbals, in the order of the rows.
+
+    Returns
+    -------
+    names, selection : list of str, (g, t)
+        Names of the t torquers, in the file's order; and which of the g gimbals each turns, 1 or 0 (dimensionless).
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    torquers = [t for t in model.platform.torquers if t.gimbal in gimbals]
+    torque_map = np.zeros((len(gimbals), len(torquers)))
+    for column, torquer in enumerate(torquers):
+        torque_map[list(gimbals).index(str(torquer.gimbal)), column] = 1.0
+    return [t.name for t in torquers], torque_map
+
+
+def _named(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    inputs: list[str],
+    outputs: list[str],
+    states: list[str],
+    specific_force: bool,
+) -> control.StateSpace:
+    """Put names to a system whose last three inputs are the specific force, wanted or not."""
+    import control
+
+    if not specific_force:
+        B, inputs = B[:, :-3], inputs[:-3]
+    D = np.zeros((len(C), B.shape[1]))
+    names = {
+        "inputs": distinct("inputs", inputs),
+        "outputs": distinct("outputs", outputs),
+        "states": distinct("states", states),
+    }
+    return portable(control.StateSpace(A, B, C, D, remove_useless_states=False, **names))

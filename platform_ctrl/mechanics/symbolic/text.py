@@ -1,0 +1,188 @@
+"""The equations as plain text."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.common.text import padded, width
+from platform_ctrl.mechanics.symbolic.names import NamedSymbol
+from platform_ctrl.mechanics.symbolic.notation import (
+    CODE,
+    TEXT,
+    MatrixSection,
+    Notation,
+    matrix_of,
+    matrix_sections,
+    number_text,
+    row_sections,
+    sides,
+)
+from platform_ctrl.mechanics.symbolic.result import Equations
+
+# Grids that are wider become lists of their entries.
+_WIDEST, _MOST_COLUMNS = 132, 8
+_LINE = 110
+
+
+def text_of(equations: Equations) -> str:
+    """Return all of it, a line of output a line."""
+    write = Notation(equations.symbols, TEXT)
+    out = [_title(equations), "", *_coordinates(equations, write)]
+    for section in matrix_sections(equations):
+        out += ["", _heading(section.number, section.text, section.about), "", *_matrix(equations, section, write)]
+    for rows in row_sections(equations):
+        out += ["", _heading(rows.number, "", rows.about), "", *_rows(equations, rows.key, write)]
+    if equations.notes:
+        notes = (
+            textwrap.wrap(note, _LINE, initial_indent="    ", subsequent_indent="      ") for note in equations.notes
+        )
+        out += ["", "Notes", "", *chain.from_iterable(notes)]
+    out += ["", "Symbols", "", *_symbols(equations)]
+    return "\n".join(line.rstrip() for line in out) + "\n"
+
+
+def _title(equations: Equations) -> str:
+    return f"{equations.platform.name}: equations after Magnus 1976"
+
+
+def _heading(number: str, symbol: str, about: str) -> str:
+    return " ".join(filter(None, (number, f"{symbol}:" if symbol else "", about)))
+
+
+def _coordinates(equations: Equations, write: Notation) -> list[str]:
+    def listed(vector: Any) -> str:
+        return "[" + ", ".join(write(x) for x in vector) + "]"
+
+    out = _wrapped("(20) u = ", listed(equations.velocity))
+    out += _wrapped("     Q = ", listed(equations.forces))
+    if equations.L.rows:
+        out += _wrapped("(22) L = ", listed(equations.L))
+    return [*out, "(11) A* u̇ + (G_A + G_R + G_root) u = Q    with A* = A + BᵀA_R B (12)"]
+
+
+def _labels(equations: Equations, section: MatrixSection, write: Notation) -> tuple[list[str], list[str]]:
+    columns = [write(x) for x in equations.velocity]
+    if section.rows == "root":
+        return columns[:3], columns[:3]
+    return ([r.name for r in equations.platform.rotors] if section.rows == "rotors" else columns), columns
+
+
+def _matrix(equations: Equations, section: MatrixSection, write: Notation) -> list[str]:
+    matrix = matrix_of(equations, section)
+    rows, columns = _labels(equations, section, write)
+    if not rows:
+        return ["    has no rows: there are no rotors"]
+    cells = [[write(matrix[i, j]) for j in range(len(columns))] for i in range(len(rows))]
+    if all(cell == "0" for row in cells for cell in row):
+        return ["    zero"]
+    widths = [
+        max(width(t) for t in (label, *column)) for label, column in zip(columns, zip(*cells, strict=True), strict=True)
+    ]
+    first = max(width(label) for label in rows)
+    if len(columns) <= _MOST_COLUMNS and 4 + first + 4 + sum(widths) + 2 * len(widths) <= _WIDEST:
+        head = "    " + " " * first + "    " + "  ".join(map(padded, columns, widths))
+        return [
+            head,
+            *(
+                f"    {padded(label, first)}  | " + "  ".join(map(padded, row, widths)) + " |"
+                for label, row in zip(rows, cells, strict=True)
+            ),
+        ]
+    return _entries(section, rows, columns, cells)
+
+
+def _entries(section: MatrixSection, rows: list[str], columns: list[str], cells: list[list[str]]) -> list[str]:
+    """List what is not zero; of a symmetric or skew matrix one half."""
+    kept = {"symmetric": "on and above the diagonal, symmetric", "skew": "above the diagonal, skew"}
+    halves = section.symmetry
+    out = [f"    entries that are not zero{', ' + kept[halves] if halves else ''}:"]
+    listed = [
+        (f"({rows[i]}, {columns[j]})", cells[i][j])
+        for i, j in np.ndindex(len(rows), len(columns))
+        if cells[i][j] != "0" and (not halves or j >= i)
+    ]
+    first = max(width(place) for place, _ in listed)
+    for place, cell in listed:
+        out += _wrapped(f"    {padded(place, first)}  ", cell)
+    return out
+
+
+def _rows(equations: Equations, key: str, write: Notation) -> list[str]:
+    names = equations.platform.gimbal_names
+    if not names:
+        return ["    there are no gimbals"]
+    first = max(width(name) for name in names) + 1
+    out = []
+    for name, terms, torque in zip(names, equations.rows[key], list(equations.forces)[3:], strict=True):
+        left, right = sides(terms, torque, write)
+        out += _wrapped(f"    {padded(name + ':', first)}  ", f"{left} = {right}")
+    return out
+
+
+def _symbols(equations: Equations) -> list[str]:
+    def row(symbol: NamedSymbol) -> tuple[str, str, str, str, str]:
+        name = "" if symbol.name == symbol.text else symbol.name
+        return symbol.text, name, number_text(symbol.value), symbol.unit, symbol.meaning
+
+    table = [("shown", "in SymPy", "number", "unit", "meaning"), *map(row, equations.symbols)]
+    widths = [max(width(line[column]) for line in table) for column in range(4)]
+    return [
+        "    " + "  ".join(padded(cell, columns) for cell, columns in zip(line, widths, strict=False)) + "  " + line[4]
+        for line in table
+    ]
+
+
+def _wrapped(start: str, text: str) -> list[str]:
+    """Break a long line before a sign (a comma's next, in a list) and indent what follows."""
+    lines, line = [], start
+    indent = " " * (width(start) + 2)
+    for piece in re.split(r"(?= [+−=] )|(?<=,)(?= )|(?<=:)(?= )", text):
+        if line.strip() and line not in (start, indent) and width(line) + width(piece) > _LINE:
+            lines.append(line)
+            line = indent + piece.lstrip()
+        else:
+            line += piece
+    return [*lines, line]
+
+
+SCHEMA = 1
+_VECTORS = ("q", "rates", "accelerations", "Omega", "Omega_dot", "velocity", "forces", "L")
+_MATRICES = ("B0", "B_A", "A_R", "A", "BtA_RB", "A_star", "G_A", "G_R", "G_root")
+
+
+def record_of(equations: Equations) -> dict[str, Any]:
+    """Return the record."""
+    write = Notation(equations.symbols, CODE)
+    torques = list(equations.forces)[3:]
+
+    def rows(key: str) -> list[dict[str, Any]]:
+        out = []
+        for gimbal, terms, torque in zip(equations.platform.gimbal_names, equations.rows[key], torques, strict=True):
+            left, right = sides(terms, torque, write)
+            listed = [{"coefficient": write(c), "variable": write(v)} for c, v in terms]
+            out.append({"gimbal": gimbal, "left": left, "right": right, "terms": listed})
+        return out
+
+    return {
+        "schema": SCHEMA,
+        "platform": equations.platform.name,
+        "order": equations.order,
+        "terms": equations.terms,
+        "symbols": [
+            {"name": s.name, "text": s.text, "latex": s.latex, "meaning": s.meaning, "unit": s.unit, "value": s.value}
+            for s in equations.symbols
+        ],
+        "vectors": {key: [write(x) for x in getattr(equations, key)] for key in _VECTORS},
+        "matrices": {
+            key: [[write(matrix[i, j]) for j in range(matrix.cols)] for i in range(matrix.rows)]
+            for key, matrix in ((key, getattr(equations, key)) for key in _MATRICES)
+        },
+        "equations": {key: rows(key) for key in equations.rows},
+        "groups": [list(group) for group in equations.groups],
+        "notes": list(equations.notes),
+    }

@@ -1,0 +1,174 @@
+"""What acts in a platform besides torquers: springs, friction, cages, unbalance, erection. Values only; SI units.
+
+Their torques are part of Q in eq. (11); `platform_ctrl.mechanics.forces` evaluates them.
+"""
+
+from __future__ import annotations
+
+import math
+
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value
+
+
+@input_value
+class Spring:
+    """A spring between a gimbal and its parent: Q = −stiffness (q − rest).
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    stiffness
+        Torque per angle, N m/rad; negative where a field or a flexure drives the gimbal away.
+    rest
+        Angle at which it is relaxed, rad.
+    """
+
+    gimbal: str
+    stiffness: float
+    rest: float = 0.0
+
+
+@input_value
+class Friction:
+    """Friction in a gimbal's bearing: Q = −viscous q̇ − dry(q̇) tanh(q̇ / coulomb_rate).
+
+    dry(q̇) = coulomb + (breakaway − coulomb) exp(−(q̇ / stribeck_rate)²) is the Stribeck curve: as bodies begin to slide
+    on each other friction falls from the breakaway torque to the Coulomb torque.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    viscous
+        Torque per rate, N m s.
+    coulomb
+        Dry friction of fast sliding against negative and against positive rates, N m, both >= 0.
+    coulomb_rate
+        Rate at which the dry friction has reached tanh(1) = 76 % of its full size, rad/s: smooth instead of a jump,
+        so that equations and integrators stay well-defined.
+    breakaway
+        Dry friction at the begin of sliding, N m, the same way; not less than `coulomb`, which stands in where it would
+        be.
+    stribeck_rate
+        Rate at which 1/e of the difference is left, rad/s. Infinite: there is no Stribeck curve, and `breakaway` is
+        `coulomb`.
+    """
+
+    gimbal: str
+    viscous: float = 0.0
+    coulomb: tuple[float, float] = (0.0, 0.0)
+    coulomb_rate: float = 0.01
+    breakaway: tuple[float, float] = (0.0, 0.0)
+    stribeck_rate: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Let `breakaway` follow a `coulomb` that `dataclasses.replace` has changed, too."""
+        raised = self.coulomb
+        if math.isfinite(self.stribeck_rate):
+            raised = (max(self.breakaway[0], self.coulomb[0]), max(self.breakaway[1], self.coulomb[1]))
+        object.__setattr__(self, "breakaway", raised)
+
+    @check_arguments
+    def dry(self, rate: float) -> float:
+        """Return the dry part of the friction torque, without its minus sign.
+
+        Parameters
+        ----------
+        rate
+            Rate of the gimbal, rad/s.
+
+        Returns
+        -------
+        float
+            N m.
+        """
+        side = 0 if rate < 0.0 else 1
+        left = math.exp(-((rate / self.stribeck_rate) ** 2)) if abs(rate) < 30.0 * self.stribeck_rate else 0.0
+        level = self.coulomb[side] + (self.breakaway[side] - self.coulomb[side]) * left
+        return level * math.tanh(rate / self.coulomb_rate)
+
+    @property
+    def steepest_slope(self) -> float:
+        """The largest |∂Q/∂q̇| at any rate, N m s, or a bound a little above it: what a step of integration must stand.
+
+        Dry friction rises most steeply where sliding begins, with breakaway / coulomb_rate. Where the Stribeck curve
+        falls, it does so by (breakaway − coulomb) √(2/e) / stribeck_rate at most, against the viscous friction.
+        """
+        rising = self.viscous + max(self.breakaway) / self.coulomb_rate
+        drop = max(self.breakaway[0] - self.coulomb[0], self.breakaway[1] - self.coulomb[1])
+        falling = math.sqrt(2.0 / math.e) * drop / self.stribeck_rate - self.viscous
+        return max(rising, falling)
+
+
+@input_value
+class Cage:
+    """A mechanical cage that is closed: it holds a gimbal by a stiff, damped contact on both sides of an angle.
+
+    With no clearance Q = −stiffness (q − angle) − damping q̇. With clearance nothing acts while |q − angle| is less;
+    beyond it the contact pushes back with stiffness times the penetration and damping q̇, and never pulls.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal.
+    stiffness, damping
+        Of the contact, N m/rad and N m s.
+    clearance
+        Free play to either side, rad.
+    angle
+        Middle of the cage, rad.
+    """
+
+    gimbal: str
+    stiffness: float
+    damping: float = 0.0
+    clearance: float = 0.0
+    angle: float = 0.0
+
+
+@input_value
+class Unbalance:
+    """A body whose centre of mass does not lie at the fixed point: the specific force f turns it by −(m r) × f.
+
+    The body's inertia is that about the fixed point, so that nothing else changes.
+
+    Attributes
+    ----------
+    body
+        Name of the gimbal or of the root, rotors included.
+    moment : (3,)
+        Mass times offset of the centre of mass from the fixed point, body axes, kg m.
+    """
+
+    body: str
+    moment: FloatArray
+
+
+@input_value
+class Erection:
+    """An erecting device: it senses the direction of specific force and torques a gimbal.
+
+    Q = gain s·f/|f|, not beyond ± limit: s·f/|f| is the sine of the tilt of the sensing axis s out of the plane
+    that is normal to the specific force f. Zero where f is zero.
+
+    Attributes
+    ----------
+    gimbal
+        Name of the gimbal that is torqued.
+    senses
+        Name of the body that carries the sensor.
+    axis : (3,)
+        Sensing axis s, a unit vector in that body's axes; dimensionless.
+    gain
+        N m per unit of the sine of the tilt.
+    limit
+        Largest torque, N m, or None.
+    """
+
+    gimbal: str
+    senses: str
+    axis: FloatArray
+    gain: float
+    limit: float | None = None

@@ -1,0 +1,445 @@
+"""What a platform is made of: gimbals, rotors, torquers, pick-offs, rate sensors. Values only; SI units."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import FloatArray, input_value, read_only
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+
+RotorControl = Literal["regulated", "free", "servo"]
+
+# Signals that every plant has: the root's rates, the torques on it, and its specific force.
+OMEGA_NAMES = ("Omega1", "Omega2", "Omega3")
+ROOT_TORQUE_NAMES = ("M1", "M2", "M3")
+FORCE_NAMES = ("f1", "f2", "f3")
+
+
+@input_value
+class Gimbal:
+    """A body that turns about one axis fixed in its parent.
+
+    Attributes
+    ----------
+    name, parent
+        Names of this gimbal and of the body that carries it (another gimbal or the root).
+    axis : (3,)
+        Unit vector of the axis in the parent's (and, at zero angle, everybody's) axes; dimensionless.
+    inertia : (3, 3)
+        The gimbal's own body without rotors, kg m², in its own axes.
+    angle
+        Name of the coordinate, for example ``alpha4``.
+    stops
+        Lowest and highest angle, rad, or None.
+    restitution
+        Share of the rate that a stop gives back, 0 to 1; 0: the gimbal stays at its stop.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, section 2.
+
+    See docs/plant-file.md.
+    """
+
+    name: str
+    parent: str
+    axis: FloatArray
+    inertia: FloatArray
+    angle: str
+    stops: tuple[float, float] | None = None
+    restitution: float = 0.0
+
+
+@input_value
+class Rotor:
+    """A rotor that spins in a carrier.
+
+    Attributes
+    ----------
+    name, carrier
+        Names of the rotor and of the gimbal (or root) that it spins in.
+    axis : (3,)
+        Unit vector of the spin axis in the carrier's axes; dimensionless.
+    axial_inertia, transverse_inertia
+        C and A of the paper, kg m².
+    angular_momentum
+        L = C times the spin relative to the carrier, N m s. For a free rotor its constant axial momentum p; for a
+        servo rotor the L that its speed loop aims at.
+    control
+        ``"regulated"``: relative spin constant, (8)-(15); ``"free"``: cyclic, (4)-(7); ``"servo"``: a degree of freedom
+        of its own, whose spin a real loop controls. Matrices and linear models take a servo rotor for regulated, the
+        limit of a fast loop; simulations run the loop.
+    speed_gain, speed_integral
+        Speed loop of a servo rotor, N m s and N m: torque = −speed_gain (φ̇ − spin) − speed_integral ∫(φ̇ − spin) dt.
+    torque_limit
+        Largest motor torque, N m, or None; the integral stands still while the torque is at its limit.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (4), (8).
+
+    See docs/plant-file.md.
+    """
+
+    name: str
+    carrier: str
+    axis: FloatArray
+    axial_inertia: float
+    transverse_inertia: float
+    angular_momentum: float
+    control: RotorControl = "regulated"
+    speed_gain: float = 0.0
+    speed_integral: float = 0.0
+    torque_limit: float | None = None
+
+    @property
+    def spin(self) -> float:
+        """Spin relative to the carrier (for a free rotor: with the carrier at rest), rad/s."""
+        return self.angular_momentum / self.axial_inertia
+
+
+@input_value
+class Torquer:
+    """A motor that turns a gimbal against its parent, or the root against inertial space.
+
+    Attributes
+    ----------
+    name
+        Signal name, ``Q`` + gimbal or ``M`` + root axis unless the file says otherwise.
+    gimbal, root_axis
+        Exactly one is given: the gimbal's name, or 1, 2 or 3.
+    limit
+        Largest torque, N m, or None.
+    lag
+        Time constant of the first-order lag from command to torque, s.
+    rate_limit
+        Largest rate at which the torque follows its command, N m/s, or None.
+    added
+        Whether the device itself does not have it: whatever is proved with it is not proved of the device.
+    """
+
+    name: str
+    gimbal: str | None = None
+    root_axis: int | None = None
+    limit: float | None = None
+    lag: float = 0.0
+    rate_limit: float | None = None
+    added: bool = False
+
+    @property
+    def signal(self) -> str:
+        """Name of the linear model's input that it drives: its own, or M1, M2 or M3 on the root."""
+        return self.name if self.root_axis is None else ROOT_TORQUE_NAMES[self.root_axis - 1]
+
+
+@input_value
+class PickOff:
+    """A sensor of a gimbal's angle.
+
+    Attributes
+    ----------
+    name
+        Signal name: the angle that it measures.
+    gimbal
+        Name of the gimbal.
+    noise_rms, noise_bandwidth_hz
+        White noise: `noise_rms` rad within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
+    quantisation
+        Step of the reading, rad; 0 for none.
+    added
+        Whether the device itself does not have it.
+    """
+
+    name: str
+    gimbal: str
+    noise_rms: float = 0.0
+    noise_bandwidth_hz: float = 1000.0
+    quantisation: float = 0.0
+    added: bool = False
+
+    @check_arguments
+    def sampled_noise(self, period: float) -> float:
+        """Return the rms of one sample behind a filter at the Nyquist frequency.
+
+        Parameters
+        ----------
+        period
+            Sample period, s.
+
+        Returns
+        -------
+        float
+            rad.
+        """
+        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
+
+
+@input_value
+class RateSensor:
+    """A sensor of a rate: of the root about one of its axes, or of a gimbal against its parent.
+
+    Attributes
+    ----------
+    name
+        Signal name: Omega1, Omega2 or Omega3 on the root; on a gimbal its angle's name + ``_rate``.
+    gimbal, root_axis
+        Exactly one is given: the gimbal's name, or 1, 2 or 3.
+    noise_rms, noise_bandwidth_hz
+        White noise: `noise_rms` rad/s within `noise_bandwidth_hz` Hz (one-sided density noise_rms / sqrt(bandwidth)).
+    quantisation
+        Step of the reading, rad/s; 0 for none.
+    """
+
+    name: str
+    gimbal: str | None = None
+    root_axis: int | None = None
+    noise_rms: float = 0.0
+    noise_bandwidth_hz: float = 1000.0
+    quantisation: float = 0.0
+
+    @check_arguments
+    def sampled_noise(self, period: float) -> float:
+        """Return the rms of one sample behind a filter at the Nyquist frequency.
+
+        Parameters
+        ----------
+        period
+            Sample period, s.
+
+        Returns
+        -------
+        float
+            rad/s.
+        """
+        return _sampled_noise(self.noise_rms, self.noise_bandwidth_hz, period)
+
+
+@input_value
+class Platform:
+    """A root body that carries a tree of gimbals with rotors.
+
+    Coordinates q stand in the order of `gimbals`; generalised velocities are [Omega, q̇].
+    All bodies turn about one fixed point, in which all centres of mass lie that no unbalance moves elsewhere.
+
+    Attributes
+    ----------
+    name, source
+        Title, and where the numbers come from.
+    root_name
+        Name of the body whose rate is Omega.
+    root_inertia : (3, 3)
+        Of that body with everything rigidly attached, kg m².
+    gimbals, rotors, torquers, pickoffs, rate_sensors
+        What the plant has of each, in the file's order.
+    springs, frictions, cages, unbalances, erections
+        What acts besides the torquers, in the file's order.
+    specific_force : (3,)
+        f of the fixed point in root axes, m/s²: its acceleration minus that of gravity, what an accelerometer reads
+        (at rest it points upward). It turns with the root.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, section 2.
+
+    See docs/plant-file.md.
+    """
+
+    name: str
+    root_name: str
+    root_inertia: FloatArray
+    gimbals: tuple[Gimbal, ...]
+    rotors: tuple[Rotor, ...] = ()
+    torquers: tuple[Torquer, ...] = ()
+    pickoffs: tuple[PickOff, ...] = ()
+    rate_sensors: tuple[RateSensor, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    frictions: tuple[Friction, ...] = ()
+    cages: tuple[Cage, ...] = ()
+    unbalances: tuple[Unbalance, ...] = ()
+    erections: tuple[Erection, ...] = ()
+    specific_force: FloatArray = field(default_factory=lambda: read_only((0.0, 0.0, 0.0)))
+    source: str = ""
+
+    @property
+    def added(self) -> tuple[Torquer | PickOff, ...]:
+        """Torquers and pick-offs that the device itself does not have."""
+        parts: tuple[Torquer | PickOff, ...] = (*self.torquers, *self.pickoffs)
+        return tuple(part for part in parts if part.added)
+
+    @property
+    def gimbal_names(self) -> tuple[str, ...]:
+        """Names of the gimbals, in the order of the coordinates."""
+        return tuple(g.name for g in self.gimbals)
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names of the coordinates q."""
+        return tuple(g.angle for g in self.gimbals)
+
+    @property
+    def sensors(self) -> tuple[PickOff | RateSensor, ...]:
+        """All that measures: the pick-offs, then the rate sensors."""
+        return (*self.pickoffs, *self.rate_sensors)
+
+    @property
+    def parents(self) -> NDArray[np.intp]:
+        """Index of each gimbal's parent, (n,); −1 is the root."""
+        return self._indices([g.parent for g in self.gimbals])
+
+    @property
+    def carriers(self) -> NDArray[np.intp]:
+        """Index of each rotor's carrier, (m,); −1 is the root."""
+        return self._indices([r.carrier for r in self.rotors])
+
+    def _indices(self, bodies: list[str]) -> NDArray[np.intp]:
+        number = {name: k for k, name in enumerate((self.root_name, *self.gimbal_names))}
+        return np.array([number[name] if name in number else self.body(name) for name in bodies], dtype=np.intp) - 1
+
+    @check_arguments
+    def body(self, name: str) -> int:
+        """Return the number of a body: 0 the root, 1 + k that of gimbal k.
+
+        Parameters
+        ----------
+        name
+            Of the root or of a gimbal.
+
+        Returns
+        -------
+        int
+            From 0 to n.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such body.
+        """
+        return known_name(f"body of platform {self.name!r}", name, (self.root_name, *self.gimbal_names))
+
+    @check_arguments
+    def gimbal(self, name: str) -> int:
+        """Return the index of the named gimbal.
+
+        Parameters
+        ----------
+        name
+            Of a gimbal.
+
+        Returns
+        -------
+        int
+            From 0 to n − 1.
+
+        Raises
+        ------
+        ArgumentError
+            The platform has no such gimbal.
+        """
+        return known_name(f"gimbal of platform {self.name!r}", name, self.gimbal_names)
+
+    @check_arguments
+    def torquer_on(self, gimbal: str) -> Torquer:
+        """Return the torquer that loops on the named gimbal use: its first one.
+
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        Torquer
+            The first one in the file's order.
+
+        Raises
+        ------
+        ArgumentError
+            It has none.
+        """
+        return _on(gimbal, self.torquers, "torquer")
+
+    @check_arguments
+    def pickoff_on(self, gimbal: str) -> PickOff:
+        """Return the pick-off of the named gimbal.
+
+        Parameters
+        ----------
+        gimbal
+            Name of the gimbal.
+
+        Returns
+        -------
+        PickOff
+            The first one in the file's order.
+
+        Raises
+        ------
+        ArgumentError
+            It has none.
+        """
+        return _on(gimbal, self.pickoffs, "pick-off")
+
+
+@check_arguments
+def gimbal_rate(angle: str) -> str:
+    """Return the signal name of a gimbal's rate, from that of its angle.
+
+    Parameters
+    ----------
+    angle
+        Name of the gimbal's angle.
+
+    Returns
+    -------
+    str
+        The same with ``_rate`` behind it.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    return f"{angle}_rate"
+
+
+@check_arguments
+def is_rate(signal: str) -> bool:
+    """Return whether a signal's name is that of a rate, of the root or of a gimbal.
+
+    Parameters
+    ----------
+    signal
+        Name of a signal.
+
+    Returns
+    -------
+    bool
+        True for Omega1 to Omega3 and for names that end in ``_rate``.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    return signal in OMEGA_NAMES or signal.endswith(gimbal_rate(""))
+
+
+def _sampled_noise(rms: float, bandwidth_hz: float, period: float) -> float:
+    return float(rms * np.sqrt(0.5 / period / bandwidth_hz))
+
+
+Part = TypeVar("Part", Torquer, PickOff)
+
+
+def _on(gimbal: str, parts: tuple[Part, ...], kind: str) -> Part:
+    for part in parts:
+        if part.gimbal == gimbal:
+            return part
+    raise ArgumentError(f"gimbal {gimbal!r} has no {kind}; expected one in the plant")

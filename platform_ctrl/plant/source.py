@@ -1,0 +1,166 @@
+"""Where the text comes from: a shipped model, a file, or a dict."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import time
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from platform_ctrl.errors import InputError
+from platform_ctrl.plant.mistakes import Mistake, given, one_line, plain, suggestion
+
+# Bytes of a file at most; TOML takes seconds to read and to judge where it has more.
+MOST_OF_ANY, MOST_OF_TOML = 64 * 2**20, 2**20
+# A key of so many parts: what tomllib does with it takes time by the square of their number.
+_LONG_KEY = re.compile(r"(?:^|[\[{,])(?:[^.,=#\[\]{}\n]++\.){200}", re.MULTILINE)
+# Seconds to wait for who writes to a pipe: less than until progress is shown.
+PATIENCE = 1.0
+
+Source = str | os.PathLike[str] | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Document:
+    """An input in plain types, what it is called in messages, and the folder that its paths start from."""
+
+    label: str
+    data: dict[str, Any]
+    mistakes: list[Mistake]
+    folder: Path
+
+
+def shipped_models() -> tuple[str, ...]:
+    """Return the names of the plants that come with the package, sorted.
+
+    Returns
+    -------
+    tuple of str
+        What `read_platform` takes as names.
+    """
+    return tuple(sorted(_shipped_files()))
+
+
+def platform_source(name: str) -> str:
+    """Return the TOML text of a shipped plant: what to copy in order to describe another one.
+
+    Parameters
+    ----------
+    name
+        Of a shipped model.
+
+    Returns
+    -------
+    str
+        TOML, comments included.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"given {given(name)}; expected the name of a shipped model")
+    files = _shipped_files()
+    if name not in files:
+        hint = f'; a file of that name is read as "./{name}"' if os.path.isfile(name) else ""
+        raise InputError(f"there is no shipped model {given(name)}: {suggestion(name, sorted(files))}{hint}")
+    return files[name].read_text(encoding="utf-8")
+
+
+def is_shipped_name(source: str) -> bool:
+    """Return whether `source` is meant as a shipped name: no suffix and no path separator."""
+    separators = {"/", os.sep, os.altsep or os.sep}
+    return not any(separator in source for separator in separators) and not Path(source).suffix
+
+
+def open_shipped(name: str) -> Document:
+    """Return a shipped plant."""
+    return _document(f"shipped model {name}", platform_source(name), Path())
+
+
+def open_file(path: Path) -> Document:
+    """Return the file at `path`."""
+    return _document(one_line(str(path)), read_text(path, "a TOML file", MOST_OF_TOML), path.parent)
+
+
+def read_text(path: Path, expected: str, most: int = MOST_OF_ANY) -> str:
+    """Return the text of the file at `path`, which should be `expected` of at most `most` bytes."""
+    label = one_line(str(path))
+    try:
+        data = _bytes(path, most + 1)
+        if len(data) > most:
+            raise InputError(f"{label}: is larger than {most // 2**20} MiB; expected {expected} of at most that")
+        # utf-8-sig: some editors put a byte order mark at the head, which neither TOML nor JSON knows.
+        return data.decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{label}: there is no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{label}: is a directory; expected {expected}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{label}: is not UTF-8 text (byte {error.start}); expected {expected}") from None
+    except OSError as error:
+        raise InputError(f"{label}: cannot be read: {one_line(error.strerror or str(error))}") from None
+    except InputError:
+        raise
+    except ValueError as error:  # a path that no file can have
+        raise InputError(f"{label}: cannot be read: {one_line(str(error))}") from None
+
+
+def _bytes(path: Path, most: int) -> bytes:
+    """Return the first `most` bytes of a file; of a pipe only if somebody writes to it, since reading would wait."""
+    if not hasattr(os, "O_NONBLOCK") or not stat.S_ISFIFO(os.stat(path).st_mode):
+        with path.open("rb") as file:  # or a device, which may never end
+            return file.read(most)
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as pipe:
+        until, begun = time.monotonic() + PATIENCE, b""
+        # At the end of the file as long as nobody holds the other end; None while he has not written yet.
+        while begun == b"":
+            if time.monotonic() > until:
+                raise InputError(f"{one_line(str(path))}: is a pipe that nobody writes to")
+            time.sleep(0.01)
+            begun = pipe.read(1)
+        os.set_blocking(pipe.fileno(), True)
+        found = begun or b""
+        while len(found) < most and (more := pipe.read(most - len(found))):
+            found += more
+        return found
+
+
+def open_mapping(source: Mapping[str, Any], label: str, folder: Path) -> Document:
+    """Return a dict given in Python, in plain types."""
+    data, mistakes = plain(source)
+    return Document(label, data, mistakes, folder)
+
+
+def path_of(source: object, expected: str) -> Path:
+    """Return the path that a caller gave."""
+    if not isinstance(source, str | os.PathLike) or not os.fspath(source):
+        raise InputError(f"given {given(source)}; expected {expected}")
+    return Path(os.fsdecode(source))
+
+
+def _document(label: str, text: str, folder: Path) -> Document:
+    if _LONG_KEY.search(text):
+        raise InputError(f"{label}: is not TOML that can be read: a key has hundreds of parts")
+    try:
+        parsed = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{label}: is not TOML: {one_line(str(error))}") from None
+    except ValueError:  # the digits of an integer are limited by Python itself
+        raise InputError(f"{label}: is not TOML: an integer has too many digits") from None
+    except RecursionError:
+        raise InputError(f"{label}: is not TOML: arrays or tables are nested too deeply") from None
+    return open_mapping(parsed, label, folder)
+
+
+def _shipped_files() -> dict[str, Traversable]:
+    try:
+        folder = resources.files("platform_ctrl.models")
+    except ModuleNotFoundError:
+        # A plain checkout on the path, not installed: the models are the sibling folder of the package, which
+        # only an installation places inside it.
+        folder = Path(__file__).parents[2] / "models"
+    return {file.name.removesuffix(".toml"): file for file in folder.iterdir() if file.name.endswith(".toml")}

@@ -1,0 +1,72 @@
+"""The kernel is compiled once an installation, which takes a while: beside other work, in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+_compiling: list[subprocess.Popen[bytes]] = []
+
+
+def warm_up() -> None:
+    """Begin to compile the kernel, unless it has been or is being compiled.
+
+    The other process keeps what it has compiled where this one will look for it. If it fails, nothing is lost but time.
+    """
+    if _compiling or is_compiled():
+        return
+    command = [sys.executable, "-c", f"from {__name__} import compile_kernel; compile_kernel()"]
+    quiet = subprocess.DEVNULL
+    try:
+        _compiling.append(subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet))
+    except OSError:
+        return
+
+
+def is_compiled() -> bool:
+    """Return whether the kernel has been compiled in this installation."""
+    return any((Path(__file__).parent / "kernel" / "__pycache__").glob("loop.fly_groups*.nbi"))
+
+
+def wait_until_warm() -> None:
+    """Wait until the other process has compiled the kernel, if there is one."""
+    while _compiling:
+        _compiling.pop().wait()
+
+
+def compile_kernel() -> None:
+    """Fly one scenario for an instant, for which the kernel is compiled or taken from its cache."""
+    from platform_ctrl.job.scenario import Scenario
+    from platform_ctrl.plant.reading import read_platform
+    from platform_ctrl.simulation.batch import fly
+
+    platform = read_platform("gimballed_gyro")
+    fly([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
+
+
+def heeding_interrupts(work: Callable[[], object]) -> None:
+    """Do `work` beside the main thread, which waits for it and heeds signals; what it raises is raised here.
+
+    After an interrupt nobody waits any more. Compiled code cannot be ended from outside: its thread goes on until it is
+    done or the process ends, which does not wait for it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        work()  # signals are the main thread's
+        return
+    raised: list[BaseException] = []
+
+    def done() -> None:
+        try:
+            work()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=done, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(0.2)  # with a limit: where there is none, some systems do not wake up for a signal
+    if raised:
+        raise raised[0]

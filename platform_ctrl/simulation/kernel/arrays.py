@@ -1,0 +1,166 @@
+"""What the kernel knows of a scenario, and where in the memory it stands, behind the plant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.values import FloatArray
+
+# Kinds of sensors and of faults, in the order of `platform_ctrl.job.scenario.FaultKind`.
+ANGLE, GIMBAL_RATE, ROOT_RATE = range(3)
+(
+    RUN_DOWN,
+    RUN_UP,
+    RIPPLE,
+    TORQUER_DEAD,
+    TORQUER_STUCK,
+    TORQUER_WEAK,
+    PICKOFF_DEAD,
+    PICKOFF_STUCK,
+    PICKOFF_DRIFT,
+    PICKOFF_DROPOUT,
+    OVERRUN,
+    CONTACT,
+) = range(12)
+
+# Slots of a sensor: rms of a sample, quantisation; the last reading, and the last one delivered.
+RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3
+# Slots of a torquer: limit, how far it slews at once and in half a substep of each segment, decay of the lag over half
+# a substep of each segment; what it works towards, where it has slewed to, torque; share of what it slews in half a
+# substep of each segment by which the lag is behind at its end.
+LIMIT, AT_ONCE, SLEW, DECAY, HELD, SLEWED, TORQUE, BEHIND, TORQUER = 0, 1, 2, 4, 6, 7, 8, 9, 11
+# Slots of a stop: low, high, restitution; whether the gimbal lies on it; when and at which rate it last bounced off.
+LOW, HIGH, RESTITUTION, TOUCHING, WHEN, AWAY, STOP = 0, 1, 2, 3, 4, 5, 6
+# Slots of a fault: begin, end, its two numbers; what is stuck.
+BEGIN, UNTIL, FIRST, SECOND, STUCK, FAULT = 0, 1, 2, 3, 4, 5
+# Slots of a rotor whose speed is not steady: L s in the carrier's axes (servo: nominal spin); share of it that is there
+# at the end of a step, and at the end of the step before.
+SHARE, LAST_SHARE, ROTOR = 3, 4, 5
+# Slots of a line of a vibration: amplitude; cosine and sine of its turn in half a substep of each segment; and of its
+# phase.
+AMPLITUDE, TURN, PHASE, LINE = 0, 1, 5, 7
+# Slots of the platform's commanded rate: half-cosine's rate vector, rise, hold; scale of the time table.
+RISE, HOLD, SCALE, PROFILE = 3, 4, 5, 6
+
+
+class Shared(NamedTuple):
+    """What is the same in every scenario of a batch."""
+
+    sensors: NDArray[np.int64]  # (ny, 2): kind, gimbal or root axis
+    targets: NDArray[np.int64]  # (nu,): index into [M, Q]
+    faults: NDArray[np.int64]  # (nf, 3): kind; sensor, torquer, gimbal or row of `rotors`; channel of its draws
+    rotors: NDArray[np.int64]  # (nr, 2): body; servo rotor or -1
+    lines: NDArray[np.int64]  # (nl,): component 0 to 2 of Omega, 3 to 5 of the specific force
+    first: NDArray[np.int64]  # (nx + nu + 1,): rows of the controllers [A B; C D], stored without zeros
+    column: NDArray[np.int64]
+    number: FloatArray
+    knots: FloatArray  # (k,): of the time table of Omega or, with a free root, of M
+    pieces: FloatArray  # (k - 1, 3, 4)
+    period: float
+
+
+class Flight(NamedTuple):
+    """Counts, switches, and first slots behind the plant's."""
+
+    samples: int
+    whole: int  # full periods from a sample to its torque
+    before: int  # substeps of a period before and after the command changes
+    after: int
+    states: int  # of the controllers
+    stops: int  # whether any gimbal has stops
+    profile: int  # whether a half-cosine is flown
+    start: int  # state at t = 0, v holding the rates
+    steady: int  # block of surroundings: what does not change
+    rate: int
+    segments: int  # substeps of the two segments
+    sensor: int
+    torquer: int
+    stop: int
+    fault: int
+    rotor: int
+    line: int
+    given: int  # end of what the host gives
+    controller: int  # states, then next states
+    command: int  # the present one
+    ring: int  # limited commands of the last `whole` + 2 samples
+    velocity: int  # rates at the sample
+    table: int  # three rows of the time table's torque
+    alive: int
+    contact: int  # whether any gimbal lies on a stop
+    random: int
+    spare_state: int  # two of them
+    spare_block: int
+    figures: int  # largest |q| (n), |rotation vector| (3), share of limits (nu), saturated (nu), contacts (n), samples
+    end: int
+
+
+# Columns of `Links.tree`, a row for each gimbal, parents first: gimbal, parent's body; which component of a vector in
+# the parent's axes is x, y, z here; which slots of the parent's inertia are xx, yy, zz, xy, xz, yz here (from XX on);
+# whether instead the rotation in `Links.turn` leads from the parent's axes to these.
+GIMBAL, PARENT, X, Y, Z, XX, YY, ZZ, XY, XZ, YZ, SKEW = range(12)
+
+# Slots of a body's constants: inertia of the carrier with its rotors as in `pack`; unbalance m r.
+BODY, UNBALANCE = 9, 6
+# Slots of a joint's constants.
+STIFFNESS, PRELOAD, VISCOUS, COULOMB, BREAKAWAY, PER_COULOMB_RATE, PER_STRIBECK_RATE, CAGE, JOINT = (
+    0, 1, 2, 3, 5, 7, 8, 9, 13,
+)  # fmt: skip
+# Slots of a servo rotor's constants: spin axis in the carrier's axes; then these.
+C, SPIN, GAIN, INTEGRAL, TORQUE_LIMIT, SERVO = 3, 4, 5, 6, 7, 8
+# Slots of an erection's constants: sensing axis; then these.
+ERECTION_GAIN, ERECTION_LIMIT, ERECTION = 3, 4, 5
+
+# Slots of a body in the workspace: cosine and sine of its joint; rate; velocity product of the acceleration (x, y);
+# moment; articulated inertia xx, yy, zz, xy, xz, yz; U/D and u/D of the joint; acceleration; specific force.
+COS, SIN, RATE, PRODUCT, MOMENT, INERTIA, GAIN_X, GAIN_Y, DRIVE, ACCELERATION, FORCE, LOCKED, WORK = (
+    0, 1, 2, 5, 7, 10, 16, 17, 18, 19, 22, 25, 26,
+)  # fmt: skip
+
+
+class Links(NamedTuple):
+    """How the bodies hang together, the same in every scenario."""
+
+    tree: NDArray[np.int64]  # (n, 12)
+    turn: FloatArray  # (n, 3, 3)
+    servo_carrier: NDArray[np.int64]  # (m,): body
+    erection: NDArray[np.int64]  # (e, 2): order of the torqued gimbal, sensing body
+
+
+class At(NamedTuple):
+    """Counts, switches, and first slots.
+
+    `yes` and `no` are True and False for functions of the kernel: numba compiles one anew for every literal.
+    """
+
+    yes: bool
+    no: bool
+    n: int  # gimbals
+    servos: int
+    size: int  # of the state
+    joints: int  # whether springs, friction or cages act at all
+    dry: int  # whether there is dry friction
+    cages: int
+    weight: int  # whether specific force and unbalance or erections act
+    course: int  # whether rotors' momenta change with time
+    body: int
+    joint: int
+    servo: int
+    erection: int
+    work: int
+    stages: int  # three states: at, derivative, total
+    state: int
+    surroundings: int  # three blocks: at the beginning, middle and end of a step
+    block: int  # slots of a block
+    end: int
+
+
+# A block of the surroundings: [M, Q], Omega, specific force, and of every body its rotors' momentum and how fast that
+# changes. Where the parts begin:
+
+
+def slots_of_block(n: int) -> int:
+    """Return the number of slots of a block of the surroundings of n gimbals."""
+    return 7 * n + 15

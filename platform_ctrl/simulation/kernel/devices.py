@@ -1,0 +1,257 @@
+"""The torquers between samples: limited rates, first-order lags, and what fails of their torque."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.mechanics.lanes import (
+    Mask,
+    Number,
+    anywhere,
+    apart,
+    choose,
+    columns,
+    greater,
+    inlined,
+    internal,
+    lesser,
+    load,
+    root,
+    store,
+    whole,
+)
+from platform_ctrl.simulation.kernel.arrays import (
+    ANGLE,
+    AT_ONCE,
+    BEGIN,
+    BEHIND,
+    DECAY,
+    FAULT,
+    FIRST,
+    GIMBAL_RATE,
+    HELD,
+    LAST,
+    PICKOFF_DEAD,
+    PICKOFF_DRIFT,
+    PICKOFF_DROPOUT,
+    PICKOFF_STUCK,
+    QUANTISATION,
+    RMS,
+    SECOND,
+    SENSOR,
+    SLEW,
+    SLEWED,
+    STUCK,
+    TORQUE,
+    TORQUER,
+    TORQUER_DEAD,
+    TORQUER_WEAK,
+    UNTIL,
+    At,
+    Flight,
+    Shared,
+)
+from platform_ctrl.simulation.kernel.functions import cosine_and_sine, logarithm
+
+
+@inlined
+def acts(mem: FloatArray, lane: int, fault: int, t: Number) -> Mask:
+    """Return whether the fault at a slot has begun at t and the part is not sound again."""
+    return (load(mem, fault + BEGIN, lane) <= t) & (load(mem, fault + UNTIL, lane) > t)
+
+
+@internal
+def ready_torquers(shared: Shared, mem: FloatArray, lane: int, flight: Flight) -> None:
+    """Find how far the lags stay behind a torque that slews."""
+    for i in range(shared.targets.shape[0]):
+        for segment in range(2):
+            slot = flight.torquer + i * TORQUER + segment
+            decay = load(mem, slot + DECAY, lane)
+            zero = 0.0 * decay
+            lagging = (decay > 0.0) & (decay < 1.0)
+            behind = (decay - 1.0) / logarithm(choose(lagging, decay, zero + 0.5))
+            store(mem, slot + BEHIND, lane, choose(lagging, behind, choose(decay > 0.0, zero + 1.0, zero)))
+
+
+@inlined
+def torquers_fail(shared: Shared) -> bool:
+    """Whether any torquer of any scenario fails."""
+    failing = False
+    for f in range(shared.faults.shape[0]):
+        failing = failing or TORQUER_DEAD <= shared.faults[f, 0] <= TORQUER_WEAK
+    return failing
+
+
+@inlined
+def _toward(wanted: Number, here: Number, reach: Number) -> Number:
+    return greater(lesser(wanted, here + reach), here - reach)
+
+
+@internal
+def new_torque(
+    shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int, source: int, t: Number
+) -> None:
+    """What the torquers work towards from t on: the limited command of sample `source`, and what fails of it."""
+    apart()
+    nu = shared.targets.shape[0]
+    for i in range(nu):
+        slot = flight.torquer + i * TORQUER
+        held = 0.0 * t
+        fixed, level = held, held
+        if source >= 0:
+            held = load(mem, flight.ring + source % (flight.whole + 2) * nu + i, lane)
+        torque = load(mem, slot + TORQUE, lane)
+        for f in range(shared.faults.shape[0]):
+            kind = shared.faults[f, 0]
+            if kind < TORQUER_DEAD or kind > TORQUER_WEAK or shared.faults[f, 1] != i:
+                continue
+            fault = flight.fault + f * FAULT
+            on = acts(mem, lane, fault, t)
+            if kind == TORQUER_WEAK:
+                held = choose(on, load(mem, fault + FIRST, lane) * held, held)
+                continue
+            fixed = choose(on, 0.0 * t + 1.0, fixed)
+            if kind == TORQUER_DEAD:
+                level = choose(on, 0.0 * t, level)
+            else:
+                # SECOND: whether it is stuck already.
+                fresh = on & (load(mem, fault + SECOND, lane) < 0.5)
+                stuck = choose(fresh, torque, load(mem, fault + STUCK, lane))
+                store(mem, fault + STUCK, lane, stuck)
+                store(mem, fault + SECOND, lane, choose(fresh, 0.0 * t + 1.0, load(mem, fault + SECOND, lane)))
+                level = choose(on, stuck, level)
+        sound = fixed < 0.5
+        held = choose(sound, held, level)
+        store(mem, slot + HELD, lane, held)
+        slewed = _toward(held, load(mem, slot + SLEWED, lane), load(mem, slot + AT_ONCE, lane))
+        slewed = choose(sound, slewed, level)
+        store(mem, slot + SLEWED, lane, slewed)
+        lagging = sound & (load(mem, slot + DECAY + segment, lane) > 0.0)
+        store(mem, slot + TORQUE, lane, choose(lagging, torque, slewed))
+
+
+@inlined
+def put_torques(shared: Shared, mem: FloatArray, lane: int, at: At, flight: Flight, row: int) -> None:
+    """Put [M, Q] into block `row`."""
+    T = at.surroundings + row * at.block
+    for i in range(3):
+        store(mem, T + i, lane, load(mem, flight.table + 3 * row + i, lane))
+    for i in range(3, at.n + 3):
+        store(mem, T + i, lane, load(mem, flight.steady + i, lane))
+    for i in range(shared.targets.shape[0]):
+        target = T + shared.targets[i]
+        torque = load(mem, flight.torquer + i * TORQUER + TORQUE, lane)
+        store(mem, target, lane, load(mem, target, lane) + torque)
+
+
+@inlined
+def work_on(shared: Shared, mem: FloatArray, lane: int, flight: Flight, segment: int) -> None:
+    """Let the torquers go on by half a substep of the segment: a lag follows a torque that slews evenly exactly."""
+    for i in range(shared.targets.shape[0]):
+        slot = flight.torquer + i * TORQUER
+        before = load(mem, slot + SLEWED, lane)
+        decay, behind = load(mem, slot + DECAY + segment, lane), load(mem, slot + BEHIND + segment, lane)
+        after = _toward(load(mem, slot + HELD, lane), before, load(mem, slot + SLEW + segment, lane))
+        store(mem, slot + SLEWED, lane, after)
+        torque = after + (load(mem, slot + TORQUE, lane) - before) * decay - (after - before) * behind
+        store(mem, slot + TORQUE, lane, torque)
+
+
+# What a count is used for: the upper half of its channel.
+PICKOFF, LOSS, PHASE_OF_LINE = 0, 1 << 16, 2 << 16
+
+_FIRST, _SECOND = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_KEY_FIRST, _KEY_SECOND = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+_LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+_FIVE, _SIX, _DIGITS = np.uint64(5), np.uint64(6), np.uint64(26)
+_PER_53 = 2.0**-53
+_TURN = 2.0 * math.pi
+
+Words = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
+# (columns, 2): seed and run of each scenario.
+Keys = NDArray[np.uint64]
+
+
+@inlined
+def philox(c0: np.uint64, c1: np.uint64, c2: np.uint64, c3: np.uint64, k0: np.uint64, k1: np.uint64) -> Words:
+    """Return four words of 32 bits for a counter of four and a key of two."""
+    for _ in range(10):
+        a, b = c0 * _FIRST, c2 * _SECOND
+        c0, c1, c2, c3 = (b >> _HALF) ^ c1 ^ k0, b & _LOW, (a >> _HALF) ^ c3 ^ k1, a & _LOW
+        k0, k1 = (k0 + _KEY_FIRST) & _LOW, (k1 + _KEY_SECOND) & _LOW
+    return c0, c1, c2, c3
+
+
+@inlined
+def _between(high: np.uint64, low: np.uint64) -> float:
+    """A number between 0 and 1, neither included, from 53 bits."""
+    bits = ((high >> _FIVE) << _DIGITS) + (low >> _SIX)
+    return (float(bits) + 0.5) * _PER_53
+
+
+@internal
+def uniforms(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
+    """Two numbers between 0 and 1 into `slot` and the next."""
+    first, last = columns(lane)
+    c0, c1 = np.uint64(step) & _LOW, np.uint64(channel)
+    for column in range(first, last):
+        seed, run = keys[column, 0], keys[column, 1]
+        a, b, c, d = philox(c0, c1, run & _LOW, run >> _HALF, seed & _LOW, seed >> _HALF)
+        store(mem, slot, column, _between(a, b))
+        store(mem, slot + 1, column, _between(c, d))
+
+
+@internal
+def normals(keys: Keys, mem: FloatArray, lane: int, step: int, channel: int, slot: int) -> None:
+    """Two independent standard normal numbers into `slot` and the next."""
+    uniforms(keys, mem, lane, step, channel, slot)
+    size = root(-2.0 * logarithm(load(mem, slot, lane)))
+    c, s = cosine_and_sine(_TURN * load(mem, slot + 1, lane))
+    store(mem, slot, lane, size * c)
+    store(mem, slot + 1, lane, size * s)
+
+
+@internal
+def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight: Flight, k: int, t: float) -> None:
+    """Put what every sensor says at sample k into its LAST."""
+    for i in range(shared.sensors.shape[0]):
+        slot, kind, index = flight.sensor + i * SENSOR, shared.sensors[i, 0], shared.sensors[i, 1]
+        if kind == ANGLE:
+            value = load(mem, at.state + index, lane)
+        elif kind == GIMBAL_RATE:
+            value = load(mem, flight.velocity + 3 + index, lane)
+        else:
+            value = load(mem, flight.velocity + index, lane)
+        rms = load(mem, slot + RMS, lane)
+        if anywhere(rms > 0.0):
+            if i % 2 == 0 or not anywhere(load(mem, slot - SENSOR + RMS, lane) > 0.0):
+                normals(keys, mem, lane, k, PICKOFF + i // 2, flight.random)
+            value = value + rms * load(mem, flight.random + i % 2, lane)
+        for f in range(shared.faults.shape[0]):
+            if shared.faults[f, 0] == PICKOFF_DRIFT and shared.faults[f, 1] == i:
+                fault = flight.fault + f * FAULT
+                drift = load(mem, fault + FIRST, lane) * (t - load(mem, fault + BEGIN, lane))
+                value = choose(acts(mem, lane, fault, t), value + drift, value)
+        step = load(mem, slot + QUANTISATION, lane)
+        fine = step > 0.0
+        unit = choose(fine, step, 0.0 * step + 1.0)
+        value = choose(fine, unit * whole(value / unit + 0.5), value)
+        for f in range(shared.faults.shape[0]):
+            failing = shared.faults[f, 0]
+            if failing < PICKOFF_DEAD or failing > PICKOFF_DROPOUT or shared.faults[f, 1] != i:
+                continue
+            fault = flight.fault + f * FAULT
+            on = acts(mem, lane, fault, t)
+            if failing == PICKOFF_DEAD:
+                value = choose(on, 0.0 * value, value)
+            elif failing == PICKOFF_STUCK:
+                value = choose(on, load(mem, slot + LAST, lane), value)
+            elif failing == PICKOFF_DROPOUT:
+                uniforms(keys, mem, lane, k, LOSS + shared.faults[f, 2], flight.random + 2)
+                lost = on & (load(mem, flight.random + 2, lane) < load(mem, fault + FIRST, lane))
+                value = choose(lost, load(mem, slot + LAST, lane), value)
+        store(mem, slot + LAST, lane, value)

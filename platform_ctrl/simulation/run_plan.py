@@ -1,0 +1,272 @@
+"""A Scenario as the kernel wants it: what it shares with others of its batch, and the numbers of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.job.scenario import Fault, FaultKind, Scenario
+from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.kernel.arrays import Flight, Shared
+from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
+from platform_ctrl.simulation.scenarios import (
+    FaultKey,
+    expect_scenario,
+    expect_size,
+    part_of,
+    plants_of,
+    put_faults,
+    put_lines,
+    put_rotors,
+    put_sensors,
+    put_stops,
+    put_torquers,
+    rate,
+    states,
+    unit_quaternions,
+)
+from platform_ctrl.simulation.servo_rotors import check_step, initial_spins
+from platform_ctrl.simulation.step_limit import check_elements
+
+KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
+
+# On one part: what a torquer still gives, what it is stuck at, nothing; what a sensor says too much, what is lost.
+_RANK = {
+    "torquer weak": 0,
+    "torquer stuck": 1,
+    "torquer dead": 2,
+    "pick-off drift": 0,
+    "pick-off dropout": 1,
+    "pick-off stuck": 2,
+    "pick-off dead": 3,
+}
+
+
+class Controller(NamedTuple):
+    """All controllers as one state space in the form of rows without zeros: next states, then commands."""
+
+    states: int
+    first: NDArray[np.int64]
+    column: NDArray[np.int64]
+    number: FloatArray
+
+
+class Timing(NamedTuple):
+    """How a period is cut into substeps."""
+
+    samples: int
+    whole: int
+    substeps: tuple[int, int]
+    steps: tuple[float, float]
+
+
+class Prepared(NamedTuple):
+    """A scenario that was judged, and `key`: only scenarios of equal keys fly side by side."""
+
+    scenario: Scenario
+    skeleton: Skeleton
+    timing: Timing
+    faults: dict[FaultKey, Fault]
+    key: tuple[object, ...]
+
+
+def controller_rows(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Controller:
+    """Return a discrete state space in the kernel's form."""
+    rows = np.block([[A, B], [C, D]])
+    row, column = np.nonzero(rows)
+    first = np.searchsorted(row, np.arange(len(rows) + 1))
+    return Controller(len(A), first.astype(np.int64), column.astype(np.int64), np.ascontiguousarray(rows[row, column]))
+
+
+def timing(duration: float, period: float, delay: float, longest: float) -> Timing:
+    """Cut periods into substeps on whose grid the samples lie and the instants when commands take effect."""
+    samples = 1 + math.floor(duration / period + 1e-9)
+    # A delay that is a whole number of periods up to rounding leaves no first segment.
+    whole = math.floor(delay / period + 1e-9)
+    first = delay - whole * period
+    first = 0.0 if first < 1e-9 * period else first
+    lengths = (first, period - first)
+    before, after = (max(math.ceil(length / longest - 1e-9), int(length > 0.0)) for length in lengths)
+    return Timing(samples, whole, (before, after), (first / before if before else 0.0, lengths[1] / after))
+
+
+def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
+    """Judge a scenario, but for the length of its steps, which are judged for a batch at a time."""
+    expect_scenario(scenario)
+    expect_size(scenario, period)
+    platform, free = scenario.platform, scenario.mode == "stabilised"
+    when = timing(scenario.duration, period, scenario.delay, longest)
+    shape = skeleton(platform)
+    if scenario.spin is not None:
+        initial_spins(platform, scenario.spin, (shape.at.servos,))
+    if scenario.attitude.shape != (4,):
+        unit_quaternions(scenario.attitude, (4,))
+    faults: dict[FaultKey, Fault] = {}
+    for fault in scenario.faults:
+        part = fault.part or ""
+        again = 0
+        while (fault.kind, part, again) in faults:
+            again += 1
+        faults[fault.kind, part, again] = fault
+    table = scenario.torque_table if free else scenario.Omega_table
+    key = (
+        free,
+        (when.samples, when.whole, when.substeps),
+        shape,
+        scenario.profile is not None,
+        None if table is None else (table.t.tobytes(), table.values.tobytes(), table.smooth),
+        tuple((v.kind, v.axis, v.lines, v.frequencies_hz.tobytes()) for v in scenario.vibrations),
+    )
+    return Prepared(scenario, shape, when, faults, key)
+
+
+class Batch(NamedTuple):
+    """Scenarios of equal keys, for the kernel: `given` (N, slots) of each, and their rows of the plant's constants."""
+
+    packed: Packed
+    shared: Shared
+    flight: Flight
+    free: bool
+    plants: FloatArray
+    given: FloatArray
+    keys: NDArray[np.uint64]
+
+
+def batch(members: Sequence[Prepared], controller: Controller, period: float, noise: bool) -> Batch:
+    """Put scenarios of equal keys together."""
+    one = members[0]
+    shape, free = one.skeleton, one.scenario.mode == "stabilised"
+    scenarios = [member.scenario for member in members]
+    plants = plants_of(scenarios)
+    lengths = np.array([member.timing.steps for member in members])
+    longest = np.zeros(len(plants.made))
+    np.maximum.at(longest, plants.which, lengths.max(axis=1))
+    check_step(plants.made, longest, free)
+    check_elements(plants.made, longest, free)
+    constants, around = numbers(shape, plants.made)
+
+    order = sorted(
+        {key for member in members for key in member.faults},
+        key=lambda key: (_RANK.get(key[0], 0), KINDS.index(key[0]), key[1], key[2]),
+    )
+    shared, rotors = _shared(one, order, members, controller, period, free)
+    packed = Packed(shape.links, shape.at._replace(course=len(rotors) > 0), constants[0], around[0])
+    flight = _flight(packed, shared, one, controller)
+    given = np.zeros((len(members), flight.given - shape.at.end))
+
+    def part(slot: int, count: int, size: int) -> FloatArray:
+        begin = slot - shape.at.end
+        return given[:, begin : begin + count * size].reshape(len(given), count, size)
+
+    part(flight.start, 1, shape.at.size)[:, 0] = states(scenarios, packed)
+    steady = part(flight.steady, 1, shape.at.block)[:, 0]
+    steady[:] = around[plants.which]
+    steady[:, :3] = [scenario.torque for scenario in scenarios]
+    part(flight.rate, 1, layout.PROFILE)[:, 0] = [rate(scenario) for scenario in scenarios]
+    part(flight.segments, 1, 2)[:, 0] = lengths
+    put_sensors(plants, part(flight.sensor, len(shared.sensors), layout.SENSOR), period, noise)
+    put_torquers(plants, part(flight.torquer, len(shared.targets), layout.TORQUER), 0.5 * lengths)
+    put_stops(plants, part(flight.stop, shape.at.n, layout.STOP))
+    put_faults([member.faults for member in members], order, part(flight.fault, len(order), layout.FAULT))
+    put_rotors(shape, plants, rotors, part(flight.rotor, len(rotors), layout.ROTOR))
+    put_lines(scenarios, part(flight.line, len(shared.lines), layout.LINE), 0.5 * lengths)
+    keys = np.array([(scenario.seed & (2**64 - 1), scenario.run) for scenario in scenarios], dtype=np.uint64)
+    return Batch(packed, shared, flight, free, constants[plants.which], given, keys.reshape(-1, 2))
+
+
+def _shared(
+    one: Prepared,
+    order: list[FaultKey],
+    members: Sequence[Prepared],
+    controller: Controller,
+    period: float,
+    free: bool,
+) -> tuple[Shared, list[int]]:
+    platform, scenario, shape = one.scenario.platform, one.scenario, one.skeleton
+    rotors = list(dict.fromkeys(key[1] for key in order if key[0].startswith(("rotor", "speed"))))
+    names = [r.name for r in platform.rotors]
+    places = [names.index(name) for name in rotors]
+    rows = [(shape.carriers[k], shape.servos.index(k) if k in shape.servos else -1) for k in places]
+    faults = []
+    for kind, part, again in order:
+        index = KINDS.index(kind)
+        fault = next(member.faults[kind, part, again] for member in members if (kind, part, again) in member.faults)
+        place = rotors.index(part) if index <= layout.RIPPLE else part_of(platform, fault)
+        channel = 64 * place + 8 * (index - layout.PICKOFF_DEAD) + again if index >= layout.PICKOFF_DEAD else 0
+        faults.append((index, place, channel))
+    lines = [(v.axis - 1 if v.kind == "rate" else v.axis + 2) for v in scenario.vibrations for _ in range(v.lines)]
+    table = scenario.torque_table if free else scenario.Omega_table
+    knots, pieces = np.zeros(0), np.zeros((0, 3, 4))
+    if table is not None:
+        knots, pieces = np.array(table.t), np.array(table.pieces)
+        if len(knots) == 1:
+            pieces = np.zeros((1, 3, 4))
+            pieces[0, :, 0] = table.values[0]
+    shared = Shared(
+        sensors=np.array(shape.sensors, dtype=np.int64).reshape(-1, 2),
+        targets=np.array(shape.targets, dtype=np.int64),
+        faults=np.array(faults, dtype=np.int64).reshape(-1, 3),
+        rotors=np.array(rows, dtype=np.int64).reshape(-1, 2),
+        lines=np.array(lines, dtype=np.int64),
+        first=controller.first,
+        column=controller.column,
+        number=controller.number,
+        knots=knots,
+        pieces=np.ascontiguousarray(pieces),
+        period=period,
+    )
+    return shared, places
+
+
+def _flight(packed: Packed, shared: Shared, one: Prepared, controller: Controller) -> Flight:
+    at = packed.at
+    n, nu, ny = at.n, len(shared.targets), len(shared.sensors)
+    place = at.end
+
+    def take(count: int) -> int:
+        nonlocal place
+        place += count
+        return place - count
+
+    return Flight(
+        samples=one.timing.samples,
+        whole=one.timing.whole,
+        before=one.timing.substeps[0],
+        after=one.timing.substeps[1],
+        states=controller.states,
+        stops=one.skeleton.stops,
+        profile=one.scenario.profile is not None,
+        start=take(at.size),
+        steady=take(at.block),
+        rate=take(layout.PROFILE),
+        segments=take(2),
+        sensor=take(ny * layout.SENSOR),
+        torquer=take(nu * layout.TORQUER),
+        stop=take(n * layout.STOP),
+        fault=take(len(shared.faults) * layout.FAULT),
+        rotor=take(len(shared.rotors) * layout.ROTOR),
+        line=take(len(shared.lines) * layout.LINE),
+        given=place,
+        controller=take(2 * controller.states),
+        command=take(nu),
+        ring=take((one.timing.whole + 2) * nu),
+        velocity=take(2 * n + 3),
+        table=take(9),
+        alive=take(1),
+        contact=take(1),
+        random=take(4),
+        spare_state=take(2 * at.size),
+        spare_block=take(at.block),
+        figures=take(figure_slots(n, nu)),
+        end=place,
+    )
+
+
+def figure_slots(n: int, nu: int) -> int:
+    """Return how many figures come out: |q|, |rotation vector|, shares and saturated samples, contacts, samples."""
+    return n + 3 + 2 * nu + n + 1

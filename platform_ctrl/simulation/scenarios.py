@@ -1,0 +1,276 @@
+"""What a scenario has to be before it is flown: the kernel trusts every number that it is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from platform_ctrl.common.arguments import positive, real_array, whole
+from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Scenario
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.simulation.kernel import arrays as layout
+from platform_ctrl.simulation.packing import Packed, Skeleton
+from platform_ctrl.simulation.servo_rotors import servo_rotors, with_rotor_states
+
+# What a run may take of memory and time.
+_SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
+_WORDS = {"rotor": "rotor", "torquer": "torquer", "pick-off": "sensor", "gimbal": "gimbal"}
+
+
+def expect_scenario(scenario: object) -> None:
+    """Judge an argument that has to be a scenario, and all that is in it but the sizes of steps."""
+    if not isinstance(scenario, Scenario):
+        raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
+    positive("duration", scenario.duration, zero=True)
+    positive("delay", scenario.delay, zero=True)
+    whole("seed", scenario.seed, 0, 2**64 - 1)
+    whole("run", scenario.run, 0, 2**64 - 1)
+    _start(scenario)
+    _motion(scenario)
+    for fault in scenario.faults:
+        part_of(scenario.platform, fault)
+
+
+def expect_size(scenario: object, period: float) -> None:
+    """Judge how many samples a scenario has, and over how many its delay reaches."""
+    if not isinstance(scenario, Scenario):
+        raise ArgumentError(f"scenario: given {short(scenario)}; expected a Scenario")
+    for name, most in (("duration", _SAMPLES), ("delay", _PERIODS)):
+        time = positive(name, getattr(scenario, name), zero=True)
+        if time > most * period:
+            raise ArgumentError(
+                f"{name}: {time:.6g} s are {time / period:.3g} periods; expected at most {most:.0e} of them"
+            )
+
+
+def steps(period: float, step: float) -> tuple[float, float]:
+    """Return the sample period and the longest substep."""
+    period, step = positive("period", period), positive("step", step)
+    if period > _SUBSTEPS * step:
+        raise ArgumentError(f"step: {step:.3g} s is too short for a period of {period:.3g} s; expected a longer one")
+    return period, step
+
+
+def expect_several(name: str, given: object, kind: type | None = None) -> None:
+    """Judge an argument that has to be several things: not one of a `kind`."""
+    if kind is not None and isinstance(given, kind):
+        raise ArgumentError(f"{name}: given one {kind.__name__}; expected a sequence of them")
+    if not isinstance(given, Iterable):
+        raise ArgumentError(f"{name}: given {short(given)}; expected a sequence")
+
+
+def _start(scenario: Scenario) -> None:
+    gimbals = scenario.platform.gimbals
+    real_array("q", scenario.q, (len(gimbals),))
+    real_array("rate", scenario.rate, (len(gimbals),))
+    real_array("Omega", scenario.Omega, (3,))
+    for gimbal, angle in zip(gimbals, scenario.q, strict=True):
+        if gimbal.stops is not None and not gimbal.stops[0] <= angle <= gimbal.stops[1]:
+            raise ArgumentError(
+                f"q: {gimbal.angle} starts at {angle:.6g} rad; expected it between its stops {gimbal.stops}"
+            )
+
+
+def _motion(scenario: Scenario) -> None:
+    real_array("torque", scenario.torque, (3,))
+    if scenario.mode == "stabilised":
+        given = {"profile": scenario.profile is not None, "Omega_table": scenario.Omega_table is not None}
+        why = "where the root is free; expected torque or torque_table"
+    else:
+        given = {name: bool(getattr(scenario, name).any()) for name in ("torque", "Omega")}
+        given["torque_table"] = scenario.torque_table is not None
+        why = "where Omega is prescribed; expected profile or Omega_table"
+    for name, there in given.items():
+        if there:
+            raise ArgumentError(f"{name}: given in mode {scenario.mode!r}, {why}")
+    if scenario.mode == "stabilised" and any(vibration.kind == "rate" for vibration in scenario.vibrations):
+        raise ArgumentError("vibration: of kind 'rate' in mode 'stabilised', where the root is free; expected 'force'")
+
+
+def part_of(platform: Platform, fault: Fault) -> int:
+    """Return the index of the part that a fault happens to; 0 where it is of all controllers."""
+    kind = FAULT_KEYS[fault.kind].part
+    if kind is None:
+        return 0
+    names = {
+        "rotor": [rotor.name for rotor in platform.rotors],
+        "torquer": [torquer.name for torquer in platform.torquers],
+        "pick-off": [sensor.name for sensor in platform.sensors],
+        "gimbal": list(platform.gimbal_names),
+    }[kind]
+    if fault.part not in names:
+        raise ArgumentError(
+            f"fault {fault.name!r}: given {_WORDS[kind]} {fault.part!r}; expected one of {', '.join(names)}"
+        )
+    return names.index(fault.part)
+
+
+def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
+    """Return unit quaternions w, x, y, z of `shape`, the identity if `given` is None."""
+    if given is None:
+        return np.array(np.broadcast_to([1.0, 0.0, 0.0, 0.0], shape))
+    attitude = real_array("attitude", given, shape)
+    norm = np.linalg.norm(attitude, axis=-1, keepdims=True)
+    if np.abs(norm - 1.0).max(initial=0.0) > 1e-6:
+        worst = norm.flat[np.abs(norm - 1.0).argmax()]
+        raise ArgumentError(f"attitude: given a norm of {worst:.6g}; expected unit quaternions w, x, y, z")
+    return np.asarray(attitude / norm)
+
+
+# A fault's kind, its part, and which one of these it is.
+FaultKey = tuple[str, str, int]
+
+
+class Plants(NamedTuple):
+    """The plants of N scenarios, each once, and `which` of them each scenario flies on, (N,)."""
+
+    made: list[Platform]
+    which: NDArray[np.intp]
+
+
+def plants_of(scenarios: Sequence[Scenario]) -> Plants:
+    """Return the plants that scenarios fly on; of many that fly on the same one it is packed once."""
+    places: dict[int, int] = {}
+    made: list[Platform] = []
+    which = np.empty(len(scenarios), dtype=np.intp)
+    for k, scenario in enumerate(scenarios):
+        which[k] = places.setdefault(id(scenario.platform), len(made))
+        if which[k] == len(made):
+            made.append(scenario.platform)
+    return Plants(made, which)
+
+
+def states(scenarios: Sequence[Scenario], packed: Packed) -> FloatArray:
+    """States at t = 0, (N, size), v holding the rates."""
+    attitudes = unit_quaternions([s.attitude for s in scenarios], (len(scenarios), 4))
+    rows = [np.array([getattr(s, name) for s in scenarios]) for name in ("q", "Omega", "rate")]
+    states = np.concatenate([*rows, attitudes], axis=1)
+    if packed.at.servos == 0:
+        return states
+    spins = [[r.spin for r in servo_rotors(s.platform)] if s.spin is None else s.spin for s in scenarios]
+    inertias = [[r.axial_inertia for r in servo_rotors(s.platform)] for s in scenarios]
+    return with_rotor_states(packed, states, np.array(spins), np.array(inertias))
+
+
+def rate(scenario: Scenario) -> list[float]:
+    """The half-cosine's rate vector, its rise and hold; the scale of the time table."""
+    row = [0.0] * layout.PROFILE
+    if scenario.profile is not None:
+        row[scenario.profile.axis - 1] = scenario.profile.rate
+        row[layout.RISE], row[layout.HOLD] = scenario.profile.rise, scenario.profile.hold
+    table = scenario.torque_table if scenario.mode == "stabilised" else scenario.Omega_table
+    row[layout.SCALE] = 1.0 if table is None else table.scale
+    return row
+
+
+def put_sensors(plants: Plants, rows: FloatArray, period: float, noise: bool) -> None:
+    """Noise of a sample, and quantisation."""
+    if rows.size == 0:
+        return
+    # Sensors that do not differ from plant to plant are the same objects: the noise of a sample is found once.
+    sampled: dict[int, float] = {}
+    kinds = [p.sensors for p in plants.made]
+    for sensor in (sensor for sensors in kinds for sensor in sensors):
+        if id(sensor) not in sampled:
+            sampled[id(sensor)] = sensor.sampled_noise(period) if noise else 0.0
+    rows[:, :, layout.RMS] = np.array([[sampled[id(sensor)] for sensor in sensors] for sensors in kinds])[plants.which]
+    rows[:, :, layout.QUANTISATION] = np.array([[one.quantisation for one in sensors] for sensors in kinds])[
+        plants.which
+    ]
+
+
+def put_torquers(plants: Plants, rows: FloatArray, half: FloatArray) -> None:
+    """Limits, and how torques follow in half a substep of each segment, `half` (N, 2)."""
+    if rows.size == 0:
+        return
+    limit, slew, lag = np.array(
+        [
+            [
+                (math.inf if t.limit is None else t.limit, math.inf if t.rate_limit is None else t.rate_limit, t.lag)
+                for t in p.torquers
+            ]
+            for p in plants.made
+        ]
+    )[plants.which].transpose(2, 0, 1)
+    rows[:, :, layout.LIMIT] = limit
+    rows[:, :, layout.AT_ONCE] = np.where(np.isinf(slew), math.inf, 0.0)
+    for segment in range(2):
+        step = half[:, segment, None]
+        # No limit stays none over a segment of no length.
+        with np.errstate(invalid="ignore"):
+            rows[:, :, layout.SLEW + segment] = np.where(np.isinf(slew), math.inf, step * slew)
+        lagging = np.where(lag > 0.0, lag, 1.0)
+        rows[:, :, layout.DECAY + segment] = np.where(lag > 0.0, np.exp(-step / lagging), 0.0)
+
+
+def put_stops(plants: Plants, rows: FloatArray) -> None:
+    """Where the stops are, and what they give back."""
+    if rows.size == 0:
+        return
+    rows[:, :, layout.LOW], rows[:, :, layout.HIGH], rows[:, :, layout.RESTITUTION] = np.array(
+        [[(*(g.stops or (-math.inf, math.inf)), g.restitution) for g in p.gimbals] for p in plants.made]
+    )[plants.which].transpose(2, 0, 1)
+
+
+def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[FaultKey], rows: FloatArray) -> None:
+    """Begin, end and numbers of what happens to each scenario; `order` are the columns."""
+    rows[:, :, : layout.STUCK] = math.inf, math.inf, 1.0, 1.0  # what does not happen in a run begins never
+    column = {key: k for k, key in enumerate(order)}
+    for row, faults in zip(rows, happening, strict=True):
+        for key, fault in faults.items():
+            row[column[key], : layout.STUCK] = _numbers(fault)
+
+
+def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: FloatArray) -> None:
+    """L s of rotors that fail, in the kernel's axes; the nominal spin of servo rotors."""
+    for j, k in enumerate(rotors):
+        if k in shape.servos:
+            rows[:, j, 0] = np.array([p.rotors[k].spin for p in plants.made])[plants.which]
+        else:
+            L = np.array([p.rotors[k].angular_momentum for p in plants.made])[plants.which]
+            rows[:, j, :3] = L[:, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
+
+
+def _numbers(fault: Fault) -> tuple[float, float, float, float]:
+    """Begin, end and the two numbers of a fault."""
+    match fault.kind:
+        case "rotor run-down" | "rotor run-up":
+            return fault.at, fault.until, fault.share, fault.time_constant
+        case "speed ripple":
+            return fault.at, fault.until, fault.amplitude, 2.0 * math.pi * fault.frequency_hz
+        case "torquer weak":
+            first = fault.share
+        case "pick-off drift":
+            first = fault.rate
+        case "pick-off dropout" | "controller overrun":
+            first = fault.probability
+        case "stop contact":
+            first = fault.impulse
+        case _:
+            first = 0.0
+    return fault.at, fault.until, first, 0.0
+
+
+def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:
+    """Amplitudes of the vibrations' lines, and how far they turn in half a substep of each segment."""
+    place = 0
+    for k, vibration in enumerate(scenarios[0].vibrations):
+        known: dict[int, FloatArray] = {}
+        for scenario in scenarios:
+            one = scenario.vibrations[k]
+            if id(one) not in known:
+                omega, known[id(one)] = one.amplitudes
+        own = rows[:, place : place + vibration.lines]
+        own[:, :, layout.AMPLITUDE] = [known[id(scenario.vibrations[k])] for scenario in scenarios]
+        for segment in range(2):
+            turn = omega * half[:, segment, None]
+            own[:, :, layout.TURN + 2 * segment] = np.cos(turn)
+            own[:, :, layout.TURN + 2 * segment + 1] = np.sin(turn)
+        place += vibration.lines

@@ -1,0 +1,303 @@
+"""A baseline as a value: accepted figures with their tolerances, and the loops that they are of."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.common.arguments import positive
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import input_value, value
+from platform_ctrl.job.requirements import Sense
+from platform_ctrl.verification import JobResult
+from platform_ctrl.verification.baselines.figures import COST, Figure, figures_of
+from platform_ctrl.verification.verdict import PROVED
+
+# The same loop on another machine: what differs by less has not changed, and its text stays as it is.
+_ROUNDING = 1e-6
+
+
+@input_value
+class Tolerance:
+    """How much worse a figure may become: the larger of a share of the accepted value and a plain number.
+
+    Attributes
+    ----------
+    relative
+        Share of the accepted value's magnitude.
+    absolute
+        In the figure's unit.
+
+    Raises
+    ------
+    ArgumentError
+        A number that is not finite, or below zero.
+    """
+
+    relative: float = 0.02
+    absolute: float = 1e-12
+
+    def __post_init__(self) -> None:
+        positive("Tolerance: relative", self.relative, zero=True)
+        positive("Tolerance: absolute", self.absolute, zero=True)
+
+    @check_arguments
+    def allowed(self, accepted: float) -> float:
+        """Return the tolerance for an accepted value.
+
+        Parameters
+        ----------
+        accepted
+            In the figure's unit.
+
+        Returns
+        -------
+        float
+            How much worse the figure may be, in the same unit.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        return max(self.relative * abs(accepted), self.absolute)
+
+
+# What a new figure is given where the default would be wrong: a difference of two margins, each with a tolerance of its
+# own, lies near zero; and of what was proved nothing may be lost.
+_OWN_TOLERANCE = {
+    COST: Tolerance(relative=0.0, absolute=0.01),
+    PROVED.name: Tolerance(relative=0.0, absolute=0.0),
+}
+
+
+@value
+class AcceptedFigure:
+    """A figure of a baseline.
+
+    Attributes
+    ----------
+    subject, name, value, unit, sense
+        As of `Figure`; `value`, in `unit`, is infinite where the file has ``null``.
+    tolerance
+        Its own; None: the baseline's.
+    """
+
+    subject: str
+    name: str
+    value: float
+    unit: str
+    sense: Sense
+    tolerance: Tolerance | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str, Sense]:
+        """What it is recognised by, as `Figure.key`."""
+        return self.subject, self.name, self.unit, self.sense
+
+
+@value
+class LoopMatrices:
+    """A closed loop as it was accepted: what its curves are drawn from.
+
+    Attributes
+    ----------
+    loop, design, method
+        As in the job.
+    delay
+        From sample to torque, s.
+    controller
+        u = K y, sampled.
+    inputs, outputs
+        Names of the controller's signals.
+    plant
+        The nominal sampled plant, from `outputs` to `inputs`; None for a loop that is judged in the coupled system
+        alone.
+    """
+
+    loop: str
+    design: str
+    method: str
+    delay: float
+    controller: StateArrays
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    plant: StateArrays | None
+
+    @check_arguments
+    def agrees(self, other: LoopMatrices) -> bool:
+        """Return whether plant and controller are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        return self.same_controller(other) and self.same_plant(other)
+
+    @check_arguments
+    def same_controller(self, other: LoopMatrices) -> bool:
+        """Return whether the controllers are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        signals = (self.inputs, self.outputs) == (other.inputs, other.outputs)
+        timing = math.isclose(self.delay, other.delay, rel_tol=_ROUNDING, abs_tol=1e-15)
+        return signals and timing and _near(self.controller, other.controller)
+
+    @check_arguments
+    def same_plant(self, other: LoopMatrices) -> bool:
+        """Return whether the plants are the same but for rounding.
+
+        Parameters
+        ----------
+        other
+            The same loop at another time.
+
+        Returns
+        -------
+        bool
+            Whether every number agrees to a millionth of its matrix's largest.
+
+        Raises
+        ------
+        ArgumentError
+            An argument of another kind than annotated.
+        """
+        if self.plant is None or other.plant is None:
+            return self.plant is other.plant
+        return _near(self.plant, other.plant)
+
+
+@value
+class Baseline:
+    """Figures of a job that were accepted.
+
+    Attributes
+    ----------
+    job
+        Title of the job.
+    tolerance
+        Of every figure without one of its own.
+    figures
+        Each subject and name once.
+    loops
+        The closed loops that they were measured on.
+    """
+
+    job: str
+    tolerance: Tolerance
+    figures: tuple[AcceptedFigure, ...]
+    loops: tuple[LoopMatrices, ...]
+
+
+@check_arguments
+def accepted(result: JobResult, before: Baseline | None = None) -> Baseline:
+    """Return the baseline that accepts `result` as it is.
+
+    Parameters
+    ----------
+    result
+        From `check.checked`.
+    before
+        What was accepted until now: its tolerances stay, and so does every number that has changed by rounding alone.
+
+    Returns
+    -------
+    Baseline
+        With the figures of `result`, in their order; those that `before` alone has are left out.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    known = {} if before is None else {figure.key: figure for figure in before.figures}
+    loops = {} if before is None else {loop.loop: loop for loop in before.loops}
+    now = [_kept(loop, loops.get(loop.loop)) for loop in loops_of(result)]
+    return Baseline(
+        job=result.job.name,
+        tolerance=Tolerance() if before is None else before.tolerance,
+        figures=tuple(_accepted(figure, known.get(figure.key)) for figure in figures_of(result)),
+        loops=tuple(now),
+    )
+
+
+def loops_of(result: JobResult) -> tuple[LoopMatrices, ...]:
+    """Return the closed loops of a job."""
+    out = []
+    for outcome in result.loops:
+        design = outcome.closed
+        K, plants = design.controller, design.plants
+        if plants is None:
+            plant, arrays = None, state_arrays(K, "controller")
+            inputs, outputs = tuple(K.input_labels), tuple(K.output_labels)
+        else:
+            plant = StateArrays(plants.A[0], plants.B[0], plants.C[0], plants.D[0], plants.period)
+            arrays, inputs, outputs = plants.joined(K), plants.angles, plants.torques
+        out.append(
+            LoopMatrices(
+                loop=design.loop,
+                design=design.name,
+                method=design.method,
+                delay=result.job.sampling.delay,
+                controller=arrays,
+                inputs=inputs,
+                outputs=outputs,
+                plant=plant,
+            )
+        )
+    return tuple(out)
+
+
+def _accepted(figure: Figure, before: AcceptedFigure | None) -> AcceptedFigure:
+    number = float(f"{figure.value:.9g}") if math.isfinite(figure.value) else math.inf
+    if before is not None and math.isclose(before.value, number, rel_tol=_ROUNDING, abs_tol=1e-15):
+        number = before.value
+    return AcceptedFigure(
+        subject=figure.subject,
+        name=figure.name,
+        value=number,
+        unit=figure.unit,
+        sense=figure.sense,
+        tolerance=_OWN_TOLERANCE.get(figure.name) if before is None else before.tolerance,
+    )
+
+
+def _kept(now: LoopMatrices, before: LoopMatrices | None) -> LoopMatrices:
+    if before is None or not before.agrees(now):
+        return now
+    return before if (before.design, before.method) == (now.design, now.method) else now
+
+
+def _near(one: StateArrays, other: StateArrays) -> bool:
+    pairs: list[tuple[Any, Any]] = [(getattr(one, name), getattr(other, name)) for name in "ABCD"]
+    return math.isclose(one.dt, other.dt, rel_tol=_ROUNDING) and all(
+        a.shape == b.shape and bool(np.all(np.abs(a - b) <= _ROUNDING * np.abs(b).max(initial=0.0))) for a, b in pairs
+    )

@@ -1,0 +1,300 @@
+"""All loops closed on the coupled sampled model: poles, margins, and what the coupling costs.
+
+The design models are decoupled: for the caging loops Omega is given; for the platform servo the platform turns under
+the torques M alone and the gyros, caged, only measure. In the coupled model the platform feels the gyros' reactions.
+A job without a loop on the root has no coupled model of its own: its platform stays carried, and a sensor of its rate
+reads what is given, to which no loop is closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
+from platform_ctrl.analysis.joining import joined
+from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
+from platform_ctrl.analysis.norms import noise_rms_arrays
+from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.sampled import sampled
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.text import at_most
+from platform_ctrl.common.values import FloatArray, value
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.requirements import STABLE, CheckResult, Method, Requirement
+from platform_ctrl.mechanics.linearisation import LinearModel
+from platform_ctrl.mechanics.state_space import state_space as linear_state_space
+from platform_ctrl.mechanics.state_space import subsystems
+from platform_ctrl.plant.platform import OMEGA_NAMES, gimbal_rate
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class CoupledCheck:
+    """What the coupled system does.
+
+    Attributes
+    ----------
+    plant, controller
+        The sampled model that all loops work in (see `coupled_plant`); all controllers as one, from pick-offs
+        and rate sensors to torquers.
+    poles : complex (n,)
+        Of the closed loop, in z (dimensionless).
+    free
+        Whether the platform is free: a controller acts on the root. Otherwise it is carried.
+    channels
+        Torquer names: one channel each.
+    decoupled, coupled : (channels,)
+        Loop-by-loop disk margins (one channel broken, all others closed) in the design models and in the coupled one,
+        dimensionless.
+    cost : (channels,)
+        Relative loss of margin against the decoupled design.
+    simultaneous
+        Disk margin in all channels at once.
+    torque_noise : (channels,)
+        Rms torque from pick-off noise, N m.
+    results
+        The job's limits held against these.
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/job-file.md.
+    """
+
+    plant: control.StateSpace
+    controller: control.StateSpace
+    poles: ComplexArray
+    free: bool
+    channels: tuple[str, ...]
+    decoupled: FloatArray
+    coupled: FloatArray
+    cost: FloatArray
+    simultaneous: DiskMargin
+    torque_noise: FloatArray
+    results: tuple[CheckResult, ...]
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return bool(np.abs(self.poles).max(initial=0.0) < 1.0)
+
+
+@check_arguments
+def coupled_check(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> CoupledCheck:
+    """Close `controllers` around the coupled sampled model and hold the job's limits against it.
+
+    Parameters
+    ----------
+    job
+        Limits, sampling and torquers.
+    model
+        From `linearise`, at rest.
+    controllers
+        u = K y in the order in which they are computed, with the job's sample period.
+
+    Returns
+    -------
+    CoupledCheck
+        Poles, margins and noise of the whole, and the verdicts.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
+
+    References
+    ----------
+    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
+
+    See docs/job-file.md.
+    """
+    plant = coupled_plant(job, model, controllers)
+    K = one_controller(job, controllers, plant)
+    loop = closed_loop(plant, K)
+    poles = pole_arrays(loop.A)
+    channels = tuple(K.output_labels)
+    coupled = loop_margins(plant, K, at="input").alpha
+    decoupled = _decoupled_margins(job, model, controllers, channels)
+    # A loop without a margin of its own has nothing to lose: that is no pass.
+    cost = np.where(decoupled > 0.0, 1.0 - coupled / np.maximum(decoupled, np.finfo(float).tiny), np.inf)
+    simultaneous = disk_margin(loop_transfer(plant, K, at="input"))
+    noise = _torque_noise(job, loop, len(channels))
+    decay = -float(spectral_abscissa(continuous_poles(poles, job.sampling.period)))
+    return CoupledCheck(
+        plant=plant,
+        controller=K,
+        poles=poles,
+        free=acts_on_root(job, controllers),
+        channels=channels,
+        decoupled=decoupled,
+        coupled=coupled,
+        cost=cost,
+        simultaneous=simultaneous,
+        torque_noise=noise,
+        results=coupled_results(job, decay, channels, cost, (simultaneous.guaranteed, simultaneous.upper), noise),
+    )
+
+
+def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.StateSpace]) -> control.StateSpace:
+    """Return the sampled model in which all `controllers` work, from torquers (in the file's order) to angles.
+
+    Outputs are besides the angles the rates that the controllers take in and a sensor of the plant measures.
+    With a controller that acts on the root the platform is free and reacts. Without one nothing would hold it: it
+    counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
+    """
+    if acts_on_root(job, controllers):
+        system = linear_state_space(model, root="free")
+        torquers, angles = list(job.platform.torquers), list(model.angle_names)
+    else:
+        used = {name for K in controllers for name in K.output_labels}
+        held = {t.gimbal for t in job.platform.torquers if t.name in used}
+        gimbals = [name for group in subsystems(model) if held & set(group) for name in group]
+        system = linear_state_space(model, gimbals=gimbals)
+        torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
+        angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
+    rates = [name for name in sensed_rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
+    outputs = [*angles, *rates]
+    part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
+    arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
+    named = state_space(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
+    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.StateSpace:
+    """Return a linear model of the platform with `signals` as its outputs.
+
+    Angles and, of a free root, Omega are the model's outputs. A gimbal's rate is the derivative of its angle, on which
+    no torque acts directly. Where Omega is given it does not deviate: such an output is zero.
+    """
+    rows = dict.fromkeys(OMEGA_NAMES, np.zeros(system.nstates))
+    rows |= {gimbal_rate(name): system.A[k] for k, name in enumerate(system.output_labels) if name not in OMEGA_NAMES}
+    rows |= dict(zip(system.output_labels, system.C, strict=True))
+    C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
+    arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
+    return state_space(arrays, system.input_labels, signals, list(system.state_labels))
+
+
+def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
+    """Return the rates that a sensor measures and one of the controllers takes in."""
+    used = {name for K in controllers for name in K.input_labels}
+    return [s.name for s in job.platform.rate_sensors if s.name in used]
+
+
+def _root_torquers(job: Job) -> set[str]:
+    return {t.name for t in job.platform.torquers if t.root_axis is not None}
+
+
+def acts_on_root(job: Job, controllers: Sequence[control.StateSpace]) -> bool:
+    """Return whether a controller sets a torque on the root: the platform is free then."""
+    return any(_root_torquers(job) & set(K.output_labels) for K in controllers)
+
+
+def one_controller(
+    job: Job, controllers: Sequence[control.StateSpace], plant: control.StateSpace
+) -> control.StateSpace:
+    """Return all controllers as one, from the sensors that `plant` shows to the torquers that are used."""
+    used = {name for K in controllers for name in K.output_labels}
+    torquers = [name for name in plant.input_labels if name in used]
+    seen = [s.name for s in job.platform.sensors if s.name in plant.output_labels]
+    return joined(controllers, seen, torquers, job.sampling.period)
+
+
+def _decoupled_margins(
+    job: Job, model: LinearModel, controllers: Sequence[control.StateSpace], channels: Sequence[str]
+) -> FloatArray:
+    gimbal_torquers = [t for t in job.platform.torquers if t.gimbal is not None and t.name in channels]
+    caging = [K for K in controllers if set(K.output_labels) <= {t.name for t in gimbal_torquers}]
+    margins: dict[str, float] = {}
+    if caging:
+        plant = coupled_plant(job, model, caging)
+        K = one_controller(job, caging, plant)
+        margins |= dict(zip(K.output_labels, loop_margins(plant, K, at="input").alpha, strict=True))
+    if len(margins) < len(channels):
+        plant = one_way_plant(job, model, sensed_rates(job, controllers))
+        K = one_controller(job, controllers, plant)
+        one_way = loop_margins(plant, K, at="input").alpha
+        margins = dict(zip(K.output_labels, one_way, strict=True)) | margins
+    return np.array([margins[name] for name in channels])
+
+
+def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
+    """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
+    system = linear_state_space(model)
+    n, torquers = system.nstates, job.platform.torquers
+    B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
+    mobility = np.linalg.inv(model.root_inertia)
+    A = np.block([[system.A, B_Omega], [np.zeros((3, n + 3))]])
+    B = np.zeros((n + 3, len(torquers)))
+    for column, torquer in enumerate(torquers):
+        if torquer.root_axis is None:
+            B[:n, column] = system.B[:, system.input_labels.index(torquer.name)]
+        else:
+            B[n:, column] = mobility[:, torquer.root_axis - 1]
+    C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
+    arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
+    states = [*system.state_labels, *OMEGA_NAMES]
+    named = state_space(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
+    named = measuring(named, [*model.angle_names, *rates])
+    return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
+
+
+def _torque_noise(job: Job, loop: control.StateSpace, channels: int) -> FloatArray:
+    """Rms torque command in every channel from all pick-offs and rate sensors."""
+    arrays = state_arrays(loop, "coupled loop")
+    noisy = [k for k, name in enumerate(loop.input_labels) if name.startswith("noise_")]
+    names = [loop.input_labels[k].removeprefix("noise_") for k in noisy]
+    sensors = {s.name: s for s in job.platform.sensors}
+    rms = [sensors[name].sampled_noise(job.sampling.period) for name in names]
+    return noise_rms_arrays(
+        arrays.A, arrays.B[:, noisy], arrays.C[:channels], arrays.D[:channels, noisy], np.array(rms, dtype=np.float64)
+    )
+
+
+def coupled_results(
+    job: Job,
+    decay: float,
+    channels: Sequence[str],
+    cost: FloatArray,
+    simultaneous: tuple[float, float],
+    noise: FloatArray,
+    proved: bool = True,
+) -> tuple[CheckResult, ...]:
+    """Return the job's coupled limits held against figures of the coupled loop; see `CoupledCheck`.
+
+    `simultaneous` are a guaranteed lower and an upper bound of the simultaneous disk margin; `proved` says whether
+    the lower one holds between all frequencies.
+    """
+    out: list[CheckResult] = []
+
+    def hold(asked: Requirement, measured: float, evidence: str, method: Method = "exact") -> None:
+        out.append(asked.judge(measured, subject="all loops closed", stage="coupled", evidence=evidence, method=method))
+
+    hold(STABLE, decay, "poles of the coupled sampled closed loop")
+    limits = job.coupled
+    if limits.disk_margin is not None:
+        asked = Requirement(name="simultaneous disk margin", limit=limits.disk_margin, unit="", sense="at least")
+        guaranteed = f"{len(channels)} torquers, guaranteed by diagonal scaling; at most {at_most(simultaneous[1], 4)}"
+        hold(asked, simultaneous[0], guaranteed, "bound" if proved else "sampled")
+    if limits.coupling_cost is not None:
+        asked = Requirement(name="disk margin lost by coupling", limit=limits.coupling_cost, unit="", sense="at most")
+        worst = int(np.argmax(cost))
+        hold(asked, float(cost[worst]), f"channel {channels[worst]}, loop by loop")
+    roots = [k for k, name in enumerate(channels) if name in _root_torquers(job)]
+    for spec in job.loops:
+        limit = spec.limits.torque_noise
+        if spec.kind == "stabilisation" and limit is not None and roots:
+            asked = Requirement(name="torque noise, rms", limit=limit, unit="N m", sense="at most")
+            worst = max(roots, key=lambda k: noise[k])
+            evidence = f"torquer {channels[worst]}"
+            found = float(noise[worst])
+            out.append(asked.judge(found, subject=spec.name, stage="coupled", evidence=evidence, method="exact"))
+    return tuple(out)

@@ -1,0 +1,134 @@
+"""The job's manoeuvres on the exact non-linear plant with sampled controllers, limits, stops and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
+from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
+from platform_ctrl.job.requirements import CheckResult, Requirement
+from platform_ctrl.simulation import Trajectory, acting, flight
+
+if TYPE_CHECKING:
+    import control
+
+
+@value
+class Run:
+    """A manoeuvre, how it went, and its limits held against it.
+
+    Attributes
+    ----------
+    manoeuvre
+        As the job asks for it.
+    trajectory
+        The run, sample by sample.
+    results
+        The limits of the manoeuvre held against its figures.
+    """
+
+    manoeuvre: Manoeuvre
+    trajectory: Trajectory
+    results: tuple[CheckResult, ...]
+
+
+@check_arguments
+def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace]) -> Run:
+    """Run one manoeuvre: caged with the caging loops alone and Omega prescribed, stabilised with all loops.
+
+    Parameters
+    ----------
+    job
+        Plant, sampling and seed.
+    manoeuvre
+        One of the job's.
+    controllers
+        u = K y in the order in which they are computed.
+
+    Returns
+    -------
+    Run
+        With its verdicts.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    """
+    scenario = manoeuvre_scenario(job, manoeuvre)
+    used = acting(controllers, job.platform, scenario.mode)
+    trajectory = flight(scenario, used, period=job.sampling.period)
+    return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
+
+
+@check_arguments
+def largest(job: Job, trajectory: Trajectory) -> dict[str, tuple[float, str]]:
+    """Return the run's figures by the names of the limits, each with the signal that it belongs to.
+
+    ``angle``: largest gimbal angle, rad; ``attitude``: largest component of the platform's rotation vector, rad;
+    ``torque_share``: largest commanded torque over the torquer's limit. Infinite when the run diverged.
+
+    Parameters
+    ----------
+    job
+        The job that the run is from.
+    trajectory
+        From `fly`.
+
+    Returns
+    -------
+    dict
+        Figure and signal by name; rad, rad and a share.
+
+    Raises
+    ------
+    ArgumentError
+        An argument of another kind than annotated.
+    """
+    if not trajectory.completed:
+        return {name: (float("inf"), trajectory.ended) for name in ("angle", "attitude", "torque_share")}
+    angles = np.abs(trajectory.q).max(axis=0)
+    attitude = np.abs(trajectory.attitude_angles).max(axis=0)
+    limits = np.array([np.inf if t.limit is None else t.limit for t in job.platform.torquers])
+    shares = np.abs(trajectory.command).max(axis=0) / limits
+    return {
+        "angle": (float(angles.max()), trajectory.angle_names[int(angles.argmax())])
+        if angles.size
+        else (0.0, "no gimbal"),
+        "attitude": (float(attitude.max()), f"axis {int(attitude.argmax()) + 1}"),
+        "torque_share": (float(shares.max()), trajectory.torquer_names[int(shares.argmax())]),
+    }
+
+
+RUN_FIGURES = {
+    "angle": ("largest gimbal angle", "rad"),
+    "attitude": ("largest platform angle", "rad"),
+    "torque_share": ("largest torque over its limit", ""),
+}
+
+
+def judged(job: Job, manoeuvre: Manoeuvre, trajectory: Trajectory) -> tuple[CheckResult, ...]:
+    """Hold the limits of a manoeuvre against what a run came to; one that diverges fails though nothing is asked."""
+    found = largest(job, trajectory)
+    out = []
+    if not trajectory.completed and not manoeuvre.limits:
+        flown = Requirement(name="share of the run that was flown", limit=1.0, unit="", sense="at least")
+        share = len(trajectory.t) * trajectory.period / manoeuvre.duration
+        out.append(
+            flown.judge(share, subject=manoeuvre.name, stage="simulated", evidence=trajectory.ended, method="simulated")
+        )
+    for key, limit in manoeuvre.limits.items():
+        name, unit = RUN_FIGURES[key]
+        figure, signal = found[key]
+        asked = Requirement(name=name, limit=limit, unit=unit, sense="at most")
+        evidence = (
+            f"{signal}; non-linear plant, {trajectory.ended}, seed {trajectory.seed}, substep {trajectory.step:g} s"
+        )
+        out.append(
+            asked.judge(figure, subject=manoeuvre.name, stage="simulated", evidence=evidence, method="simulated")
+        )
+    return tuple(out)

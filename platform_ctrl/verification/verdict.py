@@ -1,0 +1,241 @@
+"""The whole job: designs, coupled check, simulated runs, and one verdict over all requirements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
+from platform_ctrl.analysis.certificates import Certificate, Verification, stability_certificate
+from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.values import value
+from platform_ctrl.design.jobs import LoopOutcome
+from platform_ctrl.design.loop import LoopDesign
+from platform_ctrl.design.plants import subsystems_over
+from platform_ctrl.errors import NotCertifiedError
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.requirements import CheckResult, Requirement, Stage
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.verification.coupled import CoupledCheck, coupled_check
+from platform_ctrl.verification.simulated import Run, fly
+
+if TYPE_CHECKING:
+    import control
+
+PROVED = Requirement(name="claims proved", limit=1.0, unit="", sense="at least")
+
+
+@value
+class Proofs:
+    """What became of the certificates of one design, or of the coupled system.
+
+    Attributes
+    ----------
+    certificates, verifications
+        One to one.
+    unproved
+        A line for each claim that has no certificate.
+    """
+
+    certificates: tuple[Certificate, ...]
+    verifications: tuple[Verification, ...]
+    unproved: tuple[str, ...]
+
+    @property
+    def proved(self) -> int:
+        """Number of claims proved."""
+        return sum(one.proved for one in self.verifications)
+
+    @property
+    def of(self) -> int:
+        """Number of claims."""
+        return len(self.verifications) + len(self.unproved)
+
+    def judged(self, subject: str, design: str, stage: Stage) -> tuple[CheckResult, ...]:
+        """Return the share of the claims that is proved as a requirement; nothing where nothing is claimed."""
+        if self.of == 0:
+            return ()
+        failed = [f"{one.statement}: {one.reason}" for one in self.verifications if not one.proved] + [*self.unproved]
+        bits = max((one.precision for one in self.verifications), default=0)
+        many = "" if self.of == 1 else "s"
+        evidence = failed[0] if failed else f"{self.of} certificate{many} in interval arithmetic, {bits} bits"
+        return (
+            PROVED.judge(
+                self.proved / self.of,
+                subject=subject,
+                design=design,
+                stage=stage,
+                evidence=evidence,
+                method="proved",
+            ),
+        )
+
+
+def proofs_of(design: LoopDesign) -> Proofs:
+    """Return what becomes of the certificates that `design` carries; those of other loops prove nothing of it."""
+    own = [one for one in design.certificates if _is_of(one, design)]
+    others = [f"{one.statement}: of another loop" for one in design.certificates if not _is_of(one, design)]
+    return _verified(own, [*design.unproved, *others])
+
+
+def _is_of(certificate: Certificate, design: LoopDesign) -> bool:
+    """Return whether every loop of `certificate` is a plant of `design` with its controller, to the last bit."""
+    K = state_arrays(design.controller, "controller")[:4]
+    return design.plants is not None and all(
+        loop.controller is not None
+        and all(np.array_equal(*pair) for pair in zip(loop.controller, K, strict=True))
+        and loop.dt == design.plants.period
+        and any(np.array_equal(loop.A, A) for A in design.plants.A)
+        for loop in certificate.loops
+    )
+
+
+def coupled_proofs(check: CoupledCheck, controllers: Sequence[control.StateSpace]) -> Proofs:
+    """Return the proof that the coupled system is stable with all `controllers`; empty where it is not stable."""
+    if not check.stable:
+        return _verified((), ())
+    plant, K = _side_by_side(check.plant, controllers)
+    try:
+        found = stability_certificate(
+            plant.A, plant.dt, B=plant.B, C=plant.C, D=plant.D, controller=K, label="all loops closed"
+        )
+    except NotCertifiedError as error:
+        return _verified((), (str(error),))
+    return _verified((found,), ())
+
+
+def _verified(certificates: Sequence[Certificate], unproved: Sequence[str]) -> Proofs:
+    return Proofs(
+        certificates=tuple(certificates),
+        verifications=tuple(one.verify() for one in certificates),
+        unproved=tuple(unproved),
+    )
+
+
+def _side_by_side(
+    plant: control.StateSpace, controllers: Sequence[control.StateSpace]
+) -> tuple[StateArrays, StateArrays]:
+    """Return plant and controllers such that closing them rounds nothing.
+
+    Controllers stand side by side. What one takes from an earlier one is fed through the plant, whose measurement
+    then contains that control itself.
+    """
+    from scipy.linalg import block_diag
+
+    P = state_arrays(plant, "coupled plant")
+    parts = [state_arrays(K, "controller") for K in controllers]
+    made = [name for K in controllers for name in K.output_labels]
+    taken = [name for K in controllers for name in K.input_labels]
+    inputs, outputs = list(plant.input_labels), list(plant.output_labels)
+    B = np.zeros((len(P.A), len(made)))
+    C = np.zeros((len(taken), len(P.A)))
+    D = np.zeros((len(taken), len(made)))
+    acting = [j for j, name in enumerate(made) if name in inputs]
+    columns = [inputs.index(made[j]) for j in acting]
+    B[:, acting] = P.B[:, columns]
+    for i, name in enumerate(taken):
+        if name in outputs:
+            row = outputs.index(name)
+            C[i], D[i, acting] = P.C[row], P.D[row, columns]
+        else:
+            D[i, made.index(name)] = 1.0
+    A_K, B_K, C_K, D_K = (np.asarray(block_diag(*(part[i] for part in parts)), dtype=np.float64) for i in range(4))
+    return StateArrays(P.A, B, C, D, P.dt), StateArrays(A_K, B_K, C_K, D_K, P.dt)
+
+
+Progress = Callable[[str], None]
+
+
+@value
+class JobResult:
+    """Everything that a job came to.
+
+    Attributes
+    ----------
+    job
+        The job.
+    model
+        Linear model at rest.
+    subsystems
+        Groups of gimbals that are coupled at rest or at one of the job's platform rates.
+    loops
+        For every loop all designs, and which of them is closed.
+    coupled, runs
+        The checks of the whole.
+    proofs
+        Of every design by (loop, design), and of the coupled system by ("", ""): its certificates, verified.
+    requirements
+        All results that the verdict rests on: the closed designs', the coupled system's, the runs'.
+    """
+
+    job: Job
+    model: LinearModel
+    subsystems: tuple[tuple[str, ...], ...]
+    loops: tuple[LoopOutcome, ...]
+    coupled: CoupledCheck
+    runs: tuple[Run, ...]
+    proofs: dict[tuple[str, str], Proofs]
+    requirements: tuple[CheckResult, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every requirement is met; goals do not count."""
+        return all(result.passed or not result.hard for result in self.requirements)
+
+
+@check_arguments
+def checked(job: Job, loops: Sequence[LoopOutcome], progress: Progress | None = None) -> JobResult:
+    """Close the chosen designs of `loops`, check the whole, and return the verdict.
+
+    Parameters
+    ----------
+    job
+        The job.
+    loops
+        From `platform_ctrl.design.loops`, or from controllers that exist already.
+    progress
+        Called with a line before each step.
+
+    Returns
+    -------
+    JobResult
+        With every requirement held against its measured value.
+
+    Raises
+    ------
+    ArgumentError
+        The controllers do not fit the plant.
+    MechanicsError
+        The mass matrix is singular at rest (gimbal lock).
+    """
+    say = progress or (lambda line: None)
+    model = linearise(job.platform)
+    controllers = [outcome.closed.controller for outcome in loops]
+    say("coupled check: all loops on the coupled sampled model")
+    coupled = coupled_check(job, model, controllers)
+    say("certificates: every claim proved in interval arithmetic")
+    proofs = {(d.loop, d.name): proofs_of(d) for outcome in loops for d in outcome.designs}
+    together = coupled_proofs(coupled, controllers)
+    runs = []
+    for manoeuvre in job.manoeuvres:
+        say(f"simulated run: {manoeuvre.name}")
+        runs.append(fly(job, manoeuvre, controllers))
+    requirements: list[CheckResult] = []
+    for outcome in loops:
+        design = outcome.closed
+        shown = proofs[design.loop, design.name].judged(design.loop, design.name, "decoupled")
+        requirements += [*design.results, *shown]
+    requirements += [*coupled.results, *together.judged("all loops closed", "", "coupled")]
+    requirements += [result for run in runs for result in run.results]
+    return JobResult(
+        job=job,
+        model=model,
+        subsystems=subsystems_over(job.platform, job.Omega, job.Omega_grid),
+        loops=tuple(loops),
+        coupled=coupled,
+        runs=tuple(runs),
+        proofs=proofs | {("", ""): together},
+        requirements=tuple(requirements),
+    )

@@ -1,0 +1,177 @@
+"""Disk margins: published examples, slycot's bound at every frequency, perturbations that put a pole on the axis."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform
+from platform_ctrl.mechanics import state_space
+from random_loops import stable_loop
+
+
+def spinning_satellite() -> tuple[control.StateSpace, control.StateSpace]:
+    """Return plant and controller of the spinning satellite (Zhou, Doyle and Glover 1996, sec. 9.6)."""
+    plant = control.ss([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], 0)
+    return plant, control.ss([], [], [], [[1.0, -2.0], [0.0, 1.0]])
+
+
+def test_the_spinning_satellite_has_its_published_margins() -> None:
+    plant, controller = spinning_satellite()
+    L_output, L_input = plant * controller, controller * plant
+    w = np.logspace(-1, 3, 1001)
+    pytest.importorskip("slycot")
+    for L in (L_output, L_input):
+        for skew in (0.0, 1.0, -1.0):
+            theirs, *_ = control.disk_margins(L, w, skew, returnall=True)
+            ours = analysis.disk_margin(L, skew, frequency=w)
+            np.testing.assert_allclose(ours.lower_response, theirs, rtol=1e-5)
+            np.testing.assert_allclose(ours.upper_response, theirs, rtol=1e-5)
+            assert ours.alpha <= theirs.min() * (1.0 + 1e-6)
+    # The figure in python-control's example of the simultaneous margin, at either place.
+    assert analysis.disk_margin(L_output).alpha == pytest.approx(0.3754, abs=1e-3)
+    assert analysis.disk_margin(L_input).alpha == pytest.approx(0.3754, abs=1e-3)
+
+
+def test_the_siso_example_of_the_disk_margin_paper() -> None:
+    # L = 25/(s^3 + 10 s^2 + 10 s + 10): alpha = 0.46, gain factors [0.63, 1.59], phase 25.8 degrees.
+    found = analysis.disk_margin(control.ss(control.tf([25.0], [1.0, 10.0, 10.0, 10.0])))
+    low, high, phase = found.gain_phase
+    assert found.alpha == pytest.approx(0.46, abs=5e-3)
+    assert (low, high) == pytest.approx((0.63, 1.59), abs=6e-3)
+    assert math.degrees(phase) == pytest.approx(25.8, abs=0.15)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize(("m", "seed"), [(2, 20), (3, 21), (3, 3), (3, 7), (5, 22)])
+def test_the_bound_equals_slycots_at_every_frequency(m: int, seed: int, dt: float) -> None:
+    slycot = pytest.importorskip("slycot")
+    L = stable_loop(seed, m, 9, dt)
+    w = np.geomspace(1e-2, math.pi / dt if dt else 1e2, 60)
+    found = analysis.disk_margin(L, frequency=w)
+    S = np.linalg.inv(np.eye(m) + np.moveaxis(analysis.frequency_response(L, w), -1, 0)) - 0.5 * np.eye(m)
+    mu = [slycot.ab13md(one, np.ones(m, int), 2 * np.ones(m, int))[0] for one in S]
+    np.testing.assert_allclose(found.lower_response, 1.0 / np.array(mu), rtol=3e-5)
+    if m <= 3:
+        np.testing.assert_allclose(found.upper_response, found.lower_response, rtol=1e-4)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
+@pytest.mark.parametrize(("m", "seed"), [(1, 50), (2, 50), (3, 50), (3, 51), (4, 50)])
+def test_the_perturbation_puts_a_pole_on_the_stability_boundary(m: int, seed: int, skew: float, dt: float) -> None:
+    L = stable_loop(seed, m, 6, dt)
+    found = analysis.disk_margin(L, skew)
+    factors = found.destabilising()
+    assert analysis.is_stable(factors) or factors.nstates == 0
+    reached = analysis.frequency_response(factors, [found.frequency])[:, :, 0]
+    np.testing.assert_allclose(np.diag(reached), found.perturbation, rtol=1e-9)
+    closed = control.feedback(factors * L, control.ss([], [], [], np.eye(m), dt))
+    s = analysis.continuous_poles(np.linalg.eigvals(closed.A), float(closed.dt))
+    assert np.abs(s - 1j * found.frequency).min() < 1e-9
+    # Its size is that of the upper bound, and it is real where the frequency is an end of the axis.
+    delta = (found.perturbation - 1.0) / (0.5 * (1.0 - skew) + 0.5 * (1.0 + skew) * found.perturbation)
+    assert np.abs(delta).max() == pytest.approx(found.upper, rel=1e-9)
+    assert found.is_real == (found.frequency == 0.0)
+    # A little less of it leaves the loop stable.
+    weaker = delta * 0.999
+    f = (1.0 + 0.5 * (1.0 - skew) * weaker) / (1.0 - 0.5 * (1.0 + skew) * weaker)
+    if found.is_real:
+        A = L.A - (L.B * f.real) @ L.C
+        assert analysis.spectral_abscissa(analysis.continuous_poles(np.linalg.eigvals(A), float(L.dt))) < 0.0
+
+
+def test_complex_factors_at_the_end_of_the_axis_are_told() -> None:
+    # S - I/2 = M/2 at zero frequency, with a cyclic M: its mu is reached by phases of 120 degrees as well as by signs.
+    found = analysis.disk_margin(stable_loop(53, 4, 6))
+    if found.is_real:
+        assert np.all(np.isreal(analysis.frequency_response(found.destabilising(), [0.0])))
+    else:
+        with pytest.raises(PlatformCtrlError, match="complex"):
+            found.destabilising()
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.5, -0.8])
+@pytest.mark.parametrize(
+    ("m", "seed", "dt", "on_boundary"),
+    [(3, 11, 0.0, 0.0), (4, 2, 0.0, 0.0), (5, 25, 0.0, 0.0), (4, 2, 0.1, 1.0), (4, 22, 0.1, -1.0), (5, 59, 0.1, -1.0)],
+)
+def test_gains_alone_put_a_pole_on_the_boundary_where_the_axis_ends(
+    m: int, seed: int, dt: float, on_boundary: float, skew: float
+) -> None:
+    # The phases that reach the margin are known to about 1e-6 only; those of a system at s = 0 or z = -1 are 0 and 180
+    # degrees.
+    L = stable_loop(seed, m, 4, dt)
+    found = analysis.disk_margin(L, skew)
+    assert found.frequency == (math.pi / dt if on_boundary < 0.0 else 0.0)
+    assert found.is_real
+    np.testing.assert_array_equal(found.perturbation.imag, 0.0)
+    gains = found.destabilising()
+    assert gains.nstates == 0
+    closed = control.feedback(gains * L, control.ss([], [], [], np.eye(m), dt))
+    assert np.abs(np.linalg.eigvals(closed.A) - on_boundary).min() < 1e-9
+    assert found.upper == pytest.approx(found.lower, rel=1e-6)
+
+
+def test_an_unstable_loop_says_why_it_has_no_margin() -> None:
+    found = analysis.disk_margin(control.ss([[1.0]], [[1.0]], [[0.5]], 0))
+    assert (found.alpha, found.upper) == (0.0, 0.0)
+    assert "pole at s = 0.5" in found.reason
+    assert analysis.disk_margin(control.ss([[-1.0]], [[1.0]], [[0.5]], 0)).reason == ""
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_data_have_the_margins_of_the_loop_at_their_frequencies(dt: float) -> None:
+    L = stable_loop(8, 3, 7, dt)
+    w = np.geomspace(0.05, 20.0, 80)
+    data = control.FrequencyResponseData(analysis.frequency_response(L, w), w, dt=dt)
+    from_data, from_model = analysis.disk_margin(data), analysis.disk_margin(L, frequency=w)
+    np.testing.assert_allclose(from_data.lower_response, from_model.lower_response, rtol=3e-6)
+    assert from_data.alpha == pytest.approx(from_model.lower_response.min(), rel=3e-6)
+    assert from_data.alpha >= from_model.alpha * (1.0 - 3e-6)
+    assert not from_data.proved
+    assert from_model.proved
+    with pytest.raises(PlatformCtrlError, match="frequencies of their own"):
+        analysis.disk_margin(data, frequency=w)
+    with pytest.raises(PlatformCtrlError, match="square"):
+        analysis.disk_margin(control.FrequencyResponseData(np.ones((2, 3, 4)), np.arange(1.0, 5.0)))
+
+
+def test_a_margin_narrower_than_any_grid_is_found_whatever_frequencies_are_asked_for() -> None:
+    zeta, w1 = 1e-7, 10.0
+    A = np.array([[0.0, w1, 0.0], [-w1, -2.0 * zeta * w1, 0.0], [0.0, 0.0, -1.0]])
+    B, C = np.array([[0.0, 0.0], [1.0, 0.1], [0.0, 1.0]]), np.array([[0.0, -1e-6, 0.0], [0.0, 1e-7, 1.0]])
+    L = control.ss(A, B, C, 0)
+    full, asked = analysis.disk_margin(L), analysis.disk_margin(L, frequency=np.geomspace(1e-2, 1e3, 400))
+    assert asked.frequencies.shape == (400,)
+    assert asked.alpha == pytest.approx(full.alpha, rel=1e-4)
+    assert full.alpha < 0.7
+    assert asked.alpha < 0.5 * asked.lower_response.min()
+    near = w1 * (1.0 + np.linspace(-20.0, 20.0, 2001) * 1e-6)
+    assert full.alpha <= analysis.disk_margin(L, frequency=near).lower_response.min() * (1.0 + 1e-4)
+    assert full.proved
+    assert asked.proved
+
+
+def test_a_loop_that_no_gain_destabilises_says_so() -> None:
+    # L = 0 needs an infinite gain, at infinite frequency where it is smallest; L = I has S - T = 0.
+    small = analysis.disk_margin(control.ss(np.diag([-1.0, -1e9]), np.eye(2), np.eye(2), 0))
+    assert small.alpha == pytest.approx(2.0)
+    unit = analysis.disk_margin(control.ss([], [], [], np.eye(2)))
+    assert unit.alpha == unit.upper == math.inf
+    for found in (small, unit):
+        with pytest.raises(PlatformCtrlError, match="infinite"):
+            found.destabilising()
+
+
+def test_a_closed_loop_that_is_stable_by_rounding_alone_has_no_margin() -> None:
+    """A gyro in gimbals with a controller that feeds the sum of both angles: the difference is held by nothing."""
+    model = linearise(read_platform("gimballed_gyro"))
+    plant = state_space(model)[["alpha", "beta"], ["Qouter", "Qinner"]]
+    margin = analysis.disk_margin(analysis.loop_transfer(plant, control.ss([], [], [], -np.ones((2, 2)))))
+    assert margin.alpha == margin.upper == 0.0
+    assert "not stable" in margin.reason
+    assert margin.lower_response.shape == margin.frequencies.shape

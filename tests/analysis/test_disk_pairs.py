@@ -1,0 +1,128 @@
+"""Every pair of gain and phase that is printed of a disk margin, held against loops that are closed with it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import platform_ctrl as pc
+from platform_ctrl import analysis
+from platform_ctrl.common.values import FloatArray
+from platform_ctrl.report.quantities import disk_words
+from random_loops import stable_loop
+
+ROOT = Path(__file__).parents[2]
+JOB_TEMPLATE = ROOT / "platform_ctrl" / "cli" / "templates" / "job.toml.j2"
+PAIR = r"(?:×|x) ([\d.]+) with (?:phase )?(?:±|\+-)([\d.]+)"
+ALONE = r"(?:×|x) ([\d.]+) to ([\d.]+) alone, (?:phase )?(?:±|\+-)([\d.]+)"
+
+
+@pytest.fixture(scope="module")
+def channels():
+    """The two channels of docs/first-loop.md, each with the other closed: loop transfer and disk margin."""
+    model = pc.linearise(pc.read_platform("three_gyro_platform"))
+    loop = pc.design.from_crossover_and_margin(
+        model,
+        ("9", "10"),
+        crossover_hz=40,
+        disk_margin=0.5,
+        period=0.0005,
+        delay=0.0005,
+        integral_hz=2,
+        lead_hz=7,
+    )
+    L = analysis.loop_transfer(loop.plant, loop.controller)
+    margins = analysis.loop_margins(loop.plant, loop.controller)
+    out = {}
+    for i, other in ((0, 1), (1, 0)):
+        assert not np.any(L.D)
+        A = L.A - L.B[:, [other]] @ L.C[[other]]
+        out[margins.channels[i]] = ((A, L.B[:, [i]], L.C[[i]], L.D[[i]][:, [i]]), float(margins.alpha[i]))
+    return out
+
+
+def radius(loop, factor: complex) -> float:
+    """Largest |z| of the loop closed with its gain times a complex factor."""
+    A, B, C, D = loop
+    return float(np.abs(np.linalg.eigvals(A - factor / (1.0 + factor * D[0, 0]) * (B @ C))).max())
+
+
+def turned(gain: float, degrees: float) -> list[complex]:
+    return [gain * np.exp(1j * sign * np.radians(degrees)) for sign in (-1.0, 1.0)]
+
+
+def edge(alpha: float, skew: float, gains: FloatArray) -> np.ndarray:
+    """Factors on the edge of the disk."""
+    phase = analysis.disk_phase(gains, alpha, skew)
+    return np.concatenate([gains * np.exp(1j * phase), gains * np.exp(-1j * phase)])
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.5, -0.7])
+@pytest.mark.parametrize("seed", range(4))
+def test_every_pair_inside_is_stable_and_the_worst_on_the_edge_is_not(seed: int, skew: float) -> None:
+    loop = stable_loop(seed, 1, 4, 0.01)
+    matrices = (loop.A, loop.B, loop.C, loop.D)
+    found = analysis.disk_margin(loop, skew)
+    assert found.alpha > 0.0
+    worst = complex(found.perturbation[0])
+    assert analysis.disk_phase(abs(worst), found.alpha, skew) == pytest.approx(abs(np.angle(worst)), abs=1e-6)
+    assert radius(matrices, worst) == pytest.approx(1.0, abs=1e-6)
+    low, high, _ = analysis.disk_to_gain_phase(0.999 * found.alpha, skew)
+    inside = edge(0.999 * found.alpha, skew, np.geomspace(max(low, 1e-6), min(high, 1e6), 101))
+    assert max(radius(matrices, f) for f in inside) < 1.0
+
+
+def test_the_gain_and_the_phase_that_a_disk_allows_alone_are_too_much_together(channels) -> None:
+    for loop, alpha in channels.values():
+        low, high, phase = analysis.disk_to_gain_phase(alpha)
+
+        def least(log_gain: float, sign: float, loop=loop, alpha=alpha) -> float:
+            gain = np.exp(log_gain)
+            return -radius(loop, gain * np.exp(1j * sign * float(analysis.disk_phase(gain, alpha))))
+
+        ends = (np.log(low) + 1e-9, np.log(high) - 1e-9)
+        reached = [-minimize_scalar(least, bounds=ends, args=(sign,), method="bounded").fun for sign in (-1.0, 1.0)]
+        assert max(reached) == pytest.approx(1.0, abs=1e-6)
+        together = [radius(loop, end * np.exp(1j * sign * phase)) for end in (low, high) for sign in (-1.0, 1.0)]
+        assert max(together) > 1.005
+    [loop, alpha] = channels["Q9"]
+    _, high, phase = analysis.disk_to_gain_phase(alpha)
+    assert radius(loop, high * np.exp(-1j * phase)) == pytest.approx(1.041, abs=5e-4)
+
+
+def test_every_pair_on_the_page_of_the_first_loop_is_stable(channels) -> None:
+    page = (ROOT / "docs" / "first-loop.md").read_text(encoding="utf-8")
+    printed = re.findall(rf"^(Q\d+): gain {ALONE}° alone,\n    or both inside the disk: gain {PAIR}°", page, re.M)
+    assert [name for name, *_ in printed] == ["Q9", "Q10"]
+    for name, *numbers in printed:
+        low, high, phase, gain, left = map(float, numbers)
+        for factor in (low, high, *turned(1.0, phase), *turned(gain, left)):
+            assert radius(channels[name][0], factor) < 1.0
+
+
+def inside(text: str, alpha: float) -> int:
+    """Assert that all that a text allows lies inside the disk, close to its edge; return how many pairs there were."""
+    text = " ".join(text.replace("\n", " ").replace("#", " ").split())
+    pairs = [(float(a), float(b)) for a, b in re.findall(PAIR, text)]
+    for low, high, phase in re.findall(ALONE, text):
+        pairs += [(float(low), 0.0), (float(high), 0.0), (1.0, float(phase))]
+    for gain, degrees in pairs:
+        for factor in turned(gain, degrees):
+            size = abs((factor - 1.0) / (factor + 1.0)) / (alpha / 2.0)
+            assert 0.95 < size <= 1.0 + 1e-12, (gain, degrees)
+    return len(pairs)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.4, 0.5, 0.81, 1.0 / 3.0, 1.5, 1.9])
+def test_what_a_report_says_of_a_disk_margin_lies_inside_its_disk(alpha: float) -> None:
+    assert inside(disk_words(alpha), alpha) == 4
+
+
+def test_what_the_template_and_the_page_on_job_files_say_lies_inside_the_disk() -> None:
+    template = JOB_TEMPLATE.read_text(encoding="utf-8")
+    assert inside(template, 0.4) == 4
+    assert inside((ROOT / "docs" / "job-file.md").read_text(encoding="utf-8"), 0.5) == 4

@@ -1,0 +1,270 @@
+"""Frequency responses against exact arithmetic on the very numbers of the system matrices."""
+
+from __future__ import annotations
+
+import control
+import flint
+import numpy as np
+import pytest
+
+from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.chains import chains
+from platform_ctrl.analysis.refinement import band
+from platform_ctrl.analysis.resolvent import respond
+from platform_ctrl.common.values import FloatArray
+
+
+def exact(system: control.StateSpace, frequency: FloatArray) -> ComplexArray:
+    """Return the response of the matrices as they are stored, right to the last digit, (p, m, N)."""
+    n = system.nstates
+    with flint.ctx.workprec(600):
+        A, B, C, D = (
+            flint.acb_mat([[flint.acb(float(x)) for x in row] for row in item])
+            for item in (system.A, system.B, system.C, system.D)
+        )
+        eye = flint.acb_mat([[flint.acb(int(i == j)) for j in range(n)] for i in range(n)])
+        out = np.empty((system.noutputs, system.ninputs, len(frequency)), dtype=np.complex128)
+        for k, w in enumerate(frequency):
+            point = flint.acb(0, float(w))
+            z = (point * float(system.dt)).exp() if system.dt else point
+            H = C * (eye * z - A).solve(B) + D
+            out[:, :, k] = [[complex(H[i, j]) for j in range(H.ncols())] for i in range(H.nrows())]
+    return out
+
+
+def deviation(system: control.StateSpace, frequency: FloatArray) -> float:
+    """Return the largest relative error of an entry that is more than a thousandth of the largest at its frequency."""
+    truth = exact(system, frequency)
+    size = np.maximum(np.abs(truth), 1e-3 * np.abs(truth).max(axis=(0, 1)))
+    return float((np.abs(analysis.frequency_response(system, frequency) - truth) / size).max())
+
+
+def system_of(A: FloatArray, m: int, p: int, rng: np.random.Generator, dt: float = 0.0) -> control.StateSpace:
+    return control.ss(A, rng.normal(size=(len(A), m)), rng.normal(size=(p, len(A))), rng.normal(size=(p, m)), dt)
+
+
+def turned(A: FloatArray, rng: np.random.Generator, spread: float = 0.0) -> FloatArray:
+    """Return A in other states; with `spread` in badly scaled ones."""
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0] * 10.0 ** rng.uniform(-spread, spread, len(A))[:, None]
+    out: FloatArray = Q @ A @ np.linalg.inv(Q)
+    return out
+
+
+def modes(frequency: FloatArray, damping: FloatArray) -> FloatArray:
+    A = np.zeros((2 * len(frequency), 2 * len(frequency)))
+    for k, (w, zeta) in enumerate(zip(frequency, damping, strict=True)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[0.0, w], [-w, -2.0 * zeta * w]]
+    return A
+
+
+@pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (2, 3, 1), (5, 1, 4), (12, 2, 2), (33, 3, 2)])
+@pytest.mark.parametrize("dt", [0.0, 0.01])
+def test_random_systems(n: int, m: int, p: int, dt: float) -> None:
+    rng = np.random.default_rng(n + m + p)
+    A = rng.normal(size=(n, n))
+    A = 0.99 * A / np.abs(np.linalg.eigvals(A)).max() if dt else A
+    w = np.geomspace(1e-3, 300.0, 45)
+    assert deviation(system_of(A, m, p, rng, dt), w) < 1e-9
+
+
+@pytest.mark.parametrize("zeta", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize("dt", [0.0, 2e-3])
+def test_points_next_to_lightly_damped_poles(zeta: float, dt: float) -> None:
+    rng = np.random.default_rng(3)
+    own = np.array([0.7, 20.0, 21.0, 400.0])
+    system = system_of(turned(modes(own, np.array([zeta, zeta, 0.3, zeta])), rng), 2, 2, rng)
+    if dt:
+        system = analysis.sampled(system, dt)
+    poles = analysis.poles(system)
+    near = np.unique(np.abs(np.log(poles.astype(complex)).imag / dt if dt else poles.imag))
+    w = np.concatenate([x * (1.0 + zeta * np.linspace(-3.0, 3.0, 7)) for x in near])
+    assert deviation(system, w) < 1e-9
+
+
+@pytest.mark.parametrize("size", [4, 9])
+def test_jordan_blocks(size: int) -> None:
+    rng = np.random.default_rng(size)
+    A = np.zeros((2 * size, 2 * size))
+    A[:size, :size] = -0.5 * np.eye(size) + np.eye(size, k=1)
+    A[size:, size:] = np.kron(np.eye(size), 0.0) - 3.0 * np.eye(size) + np.eye(size, k=1)
+    assert deviation(system_of(turned(A, rng), 2, 3, rng), np.geomspace(1e-3, 1e3, 60)) < 1e-9
+
+
+def test_a_chain_of_integrators_rolls_off_with_all_its_digits() -> None:
+    n = 6
+    A, B, C = np.eye(n, k=1), np.eye(n)[:, [-1]], np.eye(n)[[0]]
+    rng = np.random.default_rng(0)
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    w = np.geomspace(1e-4, 1e5, 50)
+    np.testing.assert_allclose(
+        analysis.frequency_response(control.ss(A, B, C, 0), w)[0, 0], (1j * w) ** -6.0, rtol=1e-13
+    )
+    # Rounding of the turned matrices is part of them.
+    assert deviation(control.ss(Q @ A @ Q.T, Q @ B, C @ Q.T, 0), w[20:35]) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poles_from_1e_minus_3_to_1e9_in_badly_scaled_states(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    own = np.array([1e-3, 0.3, 1e2, 4e4, 1e7, 1e9])
+    A = modes(own, 10.0 ** rng.uniform(-3.0, 0.0, 6))
+    A += np.triu(rng.normal(size=A.shape), 2) * np.abs(A).max(axis=1)[:, None]
+    s = 10.0 ** rng.uniform(-6.0, 6.0, len(A))
+    system = system_of(A * s / s[:, None], 2, 2, rng)
+    assert deviation(system, np.concatenate([np.geomspace(1e-5, 1e11, 40), own, 1.001 * own])) < 1e-9
+
+
+def test_poles_from_1e_minus_3_to_1e9_in_states_that_mix_them() -> None:
+    rng = np.random.default_rng(5)
+    A = turned(modes(np.array([1e-3, 1.0, 1e3, 1e6, 1e9]), np.full(5, 0.1)), rng)
+    assert deviation(system_of(A, 1, 1, rng), np.geomspace(1e-3, 1e11, 60)) < 1e-9
+
+
+def test_a_state_that_no_input_reaches_does_not_matter() -> None:
+    A = np.diag([-1.0, -2.0, -3.0])
+    system = control.ss(A, [[1.0], [0.0], [1.0]], [[1.0, 1.0, 1.0]], 0, remove_useless_states=False)
+    w = np.array([0.0, 1.0, 50.0])
+    expected = 1.0 / (1j * w + 1.0) + 1.0 / (1j * w + 3.0)
+    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], expected, rtol=1e-14)
+
+
+def test_channels_that_are_not_connected_stay_apart() -> None:
+    one = control.ss([[0.0, 1.0], [-4.0, -0.01]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    H = analysis.frequency_response(control.append(one, one), [1.0, 2.0, 1e3])
+    truth = analysis.frequency_response(one, [1.0, 2.0, 1e3])[0, 0]
+    np.testing.assert_allclose(H[[0, 1], [0, 1]], np.stack([truth, truth]), rtol=1e-12)
+    assert np.abs(H[0, 1]).max() <= 1e-12 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_on_a_pole_the_response_is_infinite(dt: float) -> None:
+    A = [[1.0, 0.0], [0.0, 0.5]] if dt else [[0.0, 0.0], [0.0, -0.5]]
+    system = control.ss(A, [[1.0], [1.0]], [[1.0, 1.0]], 0, dt)
+    H = analysis.frequency_response(system, [0.0, 1.0])[0, 0]
+    assert np.isinf(H[0])
+    assert np.isfinite(H[1])
+    oscillator = control.ss([[0.0, 2.0], [-2.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    assert np.isinf(analysis.frequency_response(oscillator, [2.0])[0, 0, 0])
+
+
+def test_a_list_of_models_gives_their_responses_one_behind_the_other() -> None:
+    rng = np.random.default_rng(8)
+    models = [system_of(rng.normal(size=(n, n)), 2, 3, rng) for n in (2, 5, 9)]
+    w = np.geomspace(0.1, 10.0, 7)
+    out = analysis.frequency_response(models, w)
+    assert out.shape == (3, 3, 2, 7)
+    for one, expected in zip(out, models, strict=True):
+        np.testing.assert_array_equal(one, analysis.frequency_response(expected, w))
+    with pytest.raises(PlatformCtrlError, match="the same for all"):
+        analysis.frequency_response([models[0], models[0]["y[0]", "u[0]"]], w)
+    with pytest.raises(PlatformCtrlError, match="at least one"):
+        analysis.frequency_response([], w)
+
+
+def test_many_points_and_few_give_the_same_numbers() -> None:
+    # The recurrence runs in pieces of the frequency vector.
+    rng = np.random.default_rng(9)
+    system = system_of(rng.normal(size=(20, 20)), 2, 2, rng)
+    w = np.geomspace(1e-2, 1e2, 301)
+    whole = analysis.frequency_response(system, w)
+    single = np.concatenate([analysis.frequency_response(system, [one]) for one in w], axis=-1)
+    np.testing.assert_allclose(whole, single, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [40, 60])
+def test_long_chains_do_not_leave_the_range_of_numbers(n: int) -> None:
+    # Far above the poles each of n steps of the recurrence multiplies by many powers of ten.
+    rng = np.random.default_rng(n)
+    system = system_of(turned(modes(np.geomspace(0.1, 1e3, n // 2), np.full(n // 2, 0.5)), rng), 1, 1, rng)
+    w = np.array([1e-6, 1.0, 1e8, 1e12])
+    assert deviation(system, w) < 1e-9
+    # And elimination has not been needed for that.
+    H = np.empty((1, 1, len(w)), dtype=np.complex128)
+    assert not respond(chains(system.A, system.B, system.C), system.D, 1j * w, H, False, 2.5e-10).size
+
+
+# Many states: a narrow band of states in another order, and matrices without structure.
+
+
+def sum_of_modes(frequency: FloatArray, damping: FloatArray, b: FloatArray, c: FloatArray, w: float) -> complex:
+    """Return the sum of c_k b_k w_k / (w_k^2 - w^2 + 2 j zeta_k w_k w) with all digits."""
+    with flint.ctx.workprec(200):
+        total = flint.acb(0)
+        for own, zeta, inwards, out in zip(frequency, damping, b, c, strict=True):
+            own, s = flint.arb(float(own)), flint.acb(0, float(w))
+            total += float(inwards) * float(out) * own / (s * s + 2 * s * float(zeta) * own + own * own)
+        return complex(total)
+
+
+@pytest.mark.parametrize("count", [30, 200])
+def test_modes_whose_states_stand_in_any_order_add_up(count: int) -> None:
+    rng = np.random.default_rng(count)
+    # Powers of two times whole numbers: products in A are exact.
+    frequency, damping = rng.integers(1, 2**20, count) * 2.0**-10, 2.0 ** -rng.integers(1, 24, count)
+    b, c = rng.normal(size=count), rng.normal(size=count)
+    A, B, C = modes(frequency, damping), np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
+    B[1::2, 0], C[0, ::2] = b, c
+    order = rng.permutation(2 * count)
+    assert band(A[np.ix_(order, order)])[1:] == (1, 1)
+    system = control.ss(A[np.ix_(order, order)], B[order], C[:, order], 0, remove_useless_states=False)
+    w = np.concatenate([np.geomspace(1e-3, 1e4, 10), frequency[:6], frequency[:6] * (1.0 + damping[:6])])
+    truth = np.array([sum_of_modes(frequency, damping, b, c, one) for one in w])
+    # Where modes cancel, too.
+    np.testing.assert_allclose(analysis.frequency_response(system, w)[0, 0], truth, rtol=1e-11)
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-3])
+def test_lightly_damped_modes_of_many_states_that_all_mix(dt: float) -> None:
+    rng = np.random.default_rng(12)
+    own = np.geomspace(0.5, 500.0, 30)
+    system = system_of(turned(modes(own, np.full(30, 1e-7)), rng), 2, 3, rng)
+    if dt:
+        system = analysis.sampled(system, dt)
+    w = np.concatenate([[1e-4, 3.0], own[[0, 29]], own[[0, 15]] * (1.0 + 1e-7)])
+    assert deviation(system, w) < 1e-9
+
+
+def test_stiff_structures_keep_their_digits_where_they_bend_slowly() -> None:
+    # 60 states, every one mixed with all others; the slowest mode is 1e6 times slower than the fastest, and what is
+    # seen of it is a difference.
+    rng = np.random.default_rng(21)
+    own = np.geomspace(1.0, 1e6, 30)
+    A = modes(own, np.full(30, 1e-3))
+    Q = np.linalg.qr(rng.normal(size=A.shape))[0]
+    system = control.ss(Q @ A @ Q.T, rng.normal(size=(60, 1)), rng.normal(size=(1, 60)) / 1e3, 0)
+    assert deviation(system, np.array([1e-2, 1.0, 1.001, 3.0])) < 1e-9
+
+
+def test_the_steep_roll_off_of_many_states_keeps_its_digits() -> None:
+    # From one state to another 30 places down a chain: the response falls with the 31st power of the frequency.
+    rng = np.random.default_rng(4)
+    n = 50
+    A = np.triu(rng.normal(size=(n, n)), -1) - 9.0 * np.eye(n)
+    B, C = np.zeros((n, 1)), np.zeros((1, n))
+    B[10, 0] = C[0, 40] = 1.0
+    assert deviation(control.ss(A, B, C, 0, remove_useless_states=False), np.geomspace(0.1, 1e4, 6)) < 1e-9
+
+
+def test_a_chain_of_many_masses_sags_as_springs_in_series_do() -> None:
+    # 200 masses between walls, a force of 1 at mass j: mass i moves by (1 + min)(200 - max)/(201 k).
+    count, k = 200, 3e4
+    K = k * (2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1))
+    A = np.block([[np.zeros((count, count)), np.eye(count)], [-K, -1e-5 * K]])
+    force, place = 60, np.array([10, 60, 150])
+    B, C = np.zeros((2 * count, 1)), np.zeros((3, 2 * count))
+    B[count + force, 0], C[[0, 1, 2], place] = 1.0, 1.0
+    narrow = band(A)
+    assert max(narrow.below, narrow.above) <= 4
+    H = analysis.frequency_response(control.ss(A, B, C, 0, remove_useless_states=False), [0.0])[:, 0, 0]
+    low, high = np.minimum(place, force) + 1, np.maximum(place, force) + 1
+    np.testing.assert_allclose(H, low * (count + 1 - high) / ((count + 1) * k), rtol=1e-12)
+
+
+def test_a_body_that_is_free_has_an_infinite_response_at_rest_however_many_states_it_has() -> None:
+    rng = np.random.default_rng(2)
+    A = rng.normal(size=(60, 60)) - 9.0 * np.eye(60)
+    A[:, 0] = 0.0
+    H = analysis.frequency_response(system_of(A, 1, 1, rng), [0.0, 1e-3])[0, 0]
+    assert np.isinf(H[0])
+    assert np.isfinite(H[1])

@@ -1,0 +1,226 @@
+"""Norms and bandwidth against closed forms, slycot and identities."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl import PlatformCtrlError, analysis
+from platform_ctrl.analysis.axis import largest_gains
+from platform_ctrl.common.values import FloatArray
+
+seeds = st.integers(0, 2**31 - 1)
+
+
+def random_system(seed: int, n: int = 6, m: int = 2, p: int = 3, dt: float = 0.0) -> control.StateSpace:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    if dt > 0.0:
+        A *= rng.uniform(0.3, 0.99) / np.abs(np.linalg.eigvals(A)).max()
+    else:
+        A -= (np.linalg.eigvals(A).real.max() + 10.0 ** rng.uniform(-3, 0)) * np.eye(n)
+    return control.ss(A, rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m)), dt)
+
+
+def badly_scaled(system: control.StateSpace, spread: float = 1e6) -> control.StateSpace:
+    s = np.geomspace(1.0 / spread, spread, system.nstates)
+    return control.ss(system.A * s[:, None] / s, system.B * s[:, None], system.C / s, system.D, system.dt)
+
+
+def resonator(zeta: float, frequency: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    A = frequency * np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
+    return A, np.array([[0.0], [frequency]]), np.array([[1.0, 0.0]])
+
+
+@pytest.mark.parametrize("zeta", [0.3, 1e-3, 1e-6])
+def test_hinf_norm_of_a_second_order_system_is_its_closed_form(zeta: float) -> None:
+    A, B, C = resonator(zeta, 474.3)
+    norm, frequency = analysis.hinf_norm(control.ss(A, B, C, 0))
+    assert norm == pytest.approx(1.0 / (2.0 * zeta * math.sqrt(1.0 - zeta**2)), rel=1e-9)
+    assert frequency == pytest.approx(474.3 * math.sqrt(1.0 - 2.0 * zeta**2), rel=1e-6)
+
+
+@pytest.mark.parametrize("zeta", [1e-2, 1e-5])
+def test_hinf_norm_survives_poles_from_1e_minus_3_to_1e9(zeta: float) -> None:
+    # Sum of a peak at 1 rad/s, a slow lag and a very fast one, in rotated states.
+    A1, B1, C1 = resonator(zeta, 1.0)
+    A = np.zeros((4, 4))
+    A[:2, :2] = A1
+    A[2, 2], A[3, 3] = -1e-3, -1e9
+    B = np.vstack([B1, [[1e-3], [1e9]]])
+    C = np.hstack([C1, [[1e-3, 1e-3]]])
+    T = np.eye(4) + np.diag([1e-3, 1e-3, 1e-9], 1)
+    system = control.ss(T @ A @ np.linalg.inv(T), T @ B, C @ np.linalg.inv(T), 0)
+
+    def gain(w: FloatArray) -> FloatArray:
+        s = 1j * w
+        out: FloatArray = np.abs(1 / (s * s + 2 * zeta * s + 1) + 1e-6 / (s + 1e-3) + 1e6 / (s + 1e9))
+        return out
+
+    truth = gain(1.0 + np.linspace(-3.0, 3.0, 200001) * zeta).max()
+    norm, frequency = analysis.hinf_norm(system)
+    assert norm == pytest.approx(truth, rel=1e-8)
+    assert frequency == pytest.approx(1.0, abs=2.0 * zeta)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(6))
+def test_hinf_norm_agrees_with_slycot_on_scaled_systems(seed: int, dt: float) -> None:
+    slycot = pytest.importorskip("slycot")
+    system = random_system(seed, dt=dt)
+    n, m, p = 6, 2, 3
+    reference, _ = slycot.ab13dd(
+        "C" if dt == 0.0 else "D", "I", "N", "D", n, m, p, system.A, np.eye(n), system.B, system.C, system.D, tol=1e-11
+    )
+    norm, frequency = analysis.hinf_norm(badly_scaled(system))
+    assert norm == pytest.approx(reference, rel=1e-8)
+    if math.isfinite(frequency):
+        peak = np.linalg.norm(analysis.frequency_response(system, frequency)[:, :, 0], 2)
+        assert peak == pytest.approx(norm, rel=1e-9)
+
+
+@given(seeds)
+@settings(max_examples=25, deadline=None)
+def test_hinf_norm_is_reached_and_never_below_a_grid(seed: int) -> None:
+    dt = 0.02 if seed % 2 else 0.0
+    system = random_system(seed, n=1 + seed % 7, dt=dt)
+    w = np.concatenate([[0.0], np.geomspace(1e-4, math.pi / dt if dt else 1e4, 600)])
+    response = np.moveaxis(analysis.frequency_response(system, w), -1, 0)
+    peak = np.linalg.norm(response, 2, axis=(-2, -1)).max()
+    norm, frequency = analysis.hinf_norm(system)
+    assert peak <= norm * (1.0 + 1e-9)
+    at = system.D if math.isinf(frequency) else analysis.frequency_response(system, frequency)[:, :, 0]
+    assert np.linalg.norm(at, 2) == pytest.approx(norm, rel=1e-9)
+
+
+@given(seeds)
+@settings(max_examples=20, deadline=None)
+def test_the_bilinear_map_keeps_norm_and_comes_back(seed: int) -> None:
+    system = random_system(seed, dt=0.05)
+    w_plane = analysis.bilinear_to_continuous(system)
+    assert analysis.hinf_norm(w_plane)[0] == pytest.approx(analysis.hinf_norm(system)[0], rel=1e-7)
+    back = analysis.bilinear_to_discrete(w_plane, 0.05)
+    w = np.linspace(0.0, 60.0, 20)
+    reference = analysis.frequency_response(system, w)
+    np.testing.assert_allclose(
+        analysis.frequency_response(back, w), reference, rtol=0, atol=1e-9 * np.abs(reference).max()
+    )
+    wrapped = analysis.frequency_response(w_plane, 2 / 0.05 * np.tan(0.025 * w))
+    np.testing.assert_allclose(wrapped, reference, rtol=0, atol=1e-9 * np.abs(reference).max())
+
+
+def test_the_bilinear_map_refuses_a_pole_that_goes_to_infinity() -> None:
+    with pytest.raises(PlatformCtrlError, match="z = -1"):
+        analysis.bilinear_to_continuous(control.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1))
+    with pytest.raises(PlatformCtrlError, match="2/period"):
+        analysis.bilinear_to_discrete(control.ss([[20.0]], [[1.0]], [[1.0]], 0), 0.1)
+
+
+def test_an_unstable_system_has_no_hinf_norm_but_a_peak() -> None:
+    system = control.ss([[1.0]], [[1.0]], [[2.0]], 0)
+    with pytest.raises(PlatformCtrlError, match="unstable"):
+        analysis.hinf_norm(system)
+    assert analysis.hinf_norm(system, allow_unstable=True) == pytest.approx((2.0, 0.0))
+
+
+def test_an_integrator_has_an_infinite_norm_at_zero_frequency() -> None:
+    assert analysis.hinf_norm(control.ss([[0.0]], [[1.0]], [[1.0]], 0)) == (math.inf, 0.0)
+
+
+def test_a_norm_reached_at_infinite_frequency_is_that_of_d() -> None:
+    norm, frequency = analysis.hinf_norm(control.ss([[-1.0]], [[1.0]], [[-1.0]], 1.0))
+    assert norm == pytest.approx(1.0)
+    assert frequency == math.inf
+
+
+@pytest.mark.parametrize("zeta", [0.7, 1e-3])
+def test_h2_norm_of_a_second_order_system_is_its_closed_form(zeta: float) -> None:
+    A, B, C = resonator(zeta, 30.0)
+    assert analysis.h2_norm(control.ss(A, B, C, 0)) == pytest.approx(math.sqrt(30.0 / (4.0 * zeta)), rel=1e-10)
+
+
+@given(seeds)
+@settings(max_examples=20, deadline=None)
+def test_h2_norm_agrees_with_the_impulse_response_and_with_noise_rms(seed: int) -> None:
+    system = random_system(seed, dt=0.1)
+    total, state = float(np.sum(system.D**2)), system.B
+    for _ in range(6000):
+        total += float(np.sum((system.C @ state) ** 2))
+        state = system.A @ state
+    assert analysis.h2_norm(badly_scaled(system)) == pytest.approx(math.sqrt(total), rel=1e-9)
+    assert np.linalg.norm(analysis.noise_rms(system, 1.0)) == pytest.approx(math.sqrt(total), rel=1e-9)
+    np.testing.assert_allclose(analysis.noise_rms(system, [3.0, 3.0]), 3.0 * analysis.noise_rms(system, 1.0))
+
+
+def test_noise_rms_of_a_stack_marks_the_unstable_one() -> None:
+    A = np.array([[[0.5]], [[1.5]]])
+    B, C, D = np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
+    np.testing.assert_allclose(
+        analysis.noise_rms_arrays(A, B, C, D, np.ones(1))[:, 0], [math.sqrt(1.0 / 0.75), math.inf]
+    )
+
+
+def test_h2_and_noise_refuse_what_has_no_value() -> None:
+    with pytest.raises(PlatformCtrlError, match="strictly proper"):
+        analysis.h2_norm(control.ss([[-1.0]], [[1.0]], [[1.0]], 1.0))
+    with pytest.raises(PlatformCtrlError, match="not stable"):
+        analysis.h2_norm(control.ss([[0.0]], [[1.0]], [[1.0]], 0.0))
+    with pytest.raises(PlatformCtrlError, match="continuous"):
+        analysis.noise_rms(control.ss([[-1.0]], [[1.0]], [[1.0]], 0.0), 1.0)
+
+
+def test_bandwidth_of_an_integrating_loop_is_its_closed_form() -> None:
+    # L = k/s: |S| = w / sqrt(w^2 + k^2) = 1/sqrt(2) at w = k.
+    plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
+    controller = control.ss([], [], [], [[-7.0]])
+    assert analysis.bandwidth(plant, controller) == pytest.approx(7.0, rel=1e-9)
+    assert analysis.bandwidth(plant, controller, at="input") == pytest.approx(7.0, rel=1e-9)
+
+
+def test_bandwidth_sees_a_narrow_notch_of_the_loop_below_the_main_crossing() -> None:
+    # A notch at 3 rad/s opens the loop in a band of 6e-5 rad/s, which a grid steps over.
+    zeta = 1e-6
+    s = control.tf([1, 0], [1])
+    L = 100 / s * (s * s + 2 * zeta * 3 * s + 9) / (s * s + 2 * zeta * 3.001 * s + 3.001**2)
+    plant = control.ss(L)
+    controller = control.ss([], [], [], [[-1.0]])
+    found = analysis.bandwidth(plant, controller)
+    assert 2.99 < found < 3.0
+    S = 1.0 / (1.0 + analysis.frequency_response(plant, [found])[0, 0, 0])
+    assert abs(S) == pytest.approx(math.sqrt(0.5), rel=1e-6)
+
+
+def test_bandwidth_of_a_loop_that_does_not_hold_is_zero() -> None:
+    plant = control.ss([[0.0]], [[1.0]], [[1.0]], 0)
+    assert analysis.bandwidth(plant, control.ss([], [], [], [[1.0]])) == 0.0
+
+
+def test_bandwidth_from_responses_agrees_with_the_exact_one() -> None:
+    period = 1e-3
+    plant = analysis.sampled(control.ss([[0.0]], [[1.0]], [[1.0]], 0), period, delay=period)
+    controller = control.ss([], [], [], [[-40.0]], period)
+    exact = analysis.bandwidth(plant, controller)
+    w = np.geomspace(1.0, 2000.0, 400)
+    S = np.moveaxis(analysis.gang(plant, controller, w).S_output, -1, 0)
+    stacked = analysis.bandwidth_of_response(w, np.stack([S, S]))
+    np.testing.assert_allclose(stacked, exact, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("p", "m"), [(1, 1), (1, 4), (2, 2), (3, 3), (4, 2), (2, 5), (8, 8), (8, 20)])
+def test_largest_singular_values_are_those_of_lapack(p: int, m: int) -> None:
+    rng = np.random.default_rng(10 * p + m)
+    H = rng.normal(size=(21, p, m)) + 1j * rng.normal(size=(21, p, m))
+    H *= 10.0 ** rng.uniform(-280.0, 280.0, (21, 1, 1))
+    # Zero, all of them alike, one alone, columns next to parallel, and of widely different lengths.
+    H[0], H[1], H[2], H[3] = 0.0, np.eye(p, m), 1.0, 1.0 + 1e-9 * rng.normal(size=(p, m))
+    H[4] = 10.0 ** -np.arange(0.0, 12.0 * m, 12.0)
+    sizes = largest_gains(H)
+    assert sizes == pytest.approx(np.linalg.norm(H, 2, axis=(-2, -1)), rel=1e-14)
+    H[7, 0, -1], H[9, -1, 0] = math.nan, complex(0.0, -math.inf)
+    assert np.flatnonzero(np.isinf(largest_gains(H))).tolist() == [7, 9]
+    assert largest_gains(H)[8] == sizes[8]

@@ -1,0 +1,203 @@
+"""The plants that a loop has to stand: spread, samples, grid of Omega, faults, and the platform's rate as an input."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from platform_ctrl.analysis import StateArrays, frequency_response_arrays, sampled, state_arrays
+from platform_ctrl.analysis.plant_set import plant_set, tuning_grid
+from platform_ctrl.design.plants import cases, loop_plants
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.job import Faults, Spread
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.mechanics import matrices
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.platform import OMEGA_NAMES
+
+PERIOD = 5e-4
+L, J9, J10 = 0.15, 5e-4, 2e-4
+NUTATION = L / np.sqrt(J9 * J10)
+
+
+@pytest.fixture(scope="module")
+def job():
+    return read_job("examples/three_gyro_platform.toml")
+
+
+def with_everything(job, **changes):
+    everything = {
+        "spread": Spread(inertia=0.1, spin=0.2, samples=6),
+        "Omega_grid": 3,
+        "faults": Faults(slow_rotor=0.5, weak_torquer=0.25),
+    }
+    return dataclasses.replace(job, **(everything | changes))
+
+
+@pytest.fixture(scope="module")
+def full(job):
+    return loop_plants(with_everything(job), ("9", "10"))
+
+
+def motions(A):
+    """Frequencies of the undamped motions of a sampled plant, rad/s, the fastest first."""
+    z = np.linalg.eigvals(A)
+    return np.sort(np.abs(np.angle(z[np.abs(np.abs(z) - 1.0) < 1e-6])) / PERIOD)[::-1]
+
+
+def test_a_job_that_asks_for_nothing_new_has_the_corners_alone(job):
+    plants = loop_plants(job, ("9", "10"))
+    assert plants.groups == ("nominal", *["spread"] * 8, *["Omega"] * 8)
+    assert plants.torque_limit.tolist() == [0.25, 0.25]
+    assert plants.Omega.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_the_groups_stand_one_after_the_other(full):
+    groups = full.groups
+    counts = [groups.count(name) for name in ("nominal", "spread", "Omega", "faults")]
+    assert counts == [1, 8 + 6, 27 - 1, 1 + 2]
+    assert list(groups) == sorted(groups, key=["nominal", "spread", "Omega", "faults"].index)
+    assert len(set(full.labels)) == len(groups) == len(full.A)
+
+
+def test_samples_lie_inside_the_corners_and_are_all_different(job):
+    nominal = job.platform
+    J, momenta = np.diag(matrices(nominal).A_star)[3:], np.array([r.angular_momentum for r in nominal.rotors])
+    found = [case for case in cases(with_everything(job), ("9", "10")) if case.group == "spread"][8:]
+    changes = np.array(
+        [
+            [
+                *(np.diag(matrices(case.platform).A_star)[6:] / J[3:] - 1.0),
+                case.platform.rotors[2].angular_momentum / momenta[2] - 1.0,
+            ]
+            for case in found
+        ]
+    )
+    half_widths = np.array([0.1, 0.1, 0.2])
+    assert np.all(np.abs(changes) < half_widths)
+    assert np.ptp(changes, axis=0) == pytest.approx(2.0 * half_widths, rel=0.5)
+    assert all(len(set(column)) == len(found) for column in changes.T)
+
+
+def test_samples_follow_from_the_seed_and_more_of_them_only_add(job):
+    def labels(seed, samples):
+        chosen = with_everything(job, seed=seed, spread=Spread(inertia=0.1, spin=0.1, samples=samples))
+        return [case.label for case in cases(chosen, ("9", "10")) if case.group == "spread"][8:]
+
+    assert labels(1, 5) == labels(1, 5) == labels(1, 9)[:5]
+    assert not set(labels(1, 5)) & set(labels(2, 5))
+    assert labels(1, 0) == []
+    assert len(labels(1, 1)) == 1
+
+
+def test_the_grid_of_Omega_holds_its_corners_and_leaves_out_rest(job):
+    def rates(points, Omega=job.Omega):
+        chosen = with_everything(job, Omega_grid=points, Omega=np.array(Omega))
+        return {tuple(case.Omega) for case in cases(chosen, ("9", "10")) if case.group == "Omega"}
+
+    assert rates(2) < rates(3)
+    assert len(rates(5)) == 5**3 - 1
+    assert (0.0, 0.0, 0.0) not in rates(3)
+    assert rates(3, [2.0, 0.0, 0.0]) == {(-2.0, 0.0, 0.0), (2.0, 0.0, 0.0)}
+    assert rates(4, [0.0, 0.0, 0.0]) == set()
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.9])
+def test_a_slow_rotor_lowers_the_nutation_in_proportion(job, share):
+    plants = loop_plants(with_everything(job, faults=Faults(slow_rotor=share)), ("9", "10"))
+    slow = plants.groups.index("faults")
+    assert motions(plants.A[0])[0] == pytest.approx(NUTATION, rel=1e-6)
+    assert motions(plants.A[slow])[0] == pytest.approx(share * NUTATION, rel=1e-6)
+
+
+def test_gimbals_of_a_stopped_rotor_are_double_integrators(job):
+    plants = loop_plants(with_everything(job, faults=Faults(slow_rotor=0.0)), ("9", "10"))
+    stopped = plants.response[plants.groups.index("faults")]
+    w = plants.frequency
+    slow = w < 10.0
+    np.testing.assert_allclose(np.abs(stopped[slow, 0, 0]), 1.0 / (J9 * w[slow] ** 2), rtol=1e-3)
+    np.testing.assert_allclose(np.abs(stopped[slow, 1, 1]), 1.0 / (J10 * w[slow] ** 2), rtol=1e-3)
+    np.testing.assert_allclose(stopped[:, 0, 1], 0.0, atol=1e-12)
+
+
+def test_a_weak_torquer_scales_its_own_column_alone(full):
+    for k, torquer in enumerate(("Q9", "Q10")):
+        weak = full.labels.index(f"torquer {torquer} at 25% of its torque")
+        scale = np.where(np.arange(2) == k, 0.25, 1.0)
+        size = np.abs(full.response[0]).max(axis=(-2, -1), keepdims=True)
+        assert np.all(np.abs(full.response[weak] - full.response[0] * scale) < 1e-9 * size)
+        turned = full.Omega_response[0]
+        np.testing.assert_allclose(full.Omega_response[weak], turned, rtol=1e-9, atol=1e-12 * np.abs(turned).max())
+
+
+def test_every_rotor_and_every_torquer_of_the_loop_fails_in_turn(job):
+    found = [case.label for case in cases(with_everything(job), ("4", "5", "7")) if case.group == "faults"]
+    assert found == [
+        "rotor 6 at 50% of its spin",
+        "rotor 8 at 50% of its spin",
+        "torquer Q4 at 25% of its torque",
+        "torquer Q5 at 25% of its torque",
+        "torquer Q7 at 25% of its torque",
+    ]
+
+
+@pytest.mark.parametrize("gimbals", [("9", "10"), ("10", "9"), ("4", "5", "7")])
+def test_Omega_acts_without_delay_and_lag_as_on_the_plant_sampled_by_itself(job, gimbals):
+    plants = loop_plants(job, gimbals)
+    alone = state_space(linearise(job.platform), gimbals=gimbals)[list(plants.angles), list(OMEGA_NAMES)]
+    expected = frequency_response_arrays(*state_arrays(sampled(alone, PERIOD, 0.0), "test"), plants.frequency)
+    np.testing.assert_allclose(plants.Omega_response[0], expected, rtol=1e-8, atol=1e-12)
+
+
+def test_one_gimbal_that_holds_still_turns_against_a_slow_platform_rate(job):
+    """Free of torque a gyro keeps its direction in space: the gimbal angle is minus the integral of Omega."""
+    plants = loop_plants(job, ("9", "10"))
+    w = plants.frequency[:5]
+    np.testing.assert_allclose(np.abs(plants.Omega_response[0, :5]).max(axis=(-2, -1)), 1.0 / w, rtol=1e-3)
+
+
+def test_a_choice_of_plants_keeps_what_they_stand_for(full):
+    chosen = [0, full.groups.index("Omega"), full.groups.index("faults")]
+    part = full.only(chosen)
+    assert part.groups == ("nominal", "Omega", "faults")
+    np.testing.assert_array_equal(part.B_Omega, full.B_Omega[chosen])
+    np.testing.assert_array_equal(part.Omega_response, full.Omega_response[chosen])
+    assert part.torque_limit is full.torque_limit
+
+
+def test_plants_that_nothing_else_is_said_of_do_not_turn_and_know_no_torque_limit():
+    A = np.array([[[0.5]], [[0.6]]])
+    one = np.ones((2, 1, 1))
+    plants = plant_set(
+        StateArrays(A, one, one, 0.0 * one, 1.0), ("a", "b"), ("Q",), ("angle",), nutation=1.0, noise=np.zeros(1)
+    )
+    assert plants.groups == ("nominal", "spread")
+    assert not np.any(plants.Omega_response)
+    assert np.all(np.isinf(plants.torque_limit))
+
+
+def test_a_controller_is_joined_by_the_names_of_its_signals(job):
+    import control
+
+    plants = loop_plants(job, ("9", "10"))
+    D = np.array([[1.0, 2.0], [3.0, 4.0]])
+    named = control.ss([], [], [], D, PERIOD, inputs=["beta10", "alpha9"], outputs=["Q9", "Q10"])
+    np.testing.assert_array_equal(plants.joined(named).D, D[:, ::-1])
+    empty = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0))
+    np.testing.assert_array_equal(plants.joined(StateArrays(*empty, D, PERIOD)).D, D)
+    other = control.ss([], [], [], D, PERIOD, inputs=["alpha9", "alpha4"], outputs=["Q9", "Q10"])
+    with pytest.raises(ArgumentError, match=r"alpha4.*expected .*alpha9.*beta10"):
+        plants.joined(other)
+    with pytest.raises(ArgumentError, match=r"dt = 0\.0 s, the plants 0\.0005 s"):
+        plants.joined(StateArrays(*empty, D, 0.0))
+    with pytest.raises(ArgumentError, match="1 inputs and 1 outputs; expected 2 and 2"):
+        plants.joined(StateArrays(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), PERIOD))
+
+
+@pytest.mark.parametrize("period", [1e-6, 5e-4, 2e-3, 1.0])
+def test_the_grid_covers_two_decades_up_to_the_nyquist_frequency_at_any_rate(period):
+    grid = tuning_grid(474.0, period)
+    assert np.all(np.diff(grid) > 0.0)
+    assert grid[-1] == pytest.approx(0.999 * np.pi / period)
+    assert grid[0] <= 0.0101 * grid[-1]

@@ -1,0 +1,516 @@
+"""The designer's pictures against independent routes: python-control's joining, certified designs, time responses."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import math
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl import analysis
+from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.loop_figures import LoopFigures
+from platform_ctrl.analysis.plant_set import PlantSet
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.history import History
+from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.plants import Bounded, QuickPlants
+from platform_ctrl.app.values import Settings
+from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.cli import main
+from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
+from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
+from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
+from platform_ctrl.job.job import Job, LoopSpec, Spread
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.verification.coupled import coupled_check
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+LOOP = "caging 9-10"
+
+
+@pytest.fixture(scope="module")
+def bench() -> Workbench:
+    return Workbench(JOB)
+
+
+@pytest.fixture(scope="module")
+def settings(bench: Workbench) -> Settings:
+    """The loop 9-10, moved: other spins, rate and delay than the job's, the notch off."""
+    out = bench.start(LOOP)
+    for knob, number in (("crossover_hz", 61.0), ("spin 11", 1300.0), ("rate_hz", 2100.0), ("delay", 0.0004)):
+        out = bench.moved(out, knob, number)
+    return bench.switched(out, "notch", False)
+
+
+@pytest.fixture(scope="module")
+def picture(bench: Workbench, settings: Settings) -> Picture:
+    return bench.picture(settings)
+
+
+def _closed(bench: Workbench, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, StateArrays]:
+    """The loop as the package's own design route builds it from the settings' job."""
+    job = bench.job(settings)
+    spec = next(one for one in job.loops if one.name == settings.loop)
+    loop = Closing(bench.read, None).caged(settings)[0]
+    plants = loop_plants(job, spec.gimbals)
+    return job, spec, plants, loop.controller
+
+
+@pytest.mark.parametrize("gimbals", [("4", "5", "7"), ("9", "10")])
+def test_quick_plants_are_those_of_the_job(bench: Workbench, gimbals: tuple[str, ...]) -> None:
+    job = bench.job(bench.start())
+    quick = QuickPlants(bench.read, gimbals)
+    spins = {r.name: (1.0 + 0.1 * k) * r.spin for k, r in enumerate(job.platform.rotors)}
+    sampling, Omega = type(job.sampling)(period=1.0 / 1700.0, delay=0.0003), np.array([1.0, 1.5, 0.7])
+    moved = dataclasses.replace(job, platform=with_spins(job.platform, spins), sampling=sampling, Omega=Omega)
+    expected, found = loop_plants(moved, gimbals), quick.plants(spins, sampling, Omega)
+    assert found.labels == expected.labels
+    for name in ("A", "B", "C", "D", "B_Omega", "response", "Omega_response"):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max(), name
+
+
+def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    _, _, plants, K = _closed(bench, settings)
+    controller = state_space(K, plants.angles, plants.torques)
+    # Q10 is closed first, then the loop transfer of Q9 alone is taken: no sensitivity is inverted.
+    j = plants.torques.index(settings.channel)
+    other = [k for k in range(len(plants.torques)) if k != j]
+    inner = state_space(StateArrays(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
+    closed = analysis.closed_loop(sampled_plant(plants), inner)
+    single = state_space(StateArrays(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
+    plant = closed[list(plants.angles), ["Q9"]]
+    direct = analysis.frequency_response(analysis.loop_transfer(plant, single), picture.bode.frequency)[0, 0]
+    np.testing.assert_allclose(picture.bode.response, direct, rtol=1e-6, atol=1e-9)
+    both = analysis.loop_transfer(sampled_plant(plants), controller)
+    L = np.moveaxis(analysis.frequency_response(both, picture.bode.frequency), -1, 0)
+    S = np.linalg.inv(np.eye(2) + L)[:, j, j]
+    np.testing.assert_allclose(picture.bode.response, 1.0 / S - 1.0, rtol=1e-6, atol=1e-9)
+    assert (
+        np.abs(np.exp(1j * np.radians(picture.bode.phase)) * picture.bode.magnitude - direct).max()
+        < 1e-6 * np.abs(direct).max()
+    )
+
+
+def test_poles_and_requirements_are_those_of_the_certified_design(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    job, spec, plants, K = _closed(bench, settings)
+    design = next(d for d in spec.designs if d.name == settings.design)
+    made = certified(spec, design, tuple(K[:4]), plants, {}, {})
+    assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
+    np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
+    s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)
+    present = np.sort_complex(np.round(picture.locus.present[np.isfinite(picture.locus.present)], 3))
+    np.testing.assert_allclose(present, np.sort_complex(np.round(s[0][np.isfinite(s[0])], 3)), rtol=1e-6)
+    assert picture.margins.disk == pytest.approx(made.measures.disk_margin[0], rel=1e-6)  # type: ignore[union-attr]
+    assert picture.margins.bandwidth == pytest.approx(made.measures.bandwidth, rel=2e-2)  # type: ignore[union-attr]
+    at_one = int(np.argmin(np.abs(picture.locus.gains - 1.0)))
+    assert picture.locus.gains[at_one] == 1.0
+    assert job.sampling.period == pytest.approx(1.0 / 2100.0)
+
+
+def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    _, _, plants, K = _closed(bench, settings)
+    closed = analysis.closed_loop(sampled_plant(plants), state_space(K, plants.angles, plants.torques))
+    step = picture.step
+    count = round(step.t[-1] / plants.period) + 1
+    size = float(step.title.split()[0]) * 1e-3
+    y = analysis.time_response(
+        closed[list(plants.angles), ["Q9"]], np.arange(count) * plants.period, np.full((1, count), size)
+    )
+    every = round(step.t[1] / plants.period)
+    np.testing.assert_allclose(step.values[:2], y[:, ::every], rtol=1e-7, atol=1e-9 * np.abs(y).max())
+    assert np.all(step.low <= step.values)
+    assert np.all(step.values <= step.high)
+
+
+def test_the_manoeuvre_is_what_the_held_rate_makes_of_the_closed_loop(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    _, _, plants, K = _closed(bench, settings)
+    shown = picture.Omega_time
+    every = round(shown.t[1] / plants.period)
+    rate = 1.0
+    t = np.arange(every * (len(shown.t) - 1) + 1) * plants.period
+    assert shown.drive.max() == pytest.approx(1.0)
+    A, B, C = plants.A[0], plants.B_Omega[0][:, :1], plants.C[0]
+    # One sample after another, the plainest of all routes.
+    x, k = np.zeros(len(A)), np.zeros(len(K.A))
+    ramp = np.where(t < 0.5, t / 0.5, np.where(t < 1.5, 1.0, np.where(t < 2.0, (2.0 - t) / 0.5, 0.0)))
+    u = rate * 0.5 * (1.0 - np.cos(np.pi * ramp))
+    y = np.zeros((2, len(t)))
+    for n in range(len(t)):
+        y[:, n] = C @ x
+        torque = K.C @ k + K.D @ y[:, n]
+        k = K.A @ k + K.B @ y[:, n]
+        x = A @ x + plants.B[0] @ torque + B[:, 0] * u[n]
+    np.testing.assert_allclose(shown.values[:2], y[:, ::every], rtol=1e-6, atol=1e-9 * np.abs(y).max())
+
+
+def test_margins_of_the_channel_put_a_pole_on_the_boundary(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    _, _, plants, K = _closed(bench, settings)
+    j = plants.torques.index(settings.channel)
+    for factor in (picture.margins.gain_up, picture.margins.gain_down):
+        if 0.0 < factor < math.inf:
+            scale = np.ones(len(plants.torques))
+            scale[j] = factor
+            turned = StateArrays(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
+            z = closed_loop_poles(plants.only([0]), state_space(turned, plants.angles, plants.torques))[0]
+            assert np.abs(z).max() == pytest.approx(1.0, abs=2e-3)
+    assert 10.0 < picture.margins.phase < 90.0
+    assert picture.margins.delay > 0.0
+
+
+def test_the_band_holds_every_plant_of_the_set(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    bode, nichols = picture.bode, picture.nichols
+    assert nichols.phase.shape == (len(nichols.labels), len(bode.band_frequency))
+    assert nichols.labels[0] == "nominal"
+    for label in (nichols.labels[1], nichols.labels[-1]):
+        alone = bench.picture(settings.but(plant=label, band=False)).bode
+        gain = np.interp(np.log(bode.band_frequency), np.log(alone.frequency), np.log(alone.magnitude))
+        assert np.all(gain <= np.log(bode.magnitude_high) + 0.05)
+        assert np.all(gain >= np.log(bode.magnitude_low) - 0.05)
+        # The phase of the set lies on the sheet of the curve that is shown.
+        row = nichols.phase[nichols.labels.index(label)]
+        turn = np.degrees(
+            np.angle(
+                np.exp(
+                    1j
+                    * np.radians(
+                        row
+                        - np.interp(
+                            bode.band_frequency, alone.frequency, np.degrees(np.unwrap(np.angle(alone.response)))
+                        )
+                    )
+                )
+            )
+        )
+        assert np.abs(turn).max() < 5.0
+    without = bench.picture(settings.but(band=False))
+    assert not without.bode.band_frequency.size
+    assert without.nichols.phase.shape[0] == 1
+    assert [r.value for r in without.requirements] == [r.value for r in picture.requirements]
+
+
+def test_a_platform_rate_is_shown_and_widens_the_range_that_is_asked_for(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    inside = bench.picture(bench.moved(settings, "Omega2", 0.8))
+    assert [r.value for r in inside.requirements] == [r.value for r in picture.requirements]
+    assert np.abs(inside.locus.present[:4] - picture.locus.present[:4]).max() > 0.0
+    beyond = bench.moved(settings, "Omega2", 1.7)
+    assert bench.job(beyond).Omega.tolist() == [1.0, 1.7, 1.0]
+    assert "Omega = (1, 1.7, 1) rad/s" in bench.picture(beyond).plants
+
+
+def test_all_loops_together_are_judged_as_check_does(bench: Workbench) -> None:
+    settings = bench.moved(bench.start("stabilisation"), "crossover_hz", 5.0)
+    assert settings.mode == "stabilised"
+    picture = bench.picture(settings)
+    job = bench.job(settings)
+    controllers = Closing(bench.read, None).all_controllers(settings)[0]
+    expected = coupled_check(job, linearise(job.platform), controllers)
+    assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]
+    np.testing.assert_allclose(
+        [r.value for r in picture.requirements], [r.value for r in expected.results], rtol=2e-3, atol=2e-4
+    )
+    s = continuous_poles(expected.poles, job.sampling.period)
+    ours, theirs = (np.sort(np.abs(one[np.isfinite(one) & (np.abs(one) < 5e3)])) for one in (picture.locus.present, s))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+    j = expected.channels.index(settings.channel)
+    assert picture.margins.disk == pytest.approx(expected.coupled[j], rel=1e-3)
+    L = analysis.loop_transfer(expected.plant, expected.controller)
+    response = np.moveaxis(analysis.frequency_response(L, picture.bode.frequency), -1, 0)
+    S = np.linalg.inv(np.eye(len(expected.channels)) + response)[:, j, j]
+    np.testing.assert_allclose(picture.bode.response, 1.0 / S - 1.0, rtol=1e-5, atol=1e-8)
+    # In the end a constant torque turns the platform by no more: the angle loop holds it.
+    assert abs(picture.step.values[0, -1] - picture.step.values[0, -2]) < 0.02 * abs(picture.step.values[0, -1])
+
+
+def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    for k in np.flatnonzero(picture.locus.draggable)[:3]:
+        pole = complex(picture.locus.present[k])
+        target = pole * (1.04 + 0.02j)
+        pulled = bench.pulled_pole(settings, pole, target, free=True)
+        assert np.nanmin(np.abs(bench.picture(pulled).locus.present - target)) < 1e-6 * abs(target)
+    held = settings.but(fixed=frozenset({"crossover_hz", "damping_hz"}))
+    pulled = bench.pulled_pole(held, pole, target, free=True)
+    mine, now = (one.options[LOOP]["classical"] for one in (settings, pulled))
+    assert {name for name in mine if mine[name] != now[name]} <= {"damping2_hz", "lead_hz", "rolloff_hz"}
+
+
+def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    target = 1.1 * picture.bode.crossovers[-1]
+    pulled = bench.pulled_crossover(settings, target, free=True)
+    assert np.abs(bench.picture(pulled).bode.crossovers - target).min() < 1e-3 * target
+
+
+@pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
+def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_one(
+    bench: Workbench, settings: Settings, picture: Picture, share: float, nearer: float
+) -> None:
+    now = float(picture.bode.crossovers[-1])
+    others = [knob.name for knob in bench.knobs(settings) if knob.name != "crossover_hz"]
+    held = settings.but(fixed=frozenset(others))
+    target = min(share * now, 0.9 * picture.bode.nyquist)
+    pulled = bench.picture(bench.pulled_crossover(held, target, free=True)).bode.crossovers
+    assert len(pulled) > 0
+    assert np.abs(np.log(pulled / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
+
+
+def test_nothing_is_pulled_where_all_is_fixed(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    fixed = settings.but(fixed=frozenset(knob.name for knob in bench.knobs(settings)))
+    pole = complex(picture.locus.present[picture.locus.draggable][0])
+    with pytest.raises(DesignError, match="no knob may move"):
+        bench.pulled_pole(fixed, pole, 1.1 * pole)
+    with pytest.raises(DesignError, match="no knob is free"):
+        bench.tuned(fixed)
+    with pytest.raises(ArgumentError, match="finite"):
+        bench.pulled_pole(settings, pole, complex(math.nan, 0.0))
+
+
+def test_influence_is_what_the_moved_knob_does(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    found = bench.influence(settings)
+    knob = next(k for k in bench.knobs(settings) if k.name == "crossover_hz")
+    after = bench.picture(bench.moved(settings, "crossover_hz", 1.05 * knob.value))
+    exact = np.array([a.ratio - b.ratio for a, b in zip(after.requirements, picture.requirements, strict=True)])
+    column = found.change[:, found.knobs.index("crossover_hz")]
+    np.testing.assert_allclose(column, exact, atol=0.02)
+    assert found.requirements == tuple(r.name for r in picture.requirements)
+
+
+def test_an_unstable_loop_has_a_picture_that_says_so(bench: Workbench, settings: Settings) -> None:
+    wild = bench.picture(bench.moved(settings, "crossover_hz", 900.0))
+    assert not wild.stable
+    assert wild.margins.disk == 0.0
+    assert math.isnan(wild.margins.phase)
+    assert not all(r.passed for r in wild.requirements)
+    for values in (wild.step.values, wild.Omega_time.values, wild.bode.phase, wild.Omega_frequency.gain):
+        assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize(
+    ("knob", "number"),
+    [
+        ("crossover_hz", math.nan),
+        ("crossover_hz", -1.0),
+        ("crossover_hz", 0.0),
+        ("rate_hz", 0.0),
+        ("rate_hz", math.inf),
+        ("delay", -1e-4),
+        ("delay", 1.0),
+        ("spin 11", 1e9),
+        ("Omega1", 1e9),
+        ("Omega4", 0.0),
+        ("crossover", 1.0),
+        ("lead_hz", "fast"),
+    ],
+)
+def test_a_knob_that_cannot_stand_there_is_told_in_one_line(
+    bench: Workbench, settings: Settings, knob: str, number: float
+) -> None:
+    with pytest.raises(ArgumentError) as told:
+        bench.moved(settings, knob, number)
+    assert "\n" not in str(told.value)
+    assert "expected" in str(told.value)
+
+
+def test_settings_of_another_job_are_told_in_one_line(bench: Workbench, settings: Settings) -> None:
+    for wrong in (
+        settings.but(loop="caging 1"),
+        settings.but(design="lqg"),
+        settings.but(axis=4),
+    ):
+        with pytest.raises(PlatformCtrlError) as told:
+            bench.picture(wrong)
+        assert "\n" not in str(told.value)
+    bench.close()
+    with pytest.raises(DesignError, match="is being designed"):
+        bench.picture(bench.chosen(settings, design="H-infinity"))
+    assert bench.picture(settings.but(overlays=("H-infinity",))).notes
+
+
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_every_slider_has_a_picture_at_its_ends(bench: Workbench, settings: Settings, end: str) -> None:
+    for knob in bench.knobs(settings):
+        moved = bench.picture(bench.moved(settings, knob.name, getattr(knob, end)))
+        assert np.isfinite(moved.step.values).all(), knob.name
+        assert np.isfinite(moved.bode.magnitude).all(), knob.name
+
+
+def test_parts_are_switched_and_keep_their_numbers(bench: Workbench) -> None:
+    settings = bench.start(LOOP)
+    assert [part.name for part in bench.parts(settings) if part.on] == ["notch"]
+    off = bench.switched(settings, "notch", False)
+    assert "notch_hz" not in {knob.name for knob in bench.knobs(off)}
+    assert bench.switched(off, "notch", True).data() == settings.data()
+    with_lag = bench.switched(off, "lag", True)
+    lagged, plain = bench.picture(with_lag).bode, bench.picture(off).bode
+    assert lagged.magnitude[0] > 2.0 * np.interp(lagged.frequency[0], plain.frequency, plain.magnitude)
+
+
+def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Workbench) -> None:
+    first = bench.start(LOOP)
+    history = History(first, room=3)
+    steps = [bench.moved(first, "crossover_hz", 50.0 + k) for k in range(5)]
+    for one in steps:
+        history.put(one)
+    history.put(steps[-1].but())
+    assert [history.undo() for _ in range(5)][-1] is steps[1]
+    assert not history.can_undo
+    assert history.redo() is steps[2]
+    history.put(first)
+    assert not history.can_redo
+    assert history.undo() is steps[2]
+
+
+@pytest.mark.slow
+def test_nothing_grows_while_knobs_move(bench: Workbench, settings: Settings) -> None:
+    # A set of one plant is moved in no time.
+    bench = Workbench(dataclasses.replace(bench.read, Omega=np.zeros(3), spread=Spread()))
+    bare = settings.but(band=False)
+    rng = np.random.default_rng(4)
+
+    def held(count: int) -> Counter[str]:
+        """Move what fills caches, and return how many values of each kind that holds arrays are alive then."""
+        for k in range(count):
+            knob = ("rate_hz", "spin 11", "crossover_hz", "Omega1")[k % 4]
+            at = next(one for one in bench.knobs(bare) if one.name == knob)
+            bench.picture(bench.moved(bare, knob, (at.value or 1.0) * rng.uniform(0.9, 1.1)))
+        gc.collect()
+        kinds = (PlantSet, LinearPlants, LinearModel, Picture, Settings, LoopFigures)
+        # By type, not isinstance: that would ask what stands behind weak references of others.
+        return Counter(type(one).__name__ for one in gc.get_objects() if type(one) in kinds)
+
+    full = held(40)
+    # What is left over from other tests may go meanwhile.
+    assert not held(40) - full
+    assert not held(4) - full
+
+
+def test_a_bounded_cache_lets_the_oldest_go() -> None:
+    cache: Bounded[int] = Bounded(3)
+    for k in range(10):
+        assert cache.get(k, lambda k=k: k) == k  # type: ignore[misc]
+    assert len(cache) == 3
+    assert cache.found(6) is None
+    assert cache.found(9) == 9
+
+
+def _bare_job(**plant: object) -> Workbench:
+    gimbal = {"name": "a", "parent": "case", "axis": [0, 1, 0], "inertia": [1e-3, 1e-3, 1e-3]}
+    inner = {"name": "b", "parent": "a", "axis": [0, 0, 1], "inertia": [5e-4, 5e-4, 5e-4]}
+    whole = {
+        "schema": 1,
+        "name": "bare",
+        "root": {"name": "case", "inertia": [0.1, 0.1, 0.1]},
+        "gimbal": [gimbal, inner],
+        "torquer": [{"gimbal": "a"}, {"gimbal": "b"}],
+        "pickoff": [{"gimbal": "a"}, {"gimbal": "b"}],
+        **plant,
+    }
+    crossover = "crossover_hz" if "rotor" in plant else "inertial_crossover_hz"
+    design = {"name": "by hand", "method": "classical", crossover: 5.0}
+    loop = {"name": "both", "kind": "caging", "gimbals": ["a", "b"], "use": "by hand", "design": [design]}
+    return Workbench(
+        read_job(
+            {
+                "schema": 1,
+                "name": "bare",
+                "plant": whole,
+                "operation": {"Omega": [0.0, 0.0, 0.0]},
+                "sampling": {"rate_hz": 500, "delay": 0.0},
+                "loop": [loop],
+            }
+        )
+    )
+
+
+ROTOR = {"name": "r", "carrier": "b", "axis": [1, 0, 0], "axial_inertia": 1e-4, "transverse_inertia": 6e-5}
+
+
+@pytest.mark.parametrize("rotors", [[], [{**ROTOR, "spin": 400.0}]])
+def test_plants_without_gyro_spread_limits_or_delay_have_pictures(rotors: list[dict[str, object]]) -> None:
+    bench = _bare_job(**({"rotor": rotors} if rotors else {}))
+    settings = bench.start("both")
+    picture = bench.picture(settings)
+    assert picture.stable
+    assert picture.plants == ("nominal",)
+    assert not picture.bode.band_frequency.size
+    assert len(bench.picture(bench.moved(settings, "Omega1", 0.5)).plants) > 1
+    assert bench.influence(settings).change.shape[0] == len(picture.requirements)
+    if rotors:
+        # Stopped, run backwards, and a tenth as fast: other gyros, other directions, and still a picture.
+        for spin in (0.0, -400.0, 40.0):
+            shown = bench.picture(bench.moved(settings, "spin r", spin))
+            assert np.isfinite(shown.bode.magnitude).all()
+
+
+def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Workbench, settings: Settings) -> None:
+    own = [bench.moved(settings.but(band=False), "rate_hz", 1900.0 + 40.0 * k) for k in range(6)]
+    alone = [[r.value for r in bench.picture(one).requirements] for one in own]
+    fresh = Workbench(JOB)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda one: [r.value for r in fresh.picture(one).requirements], own))
+    assert together == alone
+
+
+def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
+    assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
+    slow = Workbench(tmp_path / "mine.toml")
+    settings = slow.start()
+    for share in (0.8, 1e-3):
+        now = float(slow.picture(settings).bode.crossovers[-1])
+        bode = slow.picture(slow.pulled_crossover(settings, share * now, free=True)).bode
+        assert bode.frequency[0] < bode.crossovers[-1] < now
+
+
+def test_a_turn_that_is_shown_loads_the_gimbals_also_without_rotors() -> None:
+    gimbals = [
+        {"name": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.06, 0.07]},
+        {"name": "pitch", "parent": "yaw", "axis": [0, 1, 0], "inertia": [0.02, 0.03, 0.04]},
+    ]
+    job = read_job(
+        {
+            "schema": 1,
+            "name": "two axes",
+            "plant": {
+                "schema": 1,
+                "name": "two axes",
+                "root": {"name": "base", "inertia": [1, 1, 1]},
+                "gimbal": gimbals,
+                "torquer": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
+                "pickoff": [{"gimbal": "yaw"}, {"gimbal": "pitch"}],
+            },
+            "operation": {"Omega": [0, 0, 0]},
+            "sampling": {"rate_hz": 1000, "delay": 0.001},
+            "loop": [
+                {
+                    "name": one["name"],
+                    "kind": "caging",
+                    "gimbals": [one["name"]],
+                    "use": "classical",
+                    "design": [{"name": "classical", "method": "classical"}],
+                }
+                for one in gimbals
+            ],
+        }
+    )
+    assert [QuickPlants(job, (name,)).loading_axis(1) for name in ("yaw", "pitch")] == [3, 2]

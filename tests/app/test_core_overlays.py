@@ -1,0 +1,135 @@
+"""Designs of the servo laid over one another: each is what its own picture draws."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from platform_ctrl.app.page.telling import bar_told
+from platform_ctrl.app.pictures import Overlay, Picture
+from platform_ctrl.app.values import Settings
+from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.reading import read_job
+
+SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+SERVO = "stabilisation"
+
+
+@pytest.fixture(scope="module")
+def bench() -> Workbench:
+    """The shipped job with a second, slower servo, and nothing that has to be designed first."""
+    job = tomllib.loads(SHIPPED.read_text())
+    for loop in job["loop"]:
+        loop["design"] = [one for one in loop["design"] if one["method"] in ("classical", "platform-servo")]
+        loop["use"] = loop["design"][0]["name"]
+    job["loop"][-1]["design"].append({"name": "slow", "method": "platform-servo", "crossover_hz": 2.0})
+    return Workbench(read_job(job, folder=SHIPPED.parent))
+
+
+@pytest.fixture(scope="module")
+def settings(bench: Workbench) -> Settings:
+    """Not as the job has it: another caging loop inside, another plant, and another axis."""
+    inner = bench.moved(bench.start("caging 9-10"), "crossover_hz", 61.0)
+    out = bench.moved(bench.chosen(inner, loop=SERVO), "Omega1", 0.3)
+    return bench.moved(out, "position_hz", 0.8).but(axis=2, channel="M2", overlays=("slow",))
+
+
+@pytest.fixture(scope="module")
+def picture(bench: Workbench, settings: Settings) -> Picture:
+    return bench.picture(settings)
+
+
+def _expect_the_loop_of(over: Overlay, frequency: np.ndarray, own: Picture) -> None:
+    """Compare an overlay at some frequencies with the picture of its design, at those that both have."""
+    _, ours, theirs = np.intersect1d(frequency, own.bode.frequency, return_indices=True)
+    assert len(ours) > 20
+    np.testing.assert_allclose(over.response[ours], own.bode.response[theirs], rtol=1e-9)
+    np.testing.assert_allclose(over.magnitude, np.abs(over.response), rtol=1e-12)
+    np.testing.assert_allclose(over.phase[ours], own.bode.phase[theirs], atol=1e-6)
+    np.testing.assert_allclose(over.Omega_gain[ours], own.Omega_frequency.gain[theirs], rtol=1e-9)
+    np.testing.assert_allclose(np.sort_complex(over.poles), np.sort_complex(own.locus.present), rtol=1e-9)
+    for one, other in ((over.step, own.step), (over.Omega_step, own.Omega_time)):
+        assert (one.title, one.signals, one.units) == (other.title, other.signals, other.units)
+        np.testing.assert_array_equal(one.t, other.t)
+        np.testing.assert_array_equal(one.values, other.values)
+        assert not one.low.size
+
+
+def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
+    bench: Workbench, settings: Settings, picture: Picture
+) -> None:
+    [over] = picture.bode.overlays
+    assert (over.design, over.method) == ("slow", "platform-servo")
+    own = bench.picture(bench.chosen(settings, design="slow"))
+    _expect_the_loop_of(over, picture.bode.frequency, own)
+    assert np.abs(over.response - picture.bode.response).max() > 0.1 * np.abs(picture.bode.response).max()
+    # Drawn only; asked for by itself it is measured as well.
+    assert over.requirements == ()
+    measured = bench.overlay(settings, "slow")
+    assert [(r.name, r.passed) for r in measured.requirements] == [(r.name, r.passed) for r in own.requirements]
+    np.testing.assert_allclose([r.value for r in measured.requirements], [r.value for r in own.requirements], rtol=1e-6)
+
+
+def test_it_follows_what_the_other_loops_are_set_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+    bare = settings.but(band=False)
+    inner = bench.moved(bench.chosen(bare, loop="caging 9-10"), "crossover_hz", 40.0)
+    moved = bench.chosen(inner, loop=SERVO).but(overlays=("slow",), axis=2, channel="M2")
+    shown = bench.picture(moved)
+    [over] = shown.bode.overlays
+    _expect_the_loop_of(over, shown.bode.frequency, bench.picture(bench.chosen(moved, design="slow")))
+    assert np.abs(np.sort(over.poles) - np.sort(picture.bode.overlays[0].poles)).max() > 1.0
+
+
+def test_every_plot_of_the_free_platform_draws_it(picture: Picture) -> None:
+    plots = pytest.importorskip("platform_ctrl.app.plots").Plots()
+    plots.show(picture)
+    events = pytest.importorskip("bokeh.events")
+    toggle = plots.layout["Omega"].select_one({"name": "Omega-toggle"})
+    toggle._trigger_event(events.ButtonClick(toggle))
+    for source in ("overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"):
+        assert set(plots.sources[source].data["name"]) == {"slow"}, source
+
+
+def test_no_other_loop_is_closed_unless_it_is_asked_for(
+    bench: Workbench, settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[str] = []
+    own = bench._closing.stabilised
+
+    def counted(given: Settings) -> object:
+        closed.append(given.design)
+        return own(given)
+
+    monkeypatch.setattr(bench._closing, "stabilised", counted)
+    bare = settings.but(band=False)
+    assert not bench.picture(bare.but(overlays=())).bode.overlays
+    assert closed == ["servo"]
+    bench.picture(bare)
+    assert closed == ["servo", "servo", "slow"]
+
+
+def test_what_is_no_design_of_the_servo_is_refused(bench: Workbench, settings: Settings) -> None:
+    with pytest.raises(ArgumentError, match="design"):
+        bench.overlay(settings, "classical")
+    # A design that cannot be built is told in a line, and the rest is drawn.
+    slow = {**settings.options[SERVO]["slow"], "filter_hz": 1500.0}
+    broken = settings.but(band=False, options={**settings.options, SERVO: {**settings.options[SERVO], "slow": slow}})
+    shown = bench.picture(broken)
+    assert not shown.bode.overlays
+    assert "filter_hz" in shown.notes[-1]
+
+
+def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_and_says_so(picture: Picture) -> None:
+    assert picture.stable
+    S = 1.0 / (1.0 + picture.bode.response)
+    assert picture.margins.disk == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=5e-3)
+    bar = bar_told(picture)
+    tips = {one["label"]: one["tip"] for one in bar["figures"]}
+    assert "at the torquer that is shown" in tips["Disk margin"]
+    assert "the platform's axes" in tips["Bandwidth"]
+    # All of the verdict's words have room beside the numbers.
+    assert len(bar["words"]) < 36

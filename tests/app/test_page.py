@@ -1,0 +1,719 @@
+from __future__ import annotations
+
+import gc
+import json
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from browser import Screen, chromium, screen, served
+
+pytest.importorskip("bokeh")
+pytest.importorskip("tomlkit")
+
+from bokeh.document import Document
+
+from platform_ctrl.app.page.asking import ASKS, ask_of
+from platform_ctrl.app.page.errands import check_line, target
+from platform_ctrl.app.page.session import Session
+from platform_ctrl.app.page.wiring import Newest, chosen
+from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.cli import main
+from platform_ctrl.errors import InputError, PlatformCtrlError
+from questions import Sleeping
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Locator, Page
+
+    from platform_ctrl.app.server import PageServer
+
+JOB = """# A comment that is to stay.
+schema = 1
+name = "gyros <9 & 10>"
+plant = "three_gyro_platform"
+
+[operation]
+Omega = [0.0, 0.0, 0.0]
+
+[spread]
+inertia = 0.05
+
+[sampling]
+rate_hz = 2000
+delay = 0.0005
+
+[[loop]]
+name = "caging 9-10"
+kind = "caging"
+gimbals = ["9", "10"]
+use = "classical"
+limits = { bandwidth_hz = 20, disk_margin = 0.4, disk_margin_spread = 0.3 }
+
+[[loop.design]]
+name = "classical"
+method = "classical"
+crossover_hz = 40                      # by hand
+integral_hz = 2
+
+[[loop.design]]
+name = "slower"
+method = "classical"
+crossover_hz = 30
+integral_hz = 2
+
+[[loop.design]]
+name = "H-infinity"
+method = "hinf"
+bandwidth_hz = 20
+
+[[loop.design]]
+name = "out of reach"
+method = "hinf"
+bandwidth_hz = 20
+complementary = 1e12
+disturbance = 1e14
+
+[[manoeuvre]]
+name = "0.5 rad/s about axis 1"
+mode = "caged"
+axis = 1
+rate = 0.5
+rise = 0.01
+hold = 0.02
+duration = 0.05
+limits = { angle = 0.1 }
+
+[[manoeuvre]]
+name = "0.5 rad/s about axis 2"
+mode = "caged"
+axis = 2
+rate = 0.5
+rise = 0.01
+hold = 0.02
+duration = 0.05
+limits = { angle = 0.1 }
+"""
+CROSSOVER = '#knobs [data-knob="crossover_hz"]'
+LOOP = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "loop") return Array.from(model.data.gain);
+  }
+}"""
+OVERLAYS = """() => {
+  const out = {};
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (/overlay/.test(model.name ?? "") && model.data?.name?.length) out[model.name] = Array.from(model.data.name);
+  }
+  return out;
+}"""
+BANDS = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "band") return model.data.gain_low.length;
+  }
+}"""
+
+browser = pytest.fixture(scope="module")(chromium)
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gyros") / "gyros.toml"
+    path.write_text(JOB, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def workbench(job: Path) -> Iterator[Workbench]:
+    made = Workbench(job)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def server(workbench: Workbench) -> Iterator[PageServer]:
+    with pytest.MonkeyPatch.context() as patch:
+        # Pages that were lost without a word are waited for a shorter time.
+        patch.setattr("platform_ctrl.app.web.LINGER", 6_000)
+        with served(workbench) as running:
+            yield running
+
+
+@contextmanager
+def opened(browser: Browser, address: str, **how: Any) -> Iterator[Screen]:
+    with screen(browser, address, **how) as seen:
+        seen.page.wait_for_selector("body:not(.starting)", state="attached")
+        yield seen
+
+
+@pytest.fixture(scope="module")
+def only(browser: Browser, server: PageServer) -> Iterator[Screen]:
+    with opened(browser, server.address) as one:
+        yield one
+
+
+@pytest.fixture
+def page(only: Screen) -> Page:
+    """The page, brought back to the job as it stands by all its undo."""
+    page = only.page
+    if page.locator("dialog[open]").count():
+        page.keyboard.press("Escape")
+    settled(page)
+    while page.locator("#undo").is_enabled():
+        page.locator("#undo").click()
+        settled(page)
+    page.locator("h1").click()
+    return page
+
+
+def settled(page: Page) -> None:
+    until(page, lambda: page.evaluate("window.designer.settled()"))
+
+
+def until(page: Page, what: Any, patience: float = 20.0) -> Any:
+    """Return what `what` returns once it is true; the page's own rules forbid Playwright's way of waiting."""
+    end = time.monotonic() + patience
+    while not (found := what()):
+        assert time.monotonic() < end, "it did not come"
+        page.wait_for_timeout(15)
+    return found
+
+
+def number(page: Page, knob: str) -> Locator:
+    return page.locator(f'#knobs [data-knob="{knob}"] input[type="text"]')
+
+
+def shows(page: Page, knob: str, value: str) -> None:
+    until(page, lambda: number(page, knob).input_value() == value)
+
+
+def typed(page: Page, knob: str, text: str) -> None:
+    number(page, knob).fill(text)
+    number(page, knob).press("Enter")
+    settled(page)
+
+
+def drawn(page: Page) -> list[float]:
+    return [float(one) for one in page.evaluate(LOOP)]
+
+
+def line(page: Page, part: str) -> str:
+    return str(until(page, lambda: part in (text := page.locator("#line").text_content() or "") and text))
+
+
+def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_back(page: Page) -> None:
+    before, pixels = drawn(page), page.locator("#panel-nichols").screenshot()
+    thumb = page.locator(f'{CROSSOVER} input[type="range"]').bounding_box()
+    assert thumb is not None
+    middle = thumb["y"] + thumb["height"] / 2
+    page.mouse.move(thumb["x"] + thumb["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(thumb["x"] + 0.56 * thumb["width"], middle, steps=6)
+    page.mouse.up()
+    until(page, lambda: drawn(page) != before)
+    until(page, lambda: page.locator("#panel-nichols").screenshot() != pixels)
+    until(page, lambda: number(page, "crossover_hz").input_value() not in ("", "40"))
+    page.keyboard.press("Control+z")
+    shows(page, "crossover_hz", "40")
+    until(page, lambda: drawn(page) == before)
+    page.keyboard.press("Control+Shift+z")
+    until(page, lambda: drawn(page) != before)
+
+
+def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None:
+    rate = '#knobs [data-knob="rate_hz"] input[type="range"]'
+    thumb = page.locator(rate).bounding_box()
+    assert thumb is not None
+    middle = thumb["y"] + thumb["height"] / 2
+    page.mouse.move(thumb["x"] + thumb["width"] / 2, middle)
+    page.mouse.down()
+    moved = []
+    for share in (0.7, 0.9):
+        page.mouse.move(thumb["x"] + share * thumb["width"], middle, steps=3)
+        settled(page)
+        moved.append(number(page, "rate_hz").input_value())
+    page.mouse.up()
+    assert 2000 < float(moved[0]) < float(moved[1])
+    page.keyboard.press("Control+z")
+    shows(page, "rate_hz", "2000")
+    assert page.locator("#undo").is_disabled()
+
+
+PLACE = """([name, x, y]) => {
+  const every = (view) => [view, ...view.children().flatMap ? [...view.children()].flatMap(every) : []];
+  const view = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).find((one) => one.model.name == name);
+  const box = view.canvas_view.el.getBoundingClientRect();
+  return [box.left + view.frame.x_scale.compute(x), box.top + view.frame.y_scale.compute(y)];
+}"""
+HANDLE = """() => {
+  for (const model of Bokeh.documents[0]._all_models.values()) {
+    if (model.name === "crossover-handle") return Math.sqrt(model.left * model.right);
+  }
+}"""
+
+
+def test_a_drag_is_held_back_by_a_limit_that_is_met_and_shift_lets_it_go_on(page: Page) -> None:
+    def drag_down(steps: int) -> None:
+        at = float(page.evaluate(HANDLE))
+        first, last = (page.evaluate(PLACE, ["bode-figure-0", f, 10.0]) for f in (at, 0.2 * at))
+        page.mouse.move(*first)
+        page.mouse.down()
+        page.mouse.move(*last, steps=steps)
+        page.mouse.up()
+
+    # The job asks for 20 Hz of bandwidth: the crossover cannot be dragged to a fifth.
+    assert "met" in (page.locator("#verdict").text_content() or "")
+    drag_down(6)
+    assert "Held back by bandwidth" in line(page, "with Shift the drag goes on")
+    settled(page)
+    assert "met" in (page.locator("#verdict").text_content() or "")
+    page.keyboard.down("Shift")
+    drag_down(6)
+    page.keyboard.up("Shift")
+    until(page, lambda: "missed" in (page.locator("#verdict").text_content() or ""))
+    assert "Held back" not in (page.locator("#line").text_content() or "")
+
+
+def test_what_is_left_of_a_limit_is_said_as_more_where_it_has_no_room(page: Page) -> None:
+    # 0.05 1/s are asked of the slowest decay, and some hundred times as much is there.
+    row = page.locator("#requirements tbody tr", has_text="slowest decay").first
+    assert "> +999 %" in (row.text_content() or "")
+
+
+def test_keys_of_curves_that_have_no_room_are_counted_and_every_axis_has_numbers(page: Page) -> None:
+    cut = """() => [...document.querySelectorAll("#plots .panel")].flatMap((panel) => {
+      const every = (root) => [...root.querySelectorAll("*")].flatMap((one) => [
+        one, ...(one.shadowRoot ? every(one.shadowRoot) : []),
+      ]);
+      return every(panel).filter((one) => one.localName === "curve-keys").map((line) => {
+        const seen = [...line.children].filter((one) => getComputedStyle(one).visibility === "visible");
+        const more = seen.filter((one) => one.className === "more"), end = line.getBoundingClientRect().right;
+        return {
+          cut: seen.filter((one) => one.getBoundingClientRect().right > end).map((one) => one.textContent),
+          hidden: line.children.length - seen.length, said: Number(more[0]?.textContent ?? 0),
+        };
+      });
+    })"""
+    ticks = """() => {
+      const every = (view) => [view, ...[...view.children()].flatMap(every)];
+      const axes = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every).filter((one) => one.tick_coords);
+      return axes.filter((one) => one.layout?.visible).map((one) => one.tick_coords.major[one.dimension].length);
+    }"""
+    assert not any(one["hidden"] for one in page.evaluate(cut))
+    page.set_viewport_size({"width": 725, "height": 900})
+    until(page, lambda: any(one["said"] for one in page.evaluate(cut)))
+    lines = page.evaluate(cut)
+    assert not any(one["cut"] for one in lines)
+    assert [one["hidden"] for one in lines] == [one["said"] for one in lines]
+    page.set_viewport_size({"width": 1440, "height": 900})
+    until(page, lambda: not any(one["hidden"] for one in page.evaluate(cut)))
+    assert min(page.evaluate(ticks)) >= 2
+
+
+def test_curves_that_become_fewer_are_painted_once_they_are_all_there(page: Page) -> None:
+    errors = page.evaluate(
+        """async () => {
+          const every = (view) => [view, ...[...view.children()].flatMap(every)];
+          const views = [...Bokeh.index.roots ?? Bokeh.index].flatMap(every);
+          const bands = views.find((one) => one.model.data_source?.name === "step_bands");
+          const source = bands.model.data_source, few = source.data, said = [];
+          source.data = Object.fromEntries(Object.entries(few).map(([name, all]) => [name, [...all, ...all, ...all]]));
+          await new Promise((done) => setTimeout(done, 200));
+          source.data = few;
+          for (let k = 0; k < 40; k += 1) {
+            try { bands.paint(bands.plot_view.canvas_view.primary.ctx); } catch (error) { said.push(String(error)); }
+            await null;
+          }
+          return [few.xs.length, ...said];
+        }"""
+    )
+    assert errors == [2]
+
+
+def test_undo_that_is_asked_while_moves_are_worked_out_takes_all_of_them_back(page: Page) -> None:
+    page.evaluate(
+        """selector => {
+          const slider = document.querySelector(`${selector} input[type="range"]`);
+          slider.dispatchEvent(new Event("pointerdown"));
+          for (let k = 0; k < 8; k += 1) {
+            slider.value = Number(slider.value) + 5;
+            slider.dispatchEvent(new Event("input", { bubbles: true }));
+          }
+          document.dispatchEvent(new KeyboardEvent("keydown", { key: "z", ctrlKey: true, bubbles: true }));
+        }""",
+        CROSSOVER,
+    )
+    settled(page)
+    assert number(page, "crossover_hz").input_value() == "40"
+    assert page.locator("#redo").is_enabled()
+
+
+def test_everything_works_by_keyboard(page: Page) -> None:
+    page.keyboard.press("g")
+    slider = page.locator(f'{CROSSOVER} input[type="range"]')
+    assert slider.evaluate("one => one === document.activeElement")
+    page.keyboard.press("ArrowRight")
+    until(page, lambda: number(page, "crossover_hz").input_value() != "40")
+    fine = float(number(page, "crossover_hz").input_value())
+    page.keyboard.press("Shift+ArrowRight")
+    until(page, lambda: float(number(page, "crossover_hz").input_value()) > fine + 5 * (fine - 40))
+    page.keyboard.press("r")
+    shows(page, "crossover_hz", "40")
+    page.keyboard.press("x")
+    pin = page.locator(f"{CROSSOVER} .pin")
+    until(page, lambda: pin.get_attribute("aria-pressed") == "true")
+    page.keyboard.press("n")
+    page.keyboard.type("41\n")
+    shows(page, "crossover_hz", "41")
+    page.keyboard.press("Escape")
+    slider.focus()
+    page.keyboard.press("d")
+    until(page, lambda: page.locator("#design").input_value() == "slower")
+    shows(page, "crossover_hz", "30")
+    page.keyboard.press("?")
+    assert page.locator("#help-dialog").is_visible()
+    assert "tune the rest" in (page.locator("#help-dialog").text_content() or "")
+    page.keyboard.press("Escape")
+    assert not page.locator("#help-dialog").is_visible()
+    page.keyboard.press("Control+s")
+    assert page.locator("#save-name").evaluate("one => one === document.activeElement")
+
+
+def test_every_control_has_a_name_and_a_visible_focus(page: Page) -> None:
+    for control in page.locator("button:visible, select:visible, input:visible").all():
+        named = control.evaluate(
+            "one => one.labels?.[0]?.textContent || one.getAttribute('aria-label') || one.textContent || one.title"
+        )
+        assert named.strip()
+
+    def nodes() -> dict[str, list[str]]:
+        tree = session.send("Accessibility.getFullAXTree")["nodes"]
+        out: dict[str, list[str]] = {}
+        for node in tree:
+            if not node["ignored"]:
+                out.setdefault(node["role"]["value"], []).append(node.get("name", {}).get("value", ""))
+        return out
+
+    # What a screen reader is told once nothing moves: the verdict, and what each plot shows.
+    session = page.context.new_cdp_session(page)
+    session.send("Accessibility.enable")
+    words = until(page, lambda: page.locator("#spoken").text_content())
+    assert words.startswith(page.locator("#verdict .words span").text_content() or "-")
+    seen = until(page, lambda: (found := nodes()) and len(found["image"]) >= 7 and found)
+    for role in ("button", "slider", "textbox", "combobox", "checkbox", "radio", "image", "columnheader", "table"):
+        assert all(seen[role]), role
+    assert any(one.startswith("Bode diagram, L at Q9, others closed; gain, dB over freq") for one in seen["image"])
+    session.detach()
+    page.keyboard.press("Tab")
+    outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline == "solid"
+
+
+def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
+    typed(page, "crossover_hz", "25")
+    shows(page, "crossover_hz", "25")
+    until(page, lambda: "bad" in (page.locator("#verdict").get_attribute("class") or ""))
+    fixed = {
+        knob: number(page, knob).input_value() for knob in ("integral_hz", "damping_hz", "damping2_hz", "rolloff_hz")
+    }
+    for knob in (*fixed, "lead_hz"):
+        page.locator(f'#knobs [data-knob="{knob}"] .pin').click()
+        settled(page)
+    page.keyboard.press("t")
+    until(page, lambda: "good" in (page.locator("#verdict").get_attribute("class") or ""), 60.0)
+    assert {knob: number(page, knob).input_value() for knob in fixed} == fixed
+    assert number(page, "crossover_hz").input_value() != "25"
+
+    page.locator("#save").click()
+    page.locator("#save-name").fill("../outside")
+    page.locator("#save-go").click()
+    until(page, lambda: "expected letters" in (page.locator("#save-line").text_content() or ""))
+    page.locator("#save-name").fill("gyros")
+    page.locator("#save-go").click()
+    until(page, lambda: page.locator("#save-go").text_content() == "Overwrite")
+    assert job.read_text(encoding="utf-8") == JOB
+    page.locator("#save-name").fill("by hand")
+    page.locator("#save-go").click()
+    command = str(until(page, lambda: page.locator("#saved-command").text_content()))
+    saved = job.with_name("by hand.toml")
+    assert command == f"platform-ctrl check '{saved}'"
+    assert "A comment that is to stay." in saved.read_text(encoding="utf-8")
+    assert main(["check", str(saved), "-o", str(job.with_name("out"))]) == 0
+
+
+def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_is_there(page: Page) -> None:
+    # Chosen itself, it stays chosen while the one before is shown.
+    page.locator("#design").select_option("H-infinity")
+    assert "is being designed" in line(page, "H-infinity: is being designed")
+    assert page.locator("#line").get_attribute("class") == "quiet"
+    assert page.locator("#design").input_value() == "H-infinity"
+    page.locator('#knobs [data-knob="bandwidth_hz"]').wait_for(state="attached")
+    assert page.locator("#design").input_value() == "H-infinity"
+    page.keyboard.press("Control+z")
+    shows(page, "crossover_hz", "40")
+    page.keyboard.press("c")
+    for design in ("slower", "H-infinity", "out of reach"):
+        page.locator("#overlays label", has_text=design).get_by_role("checkbox").check()
+    assert "is being designed" in line(page, "out of reach: is being designed")
+    until(page, lambda: "is being designed" in (page.locator("#compare-line").text_content() or ""))
+    page.keyboard.press("Escape")
+    until(page, lambda: "is being designed" not in (page.locator("#line").text_content() or ""), 60.0)
+    assert "the solver" in line(page, "out of reach: ")
+    # What is hidden follows when it is seen.
+    page.get_by_role("button", name="frequency").click()
+    until(page, lambda: len(page.evaluate(OVERLAYS).get("Omega_gain_overlays", ())) == 2)
+    overlays = page.evaluate(OVERLAYS)
+    assert set(overlays) >= {"overlays", "overlay_poles", "step_overlays", "Omega_time_overlays", "Omega_gain_overlays"}
+    assert all(set(names) == {"slower", "H-infinity"} for names in overlays.values())
+    # The band of the design that is worked on stays.
+    assert page.locator("#band").is_checked()
+    assert page.evaluate(BANDS) > 0
+
+
+def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
+    page: Page, workbench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manoeuvre = workbench.offer().manoeuvres[1]
+    page.locator("#manoeuvre").select_option(manoeuvre)
+    page.locator("h1").click()
+    with monkeypatch.context() as patch:
+        patch.setattr("platform_ctrl.app.workbench.Flying", lambda **_: Sleeping())
+        page.keyboard.press("s")
+        until(page, lambda: f"{manoeuvre}: the first run" in (page.locator("#busy").text_content() or ""))
+        typed(page, "crossover_hz", "41")
+        shows(page, "crossover_hz", "41")
+        assert page.locator("#busy").is_visible()
+        page.locator("h1").click()
+        page.keyboard.press("Escape")
+        line(page, "was cancelled")
+        assert not page.locator("#busy").is_visible()
+        assert not workbench.flown
+
+    page.locator("#fly").click()
+    tree = page.locator("gimbal-tree")
+    until(page, lambda: tree.evaluate("one => one.run?.there"), 90.0)
+    assert workbench.flown
+    settings = workbench.moved(workbench.start(), "crossover_hz", 41.0)
+    run = workbench.run(settings, manoeuvre)
+    assert np.ptp(run.q[:, -1]) > 1e-5
+    turned = []
+    for time_shown in (0.011, 0.037):
+        seen = tree.evaluate(
+            "(one, t) => { one.controls.platform.checked = false; one.seek(t); return one.state(); }", time_shown
+        )
+        q = np.array([np.interp(time_shown, run.t, column) for column in run.q.T])
+        np.testing.assert_allclose(np.array(seen["turned"][: len(q)]) / seen["factor"], q, rtol=1e-6, atol=1e-12)
+        attitude = [np.interp(time_shown, run.t, column) for column in run.attitude.T]
+        root = seen["rotations"][workbench.read.platform.root_name]
+        np.testing.assert_allclose(np.abs(np.dot(root, attitude)), 1.0, rtol=1e-6)
+        turned.append(seen["turned"])
+    assert np.max(np.abs(np.subtract(*turned))) > 1e-2  # so much larger that it is seen
+
+
+def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "gyros.toml"
+    path.write_text(JOB.replace('use = "classical"', 'use = "H-infinity"'), encoding="utf-8")
+    session = Session(Workbench(path), Document(), "")
+    session.later = lambda act: act()  # type: ignore[method-assign]
+    session._asked("asked", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
+    end = time.monotonic() + 20.0
+    while "saved" not in json.loads(str(session.wire.told)) and time.monotonic() < end:
+        time.sleep(0.01)
+    told = json.loads(str(session.wire.told))
+    assert told["saved"]["text"].startswith(f"Saved: {path.with_name('new.toml')}. ")
+    assert "classical is closed in place of H-infinity, which is not designed" in told["saved"]["text"]
+    assert told["line"]["text"] == told["saved"]["text"]
+
+
+def test_what_each_slider_does_is_told_once_it_rests_and_hovering_shows_its_column(page: Page) -> None:
+    cells = page.locator('#requirements td.cell[data-knob="crossover_hz"]')
+    until(page, lambda: any(cells.all_text_contents()))
+    page.locator(CROSSOVER).hover()
+    until(page, lambda: "near" in (cells.first.get_attribute("class") or ""))
+    page.locator("h1").hover()
+    assert "near" not in (cells.first.get_attribute("class") or "")
+
+
+def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> None:
+    cut = """selector => [...document.querySelectorAll(selector)]
+        .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.textContent)"""
+    for width, height in ((1920, 1080), (1440, 900)):
+        page.set_viewport_size({"width": width, "height": height})
+        size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+        assert size == [width, height]
+        assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel .top, #requirements") == []
+    # Smaller windows scroll downwards alone, and a zoomed one is as a smaller one.
+    for width, height in ((1280, 720), (1024, 768), (960, 600)):
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        assert page.evaluate(cut, "button, .knob label, #figures div, #requirements") == []
+    page.set_viewport_size({"width": 1440, "height": 900})
+    assert only.complaints == []
+
+
+def test_what_is_done_for_a_page_that_is_just_going_is_dropped(workbench: Workbench) -> None:
+    document, done = Document(), []
+    session = Session(workbench, document, "")
+    document.callbacks.destroy()
+    session.later(lambda: done.append(1))
+    session.close(None)
+    session.later(lambda: done.append(2))
+    assert done == []
+
+
+@pytest.mark.parametrize("state", ["nonsense", "%00%ff", "eJwrSS0uAQAEXQHB", "A" * 5000])
+def test_nonsense_in_a_link_leaves_the_job_as_it_is(workbench: Workbench, state: str) -> None:
+    session = Session(workbench, Document(), state)
+    assert session.settings is workbench.start()
+
+
+def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:
+    send = "message => { Bokeh.documents[0].get_model_by_name('wire').asked = message; }"
+    for nonsense in (
+        "no JSON",
+        5,
+        None,
+        {"a": 1},
+        '{"n": 7, "what": "move", "moves": [{"knob": "crossover_hz", "value": NaN}], "gesture": 1}',
+        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "no such", "value": 1}], "gesture": 1}),
+        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "crossover_hz", "value": 1e308}], "gesture": 1}),
+        json.dumps({"n": 0, "what": "set", "name": "plant", "value": ["x"]}),
+        json.dumps({"n": 0, "what": "set", "name": "loop", "value": "__class__"}),
+        json.dumps({"n": 0, "what": "fly", "manoeuvre": "none"}),
+        json.dumps({"n": 0, "what": "close"}),
+    ):
+        page.evaluate("() => { document.querySelector('#line').textContent = ''; }")
+        page.evaluate(send, nonsense)
+        until(page, lambda: "error" in (page.locator("#line").get_attribute("class") or "") and line(page, "e"))
+    typed(page, "crossover_hz", "39")
+    shows(page, "crossover_hz", "39")
+
+
+def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_behind(
+    browser: Browser, server: PageServer, page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from platform_ctrl.app.page import app as page_app
+
+    kept: list[weakref.ref[Any]] = []
+
+    class Watched(page_app.Session):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            kept.extend(weakref.ref(one) for one in (self, self.plots, self.history, given[1]))
+
+    monkeypatch.setattr(page_app, "Session", Watched)
+    typed(page, "crossover_hz", "47.5")
+    shows(page, "crossover_hz", "47.5")
+    page.wait_for_timeout(400)  # the address follows once nothing moves
+    with opened(browser, page.url, dark=True) as other:
+        assert number(other.page, "crossover_hz").input_value() == "47.5"
+        assert drawn(other.page) == drawn(page)
+        assert other.page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 24, 30)"
+        typed(other.page, "crossover_hz", "33")
+        shows(other.page, "crossover_hz", "33")
+        until(other.page, lambda: other.page.url != page.url)
+        other.page.locator('[data-theme-choice="light"]').click()
+        other.page.goto(f"{server.address}?state=nonsense")
+        other.page.wait_for_selector("body:not(.starting)", state="attached")
+        assert "The state in the link was not used" in line(other.page, "link")
+        assert number(other.page, "crossover_hz").input_value() == "40"
+        until(other.page, lambda: "state=" not in other.page.url)
+        # The theme that was chosen is kept.
+        assert other.page.evaluate("document.documentElement.dataset.theme") == "light"
+        other.page.goto("about:blank")
+    assert number(page, "crossover_hz").input_value() == "47.5"
+    assert len(kept) == 8
+    end = time.monotonic() + 20.0
+    while any(one() is not None for one in kept) and time.monotonic() < end:
+        time.sleep(0.05)
+        gc.collect()
+    assert [one() for one in kept] == [None] * 8
+
+
+def test_what_is_no_number_is_answered_and_the_page_goes_on(page: Page) -> None:
+    typed(page, "crossover_hz", "abc")
+    assert "expected a finite number" in line(page, "abc")
+    shows(page, "crossover_hz", "40")
+    page.locator(f'{CROSSOVER} input[type="range"]').press("ArrowRight")
+    settled(page)
+    assert float(number(page, "crossover_hz").input_value()) > 40.0
+
+
+def test_messages_are_judged() -> None:
+    ask = ask_of('{"n": 3, "what": "move", "moves": [{"knob": "a", "value": 2}], "gesture": 0}')
+    assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", (("a", 2.0),))
+    assert ask_of('{"n": 3, "what": "undo", "more": 1}').more == {}
+    for what, parts in ASKS.items():
+        right: dict[type, Any] = {bool: True, int: 1, str: "a", list: [], object: None}
+        whole = {"n": 1, "what": what, **{name: right[kind] for name, kind in parts.items()}}
+        assert ask_of(json.dumps(whole)).what == what
+        for name, kind in [("n", int), *parts.items()]:
+            if kind is not object:
+                with pytest.raises(InputError, match=f"{what}: {name}: given"):
+                    ask_of(json.dumps(whole | {name: {"x": 1}}))
+    huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"knob": "a", "value": 1%s}]}'
+    with pytest.raises(InputError, match="finite"):
+        ask_of(huge % ("0" * 400))
+    for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": -1, "what": "undo"}', '{"n": true, "what": "undo"}'):
+        with pytest.raises(InputError):
+            ask_of(text)
+
+
+def test_choices_are_judged(workbench: Workbench) -> None:
+    start = workbench.start()
+    assert chosen(workbench, start, "axis", 3, ()).axis == 3
+    assert chosen(workbench, start, "overlays", ["slower"], ()).overlays == ("slower",)
+    assert chosen(workbench, start, "mode", "caged", ()) is start
+    wrong = [
+        ("axis", 4),
+        ("axis", "1"),
+        ("axis", True),
+        ("band", 1),
+        ("overlays", "slower"),
+        ("overlays", ["classical"]),
+    ]
+    wrong += [("overlays", [[]]), ("loop", "x"), ("loop", 3), ("design", ""), ("channel", "Q4"), ("plant", "nominal ")]
+    wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
+    for name, given in wrong:
+        with pytest.raises(PlatformCtrlError):
+            chosen(workbench, start, name, given, ("nominal",))
+
+
+def test_a_job_is_saved_under_a_plain_name_alone(tmp_path: Path) -> None:
+    assert target(tmp_path, "by hand") == target(tmp_path, " by hand.toml ") == tmp_path / "by hand.toml"
+    assert check_line(tmp_path / "a.toml") == f"platform-ctrl check {tmp_path / 'a.toml'}"
+    for name in ("", ".", "..", "../a", "a/b", "a\\b", ".hidden", "a\0", "nul", "COM1", "a:b", "a" * 99, "~", "a*"):
+        with pytest.raises(InputError):
+            target(tmp_path, name)
+
+
+def test_only_the_newest_of_a_kind_is_worked_out() -> None:
+    done: list[list[int]] = []
+    begun, go = threading.Event(), threading.Event()
+
+    def work(tasks: list[int]) -> None:
+        done.append(tasks)
+        begun.set()
+        assert go.wait(10.0)
+
+    newest: Newest[int] = Newest(work)
+    newest.add("a", 0)
+    assert begun.wait(10.0)
+    for k in range(1, 100):
+        newest.add("a", k)
+        newest.add("b", -k)
+    go.set()
+    end = time.monotonic() + 10.0
+    while len(done) < 2 and time.monotonic() < end:
+        time.sleep(0.005)
+    assert done == [[0], [99, -99]]
+    newest.close()
+    newest.add("a", 1)
+    time.sleep(0.05)
+    assert len(done) == 2

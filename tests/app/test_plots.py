@@ -1,0 +1,555 @@
+"""The page's plots hold the numbers of the picture, in both themes, and never grow."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("bokeh", reason="Bokeh is not installed")
+
+from bokeh.core.validation.check import check_integrity
+from bokeh.document import Document
+from bokeh.events import ButtonClick
+from bokeh.models import BoxAnnotation, Label, Model, NoOverlap, Plot, Range1d, Span
+from bokeh.protocol import Protocol
+
+from designer_pictures import DAMPING, broken, empty, picture
+from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.plots import Plots
+from platform_ctrl.app.plots.locus import rounded
+from platform_ctrl.app.plots.sources import Unit, colours, quantity
+from platform_ctrl.app.plots.views import View, nice
+
+HZ = 1.0 / (2.0 * np.pi)
+
+
+@pytest.fixture(scope="module")
+def document(plots: Plots) -> Iterator[Document]:
+    out = Document()
+    for root in plots.layout.values():
+        out.add_root(root)
+    yield out
+    out.clear()
+
+
+@pytest.fixture(scope="module")
+def plots() -> Plots:
+    """The plots of one page, with everything that the tests before have done to it."""
+    return Plots(dark=False)
+
+
+@pytest.fixture
+def fresh() -> Plots:
+    return Plots(dark=False)
+
+
+def named(plots: Plots, kind: type[Model]) -> list[Any]:
+    return [one for root in plots.layout.values() for one in root.select({"type": kind})]
+
+
+def figure(plots: Plots, panel: str, k: int = 0) -> Any:
+    return plots.layout[panel].select_one({"name": f"{panel}-figure-{k}"})
+
+
+def heading(plots: Plots, panel: str) -> str:
+    return " ".join(one.text for one in plots.layout[panel].select({"tags": "heading"}))
+
+
+def keys(plots: Plots, panel: str) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Return colour and dashes of each key of a panel, by its words."""
+    found = re.findall(r'stroke="(#\w+)" stroke-width="[^"]*"(?: stroke-dasharray="([^"]*)")?/></svg>([^<]*)</span>',
+                       heading(plots, panel))  # fmt: skip
+    return {words: (colour, tuple(map(int, dashes.split()))) for colour, dashes, words in found}
+
+
+def looks(plots: Plots, panel: str) -> set[tuple[str, tuple[int, ...]]]:
+    """Return colour and dashes of everything that is drawn as a line or a mark in a panel."""
+    out = set()
+    for plot in plots.layout[panel].select({"type": Plot}):
+        for one in plot.renderers:
+            glyph, data = one.glyph, one.data_source.data
+            if not any(map(len, data.values())) or not hasattr(glyph, "line_color"):
+                continue
+            n = len(next(iter(data.values())))
+            drawn = {}
+            for name in ("line_color", "line_dash"):
+                given = getattr(glyph, name)
+                column = (
+                    given.field
+                    if hasattr(given, "field")
+                    else given
+                    if isinstance(given, str) and given in data
+                    else None
+                )
+                drawn[name] = data[column] if column is not None else [given] * n
+            out |= {(c, tuple(d)) for c, d in zip(drawn["line_color"], drawn["line_dash"], strict=True)}
+        for span in plot.select({"type": Span}):
+            if span.location is not None:
+                out.add((span.line_color, tuple(span.line_dash)))
+    return out
+
+
+def messages(plots: Plots) -> dict[str, str]:
+    """Return what the figures say is the matter."""
+    out = {}
+    for name, root in plots.layout.items():
+        said = [one.text for one in root.select({"type": Label}) if one.visible]
+        out[name] = said[0] if said else ""
+    return out
+
+
+def test_the_loop_is_drawn_in_hertz_decibels_and_degrees(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    data = plots.sources["loop"].data
+    assert data["frequency"] == pytest.approx(shown.bode.frequency * HZ, rel=1e-6)
+    assert data["gain"] == pytest.approx(20.0 * np.log10(shown.bode.magnitude), abs=1e-4)
+    assert data["phase"] == pytest.approx(shown.bode.phase, abs=1e-4)
+    assert all(one.dtype == np.float32 for one in data.values())
+
+
+def test_the_band_encloses_the_loop(plots: Plots) -> None:
+    plots.show(picture())
+    loop, band = plots.sources["loop"].data, plots.sources["band"].data
+    assert np.all(band["gain_low"] <= loop["gain"] + 1e-4)
+    assert np.all(loop["gain"] <= band["gain_high"] + 1e-4)
+    plots.show(picture(plants=0))
+    assert all(len(column) == 0 for column in plots.sources["band"].data.values())
+
+
+def test_the_phase_margin_is_marked_at_the_crossover(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    marks = plots.sources["margins"].data
+    [k] = np.flatnonzero(np.isfinite(marks["phase0"]))
+    assert marks["frequency"][k] == pytest.approx(shown.margins.crossover * HZ, rel=1e-5)  # type: ignore[operator]
+    assert marks["phase1"][k] - marks["phase0"][k] == pytest.approx(shown.margins.phase, abs=0.1)
+
+
+def test_the_gain_margin_is_marked_where_the_phase_is_critical(plots: Plots) -> None:
+    shown = picture()
+    # A delay of 5 ms turns the phase by omega * 5 ms; where it meets -180 degrees follows from atan(20/omega).
+    late = shown.bode.phase - np.degrees(shown.bode.frequency * 5e-3)
+    plots.show(dataclasses.replace(shown, bode=dataclasses.replace(shown.bode, phase=late)))
+    marks = plots.sources["margins"].data
+    [k] = np.flatnonzero(np.isfinite(marks["gain0"]))
+    omega = marks["frequency"][k] / HZ
+    assert np.arctan(DAMPING / omega) == pytest.approx(omega * 5e-3, rel=2e-3)
+    assert 10.0 ** (marks["gain1"][k] / 20.0) == pytest.approx(4000.0 / omega / np.hypot(omega, DAMPING), rel=2e-2)
+
+
+def test_all_plants_are_one_line_with_gaps_in_the_nichols_plot(plots: Plots) -> None:
+    shown = picture(plants=7)
+    plots.show(shown)
+    data = plots.sources["plants"].data
+    rows = data["phase"].reshape(7, -1)
+    assert np.isnan(rows[:, -1]).all()
+    assert rows[:, 0] == pytest.approx(shown.nichols.phase[1:, 0], abs=1e-3)
+    assert rows[:, -2] == pytest.approx(shown.nichols.phase[1:, -1], abs=1e-3)
+
+
+def test_the_asked_disk_margin_keeps_its_region_free(plots: Plots) -> None:
+    plots.show(picture())
+    data = plots.sources["regions"].data
+    for x, y in zip(data["xs"], data["ys"], strict=True):
+        L = 10.0 ** (np.asarray(y) / 20.0) * np.exp(1j * np.radians(np.asarray(x)))
+        assert np.abs(1.0 / (1.0 + L) - 0.5) == pytest.approx(np.full(len(L), 1.0 / 0.5), rel=1e-4)
+
+
+def test_poles_carry_damping_and_frequency(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    data = plots.sources["poles"].data
+    assert data["re"] + 1j * data["im"] == pytest.approx(shown.locus.present, rel=1e-6)
+    assert data["damping"] == pytest.approx(np.full(2, 10.0 / np.sqrt(4000.0)), rel=1e-5)
+    assert data["hz"] == pytest.approx(np.full(2, np.sqrt(4000.0) * HZ), rel=1e-5)
+
+
+def test_branches_begin_at_the_poles_of_the_open_loop(plots: Plots) -> None:
+    plots.show(picture())
+    data = plots.sources["open_poles"].data
+    assert sorted(data["re"]) == pytest.approx([-DAMPING, 0.0])
+    branches = plots.sources["branches"].data
+    assert np.isnan(branches["re"]).sum() == 2
+    assert branches["gain"][0] == 0.0
+
+
+def test_a_pair_of_branches_turns_where_it_leaves_the_real_axis(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    data = plots.sources["branches"].data
+    s, gain = np.float64(data["re"]) + 1j * np.float64(data["im"]), 4000.0 * np.float64(data["gain"])
+    fine = np.isfinite(s)
+    assert fine.sum() > 2 * len(shown.locus.gains)
+    # Every point that is drawn is a pole for its gain, the double pole at a gain of 100 among them.
+    assert np.abs(s**2 + DAMPING * s + gain)[fine].max() < 1e-2
+    assert np.abs(s[fine] + 10.0).min() < 0.05
+
+
+def test_an_infinitely_fast_pole_does_not_keep_the_others_from_turning() -> None:
+    gains = np.linspace(0.0, 400.0, 9)
+    poles = np.array([np.sort_complex(np.roots([1.0, DAMPING, k])) for k in gains]).astype(np.complex128)
+    branches = np.column_stack([poles, np.full(9, -np.inf)])
+    factors, rows = rounded(gains, branches)
+    assert len(factors) > 15
+    assert np.all(np.diff(factors) > 0.0)
+    assert np.abs(rows[:, :2] ** 2 + DAMPING * rows[:, :2] + factors[:, None]).max() < 1e-9
+
+
+def test_rays_have_their_damping(plots: Plots) -> None:
+    data = plots.sources["rays"].data
+    x, y = np.float64(data["x1"]), np.float64(data["y1"])
+    assert sorted(set(np.round(-x / np.hypot(x, y), 5))) == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.7])
+
+
+def test_signals_of_two_units_stand_in_two_figures_in_handy_units(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    angles, torques = plots.sources["step"].data, plots.sources["step_1"].data
+    assert (angles["name"], torques["name"]) == (["α4", "β5"], ["Q4"])
+    assert angles["unit"] == ["µrad", "µrad"]
+    assert angles["ys"][0] == pytest.approx(1e6 * shown.step.values[0], rel=1e-5)
+    assert figure(plots, "step", 0).yaxis[0].axis_label == "µrad"
+    assert figure(plots, "step", 1).visible
+    alone = dataclasses.replace(shown.step, signals=("a", "b", "c"), units=("rad",) * 3)
+    plots.show(dataclasses.replace(shown, step=alone))
+    assert not figure(plots, "step", 1).visible
+
+
+def test_limits_are_shaded_where_the_job_has_one(plots: Plots) -> None:
+    shown = picture()
+    plots.show(shown)
+    boxes = [one for one in figure(plots, "Omega").select({"type": BoxAnnotation}) if one.visible]
+    edges = sorted(one.bottom if isinstance(one.bottom, float) else one.top for one in boxes)
+    assert plots.sources["Omega_time"].data["unit"][0] == "µrad"
+    assert edges == pytest.approx([-1.0, 1.0])
+    none = dataclasses.replace(shown.Omega_time, limit=None)
+    plots.show(dataclasses.replace(shown, Omega_time=none))
+    assert not any(one.visible for one in figure(plots, "Omega").select({"type": BoxAnnotation}))
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_every_key_has_colour_and_dashes_of_a_curve_that_is_drawn(fresh: Plots, dark: bool) -> None:
+    fresh.dark(dark)
+    shown = picture(overlays=("one", "two"))
+    shown = dataclasses.replace(
+        shown,
+        bandwidth=5.0,
+        Omega_frequency=dataclasses.replace(shown.Omega_frequency, limit=1e-3),
+        Omega_time=dataclasses.replace(shown.Omega_time, limit=1e-3),
+    )
+    fresh.show(shown)
+    fresh._rate.choose(True)
+    over_frequency = keys(fresh, "Omega"), looks(fresh, "Omega")
+    fresh._rate.choose(False)
+    for named, drawn in (
+        over_frequency,
+        *((keys(fresh, panel), looks(fresh, panel)) for panel in ("bode", "nichols", "locus", "step", "Omega")),
+    ):
+        assert named
+        for words, (colour, dashes) in named.items():
+            if colour == colours(dark)["muted"]:
+                # Another design has the colours of its signals: its key shows the dashes.
+                assert dashes in {dash for _, dash in drawn}, words
+            else:
+                assert (colour, dashes) in drawn, words
+
+
+def test_a_signal_has_one_colour_in_angles_and_torques_by_its_name_not_by_its_row(fresh: Plots) -> None:
+    shown = picture()
+    step = shown.step
+    row = [0, 1, 1]
+    values, low, high = (one[row] for one in (step.values, step.low, step.high))
+    signals, units = ("alpha9", "Q9", "M2"), ("rad", "N m", "N m")
+    step = dataclasses.replace(step, signals=signals, units=units, series=(3, 3, 6), values=values, low=low, high=high)
+    fresh.show(dataclasses.replace(shown, step=step))
+    light = colours(False)
+    assert fresh.sources["step"].data["colour"] == [light["series-4"]]
+    assert fresh.sources["step_1"].data["colour"] == [light["series-4"], light["series-7"]]
+    assert keys(fresh, "step") == {"α9, Q9": (light["series-4"], ()), "M2": (light["series-7"], ())}
+
+
+def test_other_designs_have_colours_and_dashes_of_their_own(plots: Plots) -> None:
+    plots.show(picture(overlays=("H-infinity", "structured")))
+    data = plots.sources["overlays"].data
+    assert data["name"] == ["H-infinity", "structured"]
+    assert data["colour"] == [colours(False)["series-2"], colours(False)["series-3"]]
+    assert len({tuple(one) for one in data["dash"]}) == 2
+    assert data["gains"][0] == pytest.approx(plots.sources["loop"].data["gain"] + 20.0 * np.log10(1.5), abs=1e-3)
+    assert len(plots.sources["step_overlays"].data["xs"]) == 4
+
+
+def test_names_from_a_job_file_are_text_and_no_markup(plots: Plots) -> None:
+    plots.show(picture(overlays=("<img src=x onerror=alert(1)>",)))
+    assert "<img" not in heading(plots, "bode")
+    assert "&lt;img" in heading(plots, "bode")
+
+
+def test_frequency_axes_are_one(plots: Plots) -> None:
+    ranges = {figure(plots, "bode", 0).x_range, figure(plots, "bode", 1).x_range, figure(plots, "Omega", 2).x_range}
+    assert len(ranges) == 1
+
+
+def test_the_response_to_omega_is_shown_over_time_or_over_frequency(fresh: Plots) -> None:
+    plots = fresh
+    plots.show(picture())
+    toggle = plots.layout["Omega"].select_one({"name": "Omega-toggle"})
+    assert [figure(plots, "Omega", k).visible for k in range(3)] == [True, True, False]
+    click(toggle)
+    assert [figure(plots, "Omega", k).visible for k in range(3)] == [False, False, True]
+    # Within a decade the numbers would lie over one another.
+    assert isinstance(figure(plots, "Omega", 2).yaxis[0].major_label_policy, NoOverlap)
+    assert "rate Omega1" in heading(plots, "Omega")
+
+
+def click(button: Any) -> None:
+    button._trigger_event(ButtonClick(button))
+
+
+def test_the_theme_changes_in_place(plots: Plots, document: Document) -> None:
+    plots.dark(False)
+    plots.show(picture(overlays=("other",)))
+    before = {one.id for one in document.models}
+    plots.dark(True)
+    assert {one.id for one in document.models} == before
+    assert figure(plots, "bode").yaxis[0].axis_line_color == colours(True)["frame"]
+    # Whatever fills a figure leaves a rim of the theme before.
+    assert {(one.background_fill_color, one.border_fill_color) for one in named(plots, Plot)} == {(None, None)}
+    assert plots.sources["overlays"].data["colour"] == [colours(True)["series-2"]]
+    assert colours(True)["series-1"] in heading(plots, "bode")
+    assert figure(plots, "locus").xaxis[0].axis_label_text_color == colours(True)["muted"]
+    plots.dark(False)
+    assert figure(plots, "locus").xaxis[0].axis_label_text_color == colours(False)["muted"]
+
+
+def test_both_themes_have_every_colour() -> None:
+    light, dark = colours(False), colours(True)
+    assert light.keys() == dark.keys()
+    assert {f"series-{k}" for k in range(1, 9)} <= light.keys()
+    assert light["series-1"] == "#0072b2"
+
+
+@pytest.mark.parametrize("number", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_nothing_grows_however_many_pictures_are_shown(plots: Plots, document: Document, number: int) -> None:
+    several = [picture(3000.0 + 500.0 * k, overlays=("a", "b")[: k % 3], plants=(0, 3, 9)[k % 3]) for k in range(6)]
+    for one in several:
+        plots.show(one)
+    models, sources, callbacks = len(document.models), len(plots.sources), len(document.session_callbacks)
+    for k in range(number):
+        plots.show(several[k % 6])
+    assert (len(document.models), len(plots.sources), len(document.session_callbacks)) == (models, sources, callbacks)
+    assert document.callbacks.hold_value is None
+
+
+def test_a_move_sends_less_than_200_kb(plots: Plots, document: Document) -> None:
+    sizes = []
+
+    def sent(event: Any) -> None:
+        message = Protocol().create("PATCH-DOC", [event])
+        sizes.append(len(message.content_json) + sum(len(one.to_bytes()) for one in message.buffers))
+
+    plots.show(picture(4000.0, overlays=("a",), plants=40))
+    document.on_change(sent)
+    plots.show(picture(4400.0, overlays=("a",), plants=40))
+    assert 20_000 < sum(sizes) < 200_000
+    sizes.clear()
+    plots.show(picture(4400.0, overlays=("a",), plants=40))
+    assert sum(sizes) == 0  # nothing has changed
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300])
+def test_numbers_that_are_none_are_gaps_and_the_plots_say_so(plots: Plots, number: float) -> None:
+    plots.show(picture())
+    plots.show(broken(number))
+    for source in plots.sources.values():
+        for name, column in source.data.items():
+            if isinstance(column, np.ndarray):
+                assert not np.isinf(column).any(), (source.name, name)
+    told = messages(plots)
+    assert told["step"] == "no finite response"
+    assert told["locus"] == "no finite pole"
+    assert "no finite" in told["nichols"]
+    ranges = named(plots, Range1d)
+    assert all(np.isfinite([one.start, one.end]).all() for one in ranges)
+    plots.show(picture())
+    assert not any(messages(plots).values())
+
+
+def test_a_picture_without_points_is_no_error(plots: Plots) -> None:
+    plots.show(empty())
+    assert all(messages(plots).values())
+
+
+def test_an_unstable_loop_is_told_in_every_plot(plots: Plots) -> None:
+    plots.show(picture(stable=False, all_stable=False))
+    assert all("not stable" in said for said in messages(plots).values())
+    assert len(plots.sources["margins"].data["frequency"]) == 0
+
+
+def test_a_view_does_not_jump_while_the_data_change_a_little() -> None:
+    view = View(0.0, 1.0)
+    view.fit((0.0, 10.0))
+    first = view.rest
+    for top in (9.7, 9.0, 7.0, 9.9, 6.0):
+        view.fit((0.0, top))
+    assert view.rest == first
+    view.fit((0.0, 30.0))
+    assert view.rest[1] >= 30.0
+    view.fit((0.0, 2.0))
+    assert view.rest[1] < 10.0
+
+
+def test_where_the_user_has_zoomed_the_view_stays_until_it_is_reset(fresh: Plots) -> None:
+    plots = fresh
+    plots.show(picture())
+    y = figure(plots, "nichols").y_range
+    y.update(start=-5.0, end=5.0)
+    other = picture(4e5)
+    plots.show(other)
+    assert (y.start, y.end) == (-5.0, 5.0)
+    button = plots.layout["nichols"].select_one({"name": "nichols-reset"})
+    click(button)
+    assert (y.start, y.end) == (y.reset_start, y.reset_end)
+    assert y.end > 20.0
+
+
+def test_bounds_of_axes_are_round() -> None:
+    assert nice(0.0, 9.3) == (-2.0, 10.0)
+    assert nice(-0.31, 0.29) == (-0.4, pytest.approx(0.4))
+    low, high = nice(3.0, 3.0)
+    assert low < 3.0 < high
+
+
+def test_units_change_only_when_numbers_become_awkward() -> None:
+    unit = Unit()
+    unit.follow("rad", 3e-3)
+    assert (unit.name, unit.scale) == ("mrad", pytest.approx(1e3))
+    unit.follow("rad", 4e-4)
+    assert unit.name == "mrad"
+    unit.follow("rad", 4e-5)
+    assert unit.name == "µrad"
+    unit.follow("rad s/rad", 6e-3)
+    assert unit.name == "mrad s/rad"
+    assert quantity(0.003, "rad") == "3 mrad"
+
+
+def test_the_models_have_no_faults(plots: Plots, document: Document, caplog: pytest.LogCaptureFixture) -> None:
+    plots.show(picture(overlays=("a",)))
+    faults = check_integrity(list(document.models))
+    assert not faults.error
+    assert not faults.warning
+
+
+def test_a_dragged_pole_tells_where_it_is_wanted(fresh: Plots) -> None:
+    plots = fresh
+    pulled: list[tuple[complex, complex]] = []
+    plots.on_pole_pulled(lambda pole, target: pulled.append((pole, target)))
+    shown = picture()
+    plots.show(shown)
+    [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
+    pole = next(one for one in shown.locus.present if one.imag > 0.0)
+    wide, high = 0.5 * (box.right - box.left), 0.5 * (box.top - box.bottom)
+    assert complex(box.left + wide, box.bottom + high) == pytest.approx(pole)
+    target = complex(-30.0, 40.0)
+    box.update(left=target.real - wide, right=target.real + wide, bottom=target.imag - high, top=target.imag + high)
+    assert pulled[-1] == (pytest.approx(pole), pytest.approx(target))
+    data = plots.sources["pulled"].data
+    assert list(data["y1"]) == pytest.approx([40.0, -40.0])  # the conjugate goes with it
+
+
+def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> None:
+    plots = fresh
+    pulled: list[tuple[complex, complex]] = []
+
+    def answered(pole: complex, target: complex) -> None:
+        pulled.append((pole, target))
+        plots.show(picture(abs(target) ** 2))
+
+    plots.on_pole_pulled(answered)
+    plots.show(picture())
+    [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
+    centre = box.bottom
+    box.update(bottom=centre + 20.0, top=box.top + 20.0)
+    where = (box.left, box.bottom)
+    pulled.clear()
+    box.update(bottom=centre + 40.0, top=box.top + 20.0)
+    assert (box.left, box.bottom) == (where[0], centre + 40.0)  # what is dragged stays under the mouse
+    present = pulled[-1][0]
+    assert present.imag > 70.0  # as it stands after the first answer, not where it began
+
+
+def test_the_plane_stays_while_a_pole_is_dragged_over_it(fresh: Plots) -> None:
+    shown = picture()
+    far = dataclasses.replace(shown, locus=dataclasses.replace(shown.locus, reach=500.0))
+    fresh.show(shown)
+    y = figure(fresh, "locus").y_range
+    before = y.end
+    [box] = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
+    box.update(bottom=box.bottom + 20.0, top=box.top + 20.0)
+    fresh.show(far)
+    assert y.end == before
+    fresh._locus.handles.pulling.end()
+    assert y.end > 500.0
+
+
+def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None:
+    shown = picture()
+
+    def with_poles(*poles: complex) -> Picture:
+        present = np.array(poles)
+        locus = dataclasses.replace(shown.locus, present=present, draggable=np.ones(len(poles), np.bool_))
+        return dataclasses.replace(shown, locus=locus)
+
+    def centres() -> dict[str | None, complex]:
+        boxes = [one for one in named(fresh, BoxAnnotation) if (one.name or "").startswith("pole-handle")]
+        return {
+            one.name: complex(0.5 * (one.left + one.right), 0.5 * (one.bottom + one.top))
+            for one in boxes
+            if one.visible
+        }
+
+    fresh.show(with_poles(-10 + 50j, -20 + 60j))
+    first = centres()
+    fresh.show(with_poles(-10 + 54j, -20 + 56j, -5 + 1j))
+    second = centres()
+    fresh.show(with_poles(-10 + 58j, -20 + 52j))
+    third = centres()
+    [name] = [one for one, centre in first.items() if abs(centre - (-10 + 50j)) < 1e-6]
+    assert second[name] == pytest.approx(-10 + 54j)
+    assert third[name] == pytest.approx(-10 + 58j)
+    assert (len(first), len(second), len(third)) == (2, 3, 2)
+
+
+def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
+    plots = fresh
+    pulled: list[float] = []
+    plots.on_crossover_pulled(pulled.append)
+    shown = picture()
+    plots.show(shown)
+    [box] = [one for one in named(plots, BoxAnnotation) if one.name == "crossover-handle"]
+    assert np.sqrt(box.left * box.right) == pytest.approx(shown.margins.crossover * HZ)  # type: ignore[operator]
+    assert plots.drags == 0
+    box.update(left=1.5 * box.left, right=1.5 * box.right)
+    assert plots.drags == 1
+    assert pulled[-1] == pytest.approx(1.5 * shown.margins.crossover)  # type: ignore[operator]
+
+
+def test_nonsense_from_a_browser_moves_nothing(fresh: Plots) -> None:
+    plots = fresh
+    pulled: list[object] = []
+    plots.on_pole_pulled(lambda pole, target: pulled.append(pole))
+    plots.on_crossover_pulled(pulled.append)
+    plots.show(picture())
+    for box in named(plots, BoxAnnotation):
+        if box.editable:
+            box.update(left=float("nan"), right=-1.0, top=float("inf"))
+    figure(plots, "bode").x_range.update(start=float("nan"), end=-3.0)
+    figure(plots, "locus").y_range.update(start=5.0, end=5.0)
+    assert pulled == []
+    shown: Picture = picture(5000.0)
+    plots.show(shown)

@@ -1,0 +1,156 @@
+"""A drag of a pole or of the crossover makes no requirement missed that is met, unless it is free to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from platform_ctrl.app.pictures import Picture
+from platform_ctrl.app.pulling import constrained_least_squares
+from platform_ctrl.app.workbench import Workbench
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+PAIR, THREE, SERVO = "caging 9-10", "caging 4-5-7", "stabilisation"
+
+
+@pytest.fixture(scope="module")
+def bench() -> Workbench:
+    return Workbench(JOB)
+
+
+@pytest.fixture(scope="module")
+def judge() -> Workbench:
+    """Another workbench: what it shows was not worked out while something was dragged."""
+    return Workbench(JOB)
+
+
+def nearest(picture: Picture, place: complex) -> complex:
+    present = picture.locus.present[np.isfinite(picture.locus.present)]
+    return complex(present[int(np.argmin(np.abs(present - place)))])
+
+
+def missed(picture: Picture) -> set[str]:
+    return {one.name for one in picture.requirements if not one.passed}
+
+
+def test_the_pole_that_took_the_bandwidth_along_goes_as_far_as_the_bandwidth_lets_it(
+    bench: Workbench, judge: Workbench
+) -> None:
+    start, goal = bench.start(PAIR), -807.0 + 865.0j
+    before = bench.picture(start)
+    assert missed(before) == set()
+    pole = nearest(before, -630.0 + 760.0j)
+    free = judge.picture(judge.pulled_pole(start, pole, goal, free=True))
+    assert "bandwidth" in missed(free)
+    told: list[tuple[str, ...]] = []
+    pulled = bench.pulled_pole(start, pole, goal, held=told.append)
+    after = judge.picture(pulled)
+    assert missed(after) == set()
+    assert "bandwidth" in told[-1]
+    # It goes on along the limit: further than the first place where the way to the goal itself meets it.
+    assert abs(nearest(after, pole) - goal) < abs(pole - goal) - 0.03 * abs(pole)
+
+
+def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Workbench, judge: Workbench) -> None:
+    settings, goal = bench.start(PAIR), -807.0 + 865.0j
+    pole = first = nearest(bench.picture(settings), -630.0 + 760.0j)
+    for share in np.linspace(0.1, 1.0, 10):
+        settings = bench.pulled_pole(settings, pole, first + share * (goal - first))
+        shown = bench.picture(settings)
+        pole = nearest(shown, pole)
+        assert missed(shown) == set()
+    assert missed(judge.picture(settings)) == set()
+
+
+@given(
+    loop=st.sampled_from([PAIR, THREE]),
+    which=st.integers(0, 4),
+    size=st.floats(0.7, 1.4),
+    turn=st.floats(-0.5, 0.5),
+)
+@hypothesis.settings(max_examples=8, derandomize=True, deadline=None)
+def test_no_drag_makes_a_requirement_missed_that_is_met(
+    bench: Workbench, judge: Workbench, loop: str, which: int, size: float, turn: float
+) -> None:
+    start = bench.start(loop)
+    before = bench.picture(start)
+    poles = before.locus.present[before.locus.draggable]
+    pole = complex(poles[which % len(poles)])
+    target = size * pole * np.exp(1j * turn)
+    told: list[tuple[str, ...]] = []
+    after = judge.picture(bench.pulled_pole(start, pole, target, held=told.append))
+    assert missed(after) <= missed(before)
+    free = bench.pulled_pole(start, pole, target, free=True)
+    if missed(judge.picture(free)) <= missed(before) and not told:
+        # Where nothing holds it the drag is the free one.
+        assert abs(nearest(after, target) - target) == pytest.approx(
+            abs(nearest(judge.picture(free), target) - target), abs=1e-6 * abs(target)
+        )
+    for name in {name for names in told for name in names}:
+        assert name in {one.name for one in before.requirements if one.passed}
+
+
+def test_limits_that_are_missed_already_hold_nothing_back(bench: Workbench) -> None:
+    settings = bench.moved(bench.start(PAIR), "crossover_hz", 20.0)
+    before = bench.picture(settings)
+    assert "bandwidth" in missed(before)
+    pole = complex(before.locus.present[before.locus.draggable][0])
+    told: list[tuple[str, ...]] = []
+    bench.pulled_pole(settings, pole, 1.02 * pole, held=told.append)
+    assert not any(name == "bandwidth" for names in told for name in names)
+
+
+def test_the_crossover_stops_where_a_requirement_would_be_missed(bench: Workbench, judge: Workbench) -> None:
+    start = bench.start(PAIR)
+    crossover = float(bench.picture(start).bode.crossovers[-1])
+    told: list[tuple[str, ...]] = []
+    for factor in (0.5, 2.0):
+        told.clear()
+        after = judge.picture(bench.pulled_crossover(start, factor * crossover, held=told.append))
+        assert missed(after) == set()
+        assert told
+        assert missed(judge.picture(bench.pulled_crossover(start, factor * crossover, free=True)))
+    near = bench.pulled_crossover(start, 1.001 * crossover)
+    assert judge.picture(near).bode.crossovers[-1] == pytest.approx(1.001 * crossover, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_no_drag_of_the_servo_makes_a_coupled_requirement_missed(bench: Workbench, judge: Workbench) -> None:
+    settings = bench.start(SERVO)
+    before = bench.picture(settings)
+    pole = nearest(before, -619.0 + 772.0j)
+    told: list[tuple[str, ...]] = []
+    for share in (0.03, 0.06, 0.09, 0.12):
+        settings = bench.pulled_pole(settings, pole, (1.0 + share) * nearest(before, -619.0 + 772.0j), held=told.append)
+        pole = nearest(bench.picture(settings), pole)
+    assert told
+    assert missed(judge.picture(settings)) <= missed(before)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_constrained_least_squares_is_what_a_general_optimiser_finds(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    A, b, G, h = draw.normal(size=(6, 4)), draw.normal(size=6), draw.normal(size=(7, 4)), draw.uniform(0.0, 0.5, 7)
+    x = constrained_least_squares(A, b, G, h)
+    assert (G @ x <= h + 1e-9).all()
+    other = minimize(
+        lambda z: ((A @ z - b) ** 2).sum(),
+        np.zeros(4),
+        jac=lambda z: 2.0 * A.T @ (A @ z - b),
+        constraints={"type": "ineq", "fun": lambda z: h - G @ z, "jac": lambda z: -G},
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    np.testing.assert_allclose(x, other.x, atol=1e-6)
+    # Without anything in the way it is plain least squares.
+    np.testing.assert_allclose(
+        constrained_least_squares(A, b, G, np.full(7, 1e3)), np.linalg.lstsq(A, b, rcond=None)[0], atol=1e-9
+    )

@@ -1,0 +1,452 @@
+"""A state of the designer as a link, as a job file with its controllers, and what is worked out beside the page."""
+
+from __future__ import annotations
+
+import cmath
+import json
+import math
+import re
+import threading
+import time
+import tomllib
+from pathlib import Path
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from one_gyro_job import JOB as ONE
+from platform_ctrl.analysis.arrays import StateArrays
+from platform_ctrl.app.background import Abandoned
+from platform_ctrl.app.link import judged, settings_of, text_of
+from platform_ctrl.app.values import Settings
+from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.cli import main
+from platform_ctrl.design.jobs import loops
+from platform_ctrl.errors import ArgumentError, DesignError, InputError, PlatformCtrlError
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.plant.source import shipped_models
+
+SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+LOOP = "caging 9-10"
+TWO = """# Kept: what the user wrote.
+schema = 1
+name = "two designs"
+plant = "three_gyro_platform"   # a shipped one
+
+[operation]
+Omega = [1.0, 1.0, 1.0]
+
+[spread]
+spin = 0.05
+
+[sampling]
+rate_hz = 2000                  # of both
+delay = 0.0005
+
+[[loop]]
+name = "caging 9-10"
+kind = "caging"
+gimbals = ["9", "10"]
+use = "by hand"
+
+[loop.limits]
+bandwidth_hz = 30
+disk_margin = 0.4
+damping = 0.05
+
+[[loop.design]]
+name = "by hand"
+method = "classical"
+tune = true
+crossover_hz = 66               # the gain
+notch_hz = 200
+
+[[loop.design]]
+name = "lqg"
+method = "lqg"
+
+[[manoeuvre]]
+name = "turn"
+mode = "caged"
+axis = 1
+rate = 1.0
+rise = 0.1
+hold = 0.05
+duration = 0.3
+limits = { angle = 0.01 }
+"""
+
+
+@pytest.fixture
+def job_file(tmp_path: Path) -> Path:
+    path = tmp_path / "gyro.toml"
+    path.write_text(TWO)
+    return path
+
+
+@pytest.fixture
+def bench(job_file: Path) -> Workbench:
+    return Workbench(job_file)
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Workbench:
+    return Workbench(SHIPPED)
+
+
+def _moved(bench: Workbench, settings: Settings, **knobs: float) -> Settings:
+    for name, number in knobs.items():
+        settings = bench.moved(settings, name, number)
+    return settings
+
+
+def test_a_link_reproduces_the_state_and_is_short(shipped: Workbench) -> None:
+    start = shipped.start()
+    assert text_of(shipped, start) == ""
+    assert settings_of(shipped, "").data() == start.data()
+    settings = _moved(shipped, shipped.start(LOOP), crossover_hz=61.123456789, rate_hz=2100.0, delay=3e-4, Omega2=-0.5)
+    settings = shipped.moved(shipped.switched(settings, "lag", True), "spin 11", 1234.5)
+    settings = settings.but(fixed=frozenset({"lead_hz"}), overlays=("H-infinity",), axis=3, band=False, channel="Q10")
+    text = text_of(shipped, settings)
+    assert settings_of(shipped, text).data() == settings.data()
+    assert len(text) < 400
+    assert set(text) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_")
+    servo = _moved(shipped, shipped.start("stabilisation"), position_hz=1.0)
+    assert settings_of(shipped, text_of(shipped, servo)).data() == servo.data()
+
+
+@pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE", "eNoDAAAAAAE", "-_-_", "%00", "AAAA\n"])
+def test_a_damaged_link_is_told_in_one_line(shipped: Workbench, text: str) -> None:
+    with pytest.raises(InputError, match=r"^link: ") as told:
+        settings_of(shipped, text)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        [],
+        {"unknown": 1},
+        {"loop": "caging 1"},
+        {"loop": LOOP, "design": "lqg"},
+        {"options": {LOOP: {"classical": {"crossover_hz": math.nan}}}},
+        {"options": {LOOP: {"classical": {"crossover_hz": -1}}}},
+        {"options": {LOOP: {"classical": {"bandwidth_hz": 1}}}},
+        {"options": {LOOP: {"lqg": {}}}},
+        {"options": 3},
+        {"optional": {LOOP: {"classical": ["comb"]}}},
+        {"Omega": [1.0]},
+        {"Omega": [1e300, 0, 0]},
+        {"spins": {"6": "fast"}},
+        {"spins": {"12": 1.0}},
+        {"rate_hz": 0},
+        {"delay": 1.0},
+        {"delay": True},
+        {"axis": 4},
+        {"axis": True},
+        {"band": 1},
+        {"plant": "none"},
+        {"fixed": ["comb_hz"]},
+        {"overlays": ["lqg"]},
+        {"closed": {LOOP: "lqg"}},
+        {"design": 7},
+    ],
+)
+def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Workbench, changed: object) -> None:
+    with pytest.raises(InputError) as told:
+        judged(shipped, changed)
+    assert "\n" not in str(told.value)
+    assert "expected" in str(told.value)
+
+
+def test_a_saved_job_is_the_picture_and_check_accepts_it(
+    bench: Workbench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = _moved(bench, bench.start(), crossover_hz=58.5, rate_hz=2100.0, **{"spin 11": 1290.0})
+    settings = bench.switched(bench.moved(settings, "Omega2", 1.25), "notch", False)
+    picture = bench.picture(settings)
+    assert all(r.passed for r in picture.requirements)
+    saved = bench.saved(settings, tmp_path / "new.toml")
+    assert saved.controllers.name == "new.controllers.json"
+    text = saved.job.read_text()
+    for comment in ("# Kept: what the user wrote.", "# of both", "# the gain"):
+        assert comment in text
+    data = tomllib.loads(text)
+    [loop] = data["loop"]
+    assert "notch_hz" not in loop["design"][0]
+    assert loop["design"][0]["tune"] is False
+    assert data["operation"]["Omega"] == [1.0, 1.25, 1.0]
+    assert data["sampling"]["rate_hz"] == 2100
+    assert next(r for r in data["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
+    again = Workbench(saved.job)
+    for ours, theirs in zip(picture.requirements, again.picture(again.start()).requirements, strict=True):
+        assert theirs.value == pytest.approx(ours.value, rel=1e-9)
+    # `design` makes the same controller from the file, `check` finds the one beside it.
+    made = loops(read_job(saved.job))[0].closed.controller
+    written = json.loads(saved.controllers.read_text())["controllers"][0]
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(made, name), np.array(written[name]), rtol=1e-12, atol=1e-15)
+    monkeypatch.chdir(tmp_path)
+    assert main(["check", "new.toml", "--json", "-o", "checked"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    values = {r["name"]: r["value"] for r in figures["requirements"] if r["stage"] == "decoupled"}
+    for result in picture.requirements:
+        assert values[result.name] == pytest.approx(result.value, rel=1e-9)
+
+
+# What a user may have written for 40, 2, 40, 7 and 900 Hz.
+LITERALS = {
+    "crossover_hz": "4.0e1",
+    "integral_hz": "2",
+    "damping_hz": "40.00",
+    "lead_hz": "7",
+    "rolloff_hz": "9_00",
+}
+WRITTEN = ONE.replace(
+    "crossover_hz = 40, integral_hz = 2",
+    ", ".join(f"{name} = {text}" for name, text in LITERALS.items()),
+)
+
+
+@given(
+    fixed=st.sets(st.sampled_from(["crossover_hz", "damping_hz", "lead_hz", "rolloff_hz"])),
+    pole=st.integers(0, 2),
+    size=st.floats(0.9, 1.1),
+    turn=st.floats(-0.1, 0.1),
+)
+@hypothesis.settings(max_examples=6, derandomize=True, deadline=None)
+def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdict(
+    tmp_path_factory: pytest.TempPathFactory, fixed: set[str], pole: int, size: float, turn: float
+) -> None:
+    folder = tmp_path_factory.mktemp("saved")
+    (folder / "one.toml").write_text(WRITTEN)
+    bench = Workbench(folder / "one.toml")
+    start = bench.start().but(fixed=frozenset(fixed))
+    locus = bench.picture(start).locus
+    held = complex(locus.present[locus.draggable][pole])
+    pulled = bench.pulled_pole(start, held, held * size * cmath.exp(1j * turn))
+    saved = bench.saved(pulled, folder / "two.toml")
+    text = saved.job.read_text()
+    [design] = tomllib.loads(text)["loop"][0]["design"]
+    first, now = (one.options["caging 9-10"]["classical"] for one in (start, pulled))
+    for name in fixed:
+        assert now[name] == first[name]
+        assert f"{name} = {LITERALS[name]}," in text
+    for name, x in now.items():
+        if x == first[name]:
+            assert design.get(name, x) == x
+        elif name in design:
+            assert design[name] == pytest.approx(x, rel=1e-3)
+            assert len(f"{design[name]!r}".replace(".", "").strip("0")) <= 6
+    again = Workbench(saved.job)
+    before, after = (b.picture(s).requirements for b, s in ((bench, pulled), (again, again.start())))
+    assert [one.passed for one in after] == [one.passed for one in before]
+    # What is saved as it was read changes no digit any more.
+    once_more = again.saved(again.start(), folder / "three.toml")
+    assert once_more.job.read_text() == text
+
+
+def test_a_pole_that_is_let_go_where_it_was_moves_no_digit_of_a_slider(bench: Workbench) -> None:
+    settings = _moved(bench, bench.start(), lead_hz=7.0, crossover_hz=70.0)
+    locus = bench.picture(settings).locus
+    pole = complex(locus.present[locus.draggable][0])
+    assert bench.pulled_pole(settings, pole, pole).options == settings.options
+
+
+def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) -> None:
+    from platform_ctrl.plant.source import platform_source
+
+    own = re.sub(r"(?m)^(\[+)(\w+)", r"\1plant.\2", platform_source("three_gyro_platform"))
+    whole = ONE.replace('plant = "three_gyro_platform"', "") + "\n[plant]\n" + own
+    (tmp_path / "own.toml").write_text(whole)
+    bench = Workbench(tmp_path / "own.toml")
+    saved = bench.saved(_moved(bench, bench.start(), **{"spin 11": 1290.0}), tmp_path / "new.toml")
+    lines, new = whole.splitlines(), saved.job.read_text().splitlines()
+    kept = [line for line in lines if line.strip() and line not in new]
+    assert len(kept) <= 3, kept
+    assert (
+        next(r for r in tomllib.loads(saved.job.read_text())["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
+    )
+
+
+def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["new", "mine", "-o", str(tmp_path), "-q"]) == 0
+    bench = Workbench(tmp_path / "mine.toml")
+    settings = bench.start()
+    plant = (tmp_path / "mine_plant.toml").read_text()
+    with pytest.raises(InputError, match=r"mine_plant\.toml: the job reads its plant from it"):
+        bench.saved(settings, tmp_path / "mine_plant.toml", overwrite=True)
+    assert (tmp_path / "mine_plant.toml").read_text() == plant
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(InputError, match=r"folder\.toml: is no file"):
+        bench.saved(settings, tmp_path / "folder.toml", overwrite=True)
+    before = sorted(path.name for path in tmp_path.iterdir())
+
+    def full(path: Path, text: str) -> None:
+        raise InputError(f"{path}: cannot be written: no space")
+
+    monkeypatch.setattr("platform_ctrl.app.saving.write_whole", full)
+    with pytest.raises(InputError, match="no space"):
+        bench.saved(settings, tmp_path / "new.toml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Workbench, job_file: Path, tmp_path: Path) -> None:
+    settings = bench.start()
+    with pytest.raises(InputError, match="stands there already"):
+        bench.saved(settings, job_file)
+    assert job_file.read_text() == TWO
+    assert not (tmp_path / "gyro.controllers.json").exists()
+    bench.saved(settings, job_file, overwrite=True)
+    assert read_job(job_file).name == "two designs"
+    with pytest.raises(InputError, match="does not end in"):
+        bench.saved(settings, tmp_path / "gyro.json")
+    with pytest.raises(InputError):
+        bench.saved(settings, tmp_path / "nowhere" / "gyro.toml")
+    with pytest.raises(InputError, match="not read from a file"):
+        Workbench(bench.read).saved(settings, tmp_path / "other.toml")
+
+
+def test_inline_tables_are_saved_too(tmp_path: Path) -> None:
+    (tmp_path / "one.toml").write_text(ONE)
+    bench = Workbench(tmp_path / "one.toml")
+    settings = _moved(bench, bench.start(), crossover_hz=42.0, delay=4e-4)
+    saved = bench.saved(settings, tmp_path / "two.toml")
+    job = read_job(saved.job)
+    assert job.loops[0].designs[0].options["crossover_hz"] == 42.0
+    assert job.sampling.delay == 4e-4
+
+
+def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> None:
+    from platform_ctrl.plant.source import platform_source
+
+    (tmp_path / "plant.toml").write_text(platform_source("three_gyro_platform"))
+    (tmp_path / "gyro.toml").write_text(TWO.replace('"three_gyro_platform"', '"plant.toml"'))
+    (tmp_path / "deep").mkdir()
+    bench = Workbench(tmp_path / "gyro.toml")
+    saved = bench.saved(bench.start(), tmp_path / "deep" / "new.toml")
+    assert read_job(saved.job).platform.name == bench.read.platform.name
+
+
+def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Workbench) -> None:
+    settings = bench.start().but(fixed=frozenset({"crossover_hz"}))
+    settings = _moved(bench, settings, damping_hz=30.0, damping2_hz=30.0)
+    assert not all(r.passed for r in bench.picture(settings).requirements)
+    told: list[str] = []
+    tuned = bench.tuned(settings, told.append)
+    assert told
+    assert all("of its limit" in line for line in told)
+    before, after = (one.options[LOOP]["by hand"] for one in (settings, tuned))
+    assert after["crossover_hz"] == before["crossover_hz"]
+    assert after["damping_hz"] != before["damping_hz"]
+    results = bench.picture(tuned).requirements
+    assert max(r.ratio for r in results) <= 0.96
+    assert all(r.passed for r in loops(bench.read)[0].closed.results)
+
+
+def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Workbench) -> None:
+    begun = time.monotonic()
+    with pytest.raises(Abandoned):
+        bench.tuned(bench.start(), cancelled=lambda: True)
+    assert time.monotonic() - begun < 30.0
+
+
+def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench) -> None:
+    settings = bench.chosen(bench.start(), design="lqg")
+    assert not bench.designed(settings)
+    there = threading.Event()
+    end = bench.on_designed(there.set)
+    with pytest.raises(DesignError, match="is being designed"):
+        bench.picture(settings)
+    assert there.wait(60.0)
+    end()
+    assert bench.designed(settings)
+    picture = bench.picture(settings)
+    expected = next(one for one in loops(bench.read)[0].designs if one.name == "lqg")
+    np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in expected.results], rtol=1e-6)
+    # Over the classical one, and still there at other settings, with a line that says so.
+    over = bench.picture(bench.chosen(settings, design="by hand").but(overlays=("lqg",)))
+    [overlay] = over.bode.overlays
+    plots = pytest.importorskip("platform_ctrl.app.plots").Plots()
+    plots.show(over)
+    drawn = plots.sources["step_overlays"].data
+    assert set(drawn["name"]) == {"lqg"}
+    np.testing.assert_allclose(drawn["xs"][0][-1], overlay.step.t[-1])
+    np.testing.assert_allclose(
+        np.interp(picture.bode.frequency, over.bode.frequency, overlay.magnitude), picture.bode.magnitude, rtol=0.05
+    )
+    assert overlay.requirements == () or overlay.requirements[0].design == "lqg"
+    moved = bench.picture(bench.moved(settings, "rate_hz", 2200.0))
+    assert moved.stable
+    assert "Tustin" in moved.notes[0]
+    bandwidth = next(k for k in bench.knobs(settings) if k.name == "bandwidth_hz")
+    assert bandwidth.background
+    assert not bandwidth.tunable
+    with pytest.raises(DesignError, match="was made for other settings"):
+        bench.saved(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
+
+
+def test_controllers_of_a_result_are_shown_as_they_are(bench: Workbench, tmp_path: Path) -> None:
+    from platform_ctrl.verification import checked, result_record, write_record
+
+    result = checked(bench.read, loops(bench.read))
+    write_record(result_record(result), tmp_path / "result.json")
+    given = Workbench(tmp_path / "gyro.toml", tmp_path / "result.json")
+    settings = given.start()
+    # What tuning made of the knobs is where they start.
+    closed = next(design for design in result.loops[0].designs if design.name == "by hand")
+    picture = given.picture(settings.but(overlays=("lqg",)))
+    np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
+    assert [o.design for o in picture.bode.overlays] == ["lqg"]
+    assert not picture.notes
+    K = given._closing.caged(settings)[0].controller
+    assert isinstance(K, StateArrays)
+    assert np.allclose(K.A, closed.controller.A)
+
+
+def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Workbench) -> None:
+    settings = _moved(bench, bench.start(), crossover_hz=60.0)
+    flown = bench.run(settings, "turn")
+    shown = bench.picture(settings.but(axis=1)).Omega_time
+    peak = np.abs(flown.q[:, 3]).max()
+    assert peak == pytest.approx(np.abs(shown.values[0]).max(), rel=0.1)
+    with pytest.raises(ArgumentError, match="turn"):
+        bench.run(settings, "roll")
+
+
+def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Workbench, tmp_path: Path) -> None:
+    saved = shipped.saved(shipped.start(), tmp_path / "new.toml")
+    assert len(saved.notes) == 2
+    assert "classical is closed in place of structured" in saved.notes[0]
+    assert read_job(saved.job).loops[1].use == "classical"
+    loop_names = [one["name"] for one in json.loads(saved.controllers.read_text())["controllers"]]
+    assert loop_names == [spec.name for spec in shipped.read.loops]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", shipped_models())
+def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
+    assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
+    bench = Workbench(tmp_path / "mine.toml")
+    for loop in bench.offer().loops:
+        settings = bench.start(loop)
+        picture = bench.picture(settings)
+        assert picture.stable
+        told = []
+        for knob in bench.knobs(settings):
+            for number in (knob.low, knob.high):
+                try:
+                    bench.picture(bench.moved(settings, knob.name, number))
+                except PlatformCtrlError as error:
+                    told.append(str(error))
+        assert not any("\n" in line for line in told)
+        pole = complex(picture.locus.present[picture.locus.draggable][0])
+        there = bench.picture(bench.pulled_pole(settings, pole, 1.03 * pole, free=True)).locus.present
+        assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)
+    saved = bench.saved(settings, tmp_path / "saved.toml")
+    assert Workbench(saved.job).picture(Workbench(saved.job).start(settings.loop)).stable

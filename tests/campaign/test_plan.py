@@ -1,0 +1,581 @@
+"""Plans of campaigns: what is drawn, that a run is the same whoever asks, and that a path changes what it says."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import pickle
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from platform_ctrl.campaign.plan import Plan, chosen, plan, quantiles, unit_points
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.job import Campaign, CampaignFault, CampaignManoeuvre, Job
+from platform_ctrl.job.parameters import parameters, varied_scenario
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.job.variation import Vary
+
+MODEL = Path(__file__).parents[2] / "models" / "three_gyro_platform.toml"
+POINTS = pytest.mark.parametrize("sampling", ["sobol", "latin-hypercube", "random"])
+
+
+def plant() -> dict[str, Any]:
+    """Return the three-gyro platform with one of every force element and a rate sensor."""
+    data = tomllib.loads(MODEL.read_text(encoding="utf-8"))
+    data["root"]["specific_force"] = [0.0, 0.0, 9.81]
+    data["gimbal"][0]["restitution"] = 0.3
+    data["torquer"][0]["rate_limit"] = 100.0
+    data["rate_sensor"] = [{"root_axis": 2, "noise_rms": 1e-5}]
+    data["spring"] = [{"gimbal": "4", "stiffness": 0.1, "rest": 1e-3}, {"gimbal": "4", "stiffness": 0.2}]
+    data["friction"] = [
+        {
+            "gimbal": "5",
+            "viscous": 1e-4,
+            "coulomb": [1e-3, 2e-3],
+            "coulomb_rate": 0.01,
+            "breakaway": [2e-3, 3e-3],
+            "stribeck_rate": 0.05,
+        },
+        {"gimbal": "9", "coulomb": 1e-3},
+    ]
+    data["cage"] = [{"gimbal": "7", "stiffness": 50.0, "damping": 0.01, "clearance": 1e-3, "angle": 1e-4}]
+    data["erection"] = [{"gimbal": "9", "senses": "10", "axis": [1, 0, 0], "gain": 0.01, "limit": 0.002}]
+    data["unbalance"] = [{"body": "10", "moment": [1e-6, 2e-6, 0.0]}]
+    return data
+
+
+@cache
+def job() -> Job:
+    """Return a job with everything that can be varied."""
+    loop = {
+        "name": "9-10",
+        "kind": "caging",
+        "gimbals": ["9", "10"],
+        "use": "hand",
+        "design": [{"name": "hand", "method": "classical"}],
+    }
+    spectrum = {"axis": 2, "frequencies_hz": [10, 100, 500], "densities": [1e-6, 1e-5, 1e-7]}
+    turn = {
+        "name": "turn",
+        "mode": "caged",
+        "axis": 1,
+        "rate": 1.0,
+        "rise": 0.5,
+        "hold": 0.5,
+        "duration": 2.0,
+        "Omega_table": {"t": [0, 1, 2], "Omega2": [0.0, 0.3, 0.0]},
+        "initial": {"alpha4": 1e-3, "beta5_rate": 0.2},
+        "faults": ["power", "bump"],
+        "vibration": [{"kind": "rate", **spectrum}],
+        "limits": {"angle": 0.003},
+    }
+    push = {
+        "name": "push",
+        "mode": "stabilised",
+        "axis": 3,
+        "torque": 0.1,
+        "duration": 1.0,
+        "torque_table": {"t": [0, 1], "M2": [0.0, 0.1]},
+        "initial": {"Omega3": 0.01},
+        "vibration": [{"kind": "force", **spectrum}],
+    }
+    faults = [
+        {"name": "power", "kind": "rotor run-down", "part": "11", "at": 0.2, "time_constant": 3.0, "share": 0.1},
+        {"name": "bump", "kind": "stop contact", "part": "9", "at": 0.5, "impulse": 1e-4},
+        {"name": "deaf", "kind": "pick-off dropout", "part": "alpha9", "at": 0.0, "until": 1.0, "probability": 0.2},
+        {"name": "drift", "kind": "pick-off drift", "part": "Omega2", "at": 0.0, "rate": 1e-3},
+        {"name": "hum", "kind": "speed ripple", "part": "6", "at": 0.1, "amplitude": 0.01, "frequency_hz": 50.0},
+    ]
+    return read_job(
+        {
+            "schema": 1,
+            "name": "everything",
+            "plant": plant(),
+            "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 7},
+            "sampling": {"rate_hz": 2000, "delay": 5e-4},
+            "loop": [loop],
+            "manoeuvre": [turn, push],
+            "fault": faults,
+        }
+    )
+
+
+def planned(*vary: Vary, **keys: Any) -> Plan:
+    campaign = Campaign(vary=vary, **{"runs": 256, "seed": 3, **keys})
+    return plan(dataclasses.replace(job(), campaign=campaign), [])
+
+
+def uniform(parameter: str, low: float = 0.9, high: float = 1.1, relative: bool = True) -> Vary:
+    return Vary(parameter=parameter, distribution="uniform", numbers={"low": low, "high": high}, relative=relative)
+
+
+DISTRIBUTIONS = {
+    "uniform": (Vary(parameter="x", distribution="uniform", numbers={"low": -1.0, "high": 3.0}), stats.uniform(-1, 4)),
+    "normal": (Vary(parameter="x", distribution="normal", numbers={"mean": 2.0, "deviation": 0.5}), stats.norm(2, 0.5)),
+    "truncated-normal": (
+        Vary(
+            parameter="x",
+            distribution="truncated-normal",
+            numbers={"mean": 1.0, "deviation": 0.5, "low": 0.5, "high": 3.0},
+        ),
+        stats.truncnorm(-1.0, 4.0, 1.0, 0.5),
+    ),
+    "log-uniform": (
+        Vary(parameter="x", distribution="log-uniform", numbers={"low": 1e-3, "high": 10.0}),
+        stats.loguniform(1e-3, 10.0),
+    ),
+    "log-normal": (
+        Vary(parameter="x", distribution="log-normal", numbers={"median": 3.0, "deviation": 0.2}),
+        stats.lognorm(0.2, scale=3.0),
+    ),
+    "triangular": (
+        Vary(parameter="x", distribution="triangular", numbers={"low": 1.0, "peak": 1.5, "high": 3.0}),
+        stats.triang(0.25, 1.0, 2.0),
+    ),
+}
+
+
+@POINTS
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_what_is_drawn_has_the_distribution_that_was_asked(name: str, sampling: Any) -> None:
+    vary, asked = DISTRIBUTIONS[name]
+    drawn = quantiles(vary, unit_points(sampling, 1, 4096, 3, 0, 4096)[:, 1])
+    assert stats.kstest(drawn, asked.cdf).pvalue > 0.01
+    low, high = vary.support
+    assert low <= drawn.min()
+    assert drawn.max() <= high
+
+
+@POINTS
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_quantiles_stay_finite_at_the_ends_of_the_cube(name: str, sampling: Any) -> None:
+    vary, asked = DISTRIBUTIONS[name]
+    ends = np.array([0.5**54, 0.5**31, 1.0 - 0.5**31, 1.0 - 0.5**53])
+    drawn = quantiles(vary, ends)
+    assert np.all(np.isfinite(drawn))
+    assert np.all(np.diff(drawn) >= 0.0)
+    np.testing.assert_allclose(asked.cdf(drawn), ends, rtol=1e-6, atol=1e-12)
+
+
+def test_a_choice_comes_as_often_as_its_weights_say() -> None:
+    vary = Vary(parameter="x", distribution="choice", values=(5.0, 7.0, 9.0), weights=(1.0, 0.0, 3.0))
+    drawn = quantiles(vary, unit_points("sobol", 1, 1024, 1, 0, 1024)[:, 0])
+    assert [int((drawn == x).sum()) for x in (5.0, 7.0, 9.0)] == [256, 0, 768]
+    np.testing.assert_array_equal(chosen((1.0, 0.0), np.array([0.5**54, 1.0 - 0.5**53])), [0, 0])
+    assert vary.support == (5.0, 9.0)
+
+
+@pytest.mark.parametrize("runs", [256, 100, 7])
+def test_a_latin_hypercube_has_one_run_in_every_slice_of_every_number(runs: int) -> None:
+    points = unit_points("latin-hypercube", 5, runs, 4, 0, runs)
+    for column in points.T:
+        np.testing.assert_array_equal(np.sort(np.floor(runs * column)), np.arange(runs))
+
+
+def test_sobol_points_have_one_run_in_every_elementary_interval() -> None:
+    points = unit_points("sobol", 5, 1 << 20, 2, 0, 256)
+    for bits in range(9):
+        cells = np.floor(points * (2**bits, 2 ** (8 - bits)))
+        assert len(np.unique(cells, axis=0)) == 256
+    # The next 256 points fill the intervals again.
+    again = unit_points("sobol", 5, 1 << 20, 2, 256, 512)
+    assert len(np.unique(np.floor(again * 16), axis=0)) == 256
+    assert points.min() > 0.0
+
+
+@pytest.mark.parametrize("dimensions", [1, 4, 5, 9])
+def test_random_points_are_independent_of_one_another(dimensions: int) -> None:
+    points = unit_points("random", 5, 1 << 20, dimensions, 1000, 5096)
+    assert len(np.unique(points)) == points.size
+    assert stats.kstest(points.ravel(), "uniform").pvalue > 0.01
+    neighbours = np.corrcoef(points[1:].T, points[:-1].T)
+    assert np.abs(neighbours - np.eye(2 * dimensions)).max() < 0.06
+
+
+@POINTS
+@settings(max_examples=30, deadline=None)
+@given(ends=st.tuples(st.integers(0, 300), st.integers(0, 300)))
+def test_a_runs_points_are_the_same_whatever_the_range(sampling: Any, ends: tuple[int, int]) -> None:
+    first, last = sorted(ends)
+    np.testing.assert_array_equal(
+        unit_points(sampling, 11, 300, 6, first, last), unit_points(sampling, 11, 300, 6, 0, 300)[first:last]
+    )
+
+
+@POINTS
+def test_points_of_another_seed_are_others(sampling: Any) -> None:
+    one, other = (unit_points(sampling, seed, 64, 3, 0, 64) for seed in (1, 2))
+    assert not np.isin(one, other).any()
+
+
+def flat(item: Any, path: str = "") -> dict[str, Any]:
+    """Return every number, text and truth in a value by where it stands."""
+    if dataclasses.is_dataclass(item):
+        own = [flat(getattr(item, field.name), f"{path}.{field.name}") for field in dataclasses.fields(item)]
+    elif isinstance(item, dict):
+        own = [flat(entry, f"{path}.{key}") for key, entry in item.items()]
+    elif isinstance(item, tuple):
+        own = [flat(entry, f"{path}[{k}]") for k, entry in enumerate(item)]
+    elif isinstance(item, np.ndarray):
+        own = [flat(entry, f"{path}[{k}]") for k, entry in enumerate(item.tolist())]
+    elif isinstance(item, list):
+        own = [flat(entry, f"{path}[{k}]") for k, entry in enumerate(item)]
+    else:
+        return {path: item}
+    return {key: entry for part in own for key, entry in part.items()}
+
+
+def changed(before: Scenario, after: Scenario) -> dict[str, Any]:
+    """Return what is new or different, by where it stands."""
+    old, new = flat(before), flat(after)
+    assert set(old) <= set(new)
+    return {key: entry for key, entry in new.items() if key not in old or entry != old[key]}
+
+
+def varied(path: str, number: float, relative: bool, manoeuvre: int = 0) -> tuple[Scenario, Scenario]:
+    """Return a manoeuvre with all faults as it stands, and with one number drawn."""
+    nominal = planned().nominal
+    faults = job().fault_events
+    base = dataclasses.replace(nominal[manoeuvre], faults=faults)
+    return base, varied_scenario(base, [(parameters(nominal, faults)[path], number, relative)], seed=7)
+
+
+P = ".platform"
+EXPECTED: dict[str, tuple[int, list[str]]] = {
+    # path: (manoeuvre, what a factor of 1.25 multiplies)
+    "rotor.11.spin": (0, [f"{P}.rotors[2].angular_momentum"]),
+    "rotor.11.angular_momentum": (0, [f"{P}.rotors[2].angular_momentum"]),
+    "rotor.6.axial_inertia": (0, [f"{P}.rotors[0].axial_inertia", f"{P}.rotors[0].angular_momentum"]),
+    "rotor.6.transverse_inertia": (0, [f"{P}.rotors[0].transverse_inertia"]),
+    "gimbal.5.inertia": (0, [f"{P}.gimbals[1].inertia[{k}][{k}]" for k in range(3)]),
+    "gimbal.4.restitution": (0, [f"{P}.gimbals[0].restitution"]),
+    "root.inertia": (0, [f"{P}.root_inertia[{i}][{j}]" for i in range(3) for j in range(3)]),
+    "root.specific_force3": (0, [f"{P}.specific_force[2]"]),
+    "torquer.Q9.limit": (0, [f"{P}.torquers[3].limit"]),
+    "torquer.M2.lag": (0, [f"{P}.torquers[6].lag"]),
+    "torquer.Q4.rate_limit": (0, [f"{P}.torquers[0].rate_limit"]),
+    "pickoff.alpha4.noise_rms": (0, [f"{P}.pickoffs[0].noise_rms"]),
+    "pickoff.beta10.noise_bandwidth_hz": (0, [f"{P}.pickoffs[4].noise_bandwidth_hz"]),
+    "rate_sensor.Omega2.noise_rms": (0, [f"{P}.rate_sensors[0].noise_rms"]),
+    "spring.4.stiffness": (0, [f"{P}.springs[0].stiffness"]),
+    "spring.4.rest": (0, [f"{P}.springs[0].rest"]),
+    "spring.4#2.stiffness": (0, [f"{P}.springs[1].stiffness"]),
+    "friction.5.viscous": (0, [f"{P}.frictions[0].viscous"]),
+    "friction.5.coulomb": (0, [f"{P}.frictions[0].coulomb[{k}]" for k in (0, 1)]),
+    "friction.5.coulomb_rate": (0, [f"{P}.frictions[0].coulomb_rate"]),
+    "friction.5.breakaway": (0, [f"{P}.frictions[0].breakaway[{k}]" for k in (0, 1)]),
+    "friction.5.stribeck_rate": (0, [f"{P}.frictions[0].stribeck_rate"]),
+    # Without a Stribeck curve the breakaway torque is the dry friction itself.
+    "friction.9.coulomb": (0, [f"{P}.frictions[1].{key}[{k}]" for key in ("coulomb", "breakaway") for k in (0, 1)]),
+    "cage.7.stiffness": (0, [f"{P}.cages[0].stiffness"]),
+    "cage.7.damping": (0, [f"{P}.cages[0].damping"]),
+    "cage.7.clearance": (0, [f"{P}.cages[0].clearance"]),
+    "cage.7.angle": (0, [f"{P}.cages[0].angle"]),
+    "erection.9.gain": (0, [f"{P}.erections[0].gain"]),
+    "erection.9.limit": (0, [f"{P}.erections[0].limit"]),
+    "unbalance.10.moment2": (0, [f"{P}.unbalances[0].moment[1]"]),
+    "sampling.delay": (0, [".delay"]),
+    "initial.alpha4": (0, [".q[0]"]),
+    "initial.beta5_rate": (0, [".rate[1]"]),
+    "initial.Omega3": (1, [".Omega[2]"]),
+    "manoeuvre.rate": (0, [".profile.rate"]),
+    "manoeuvre.rise": (0, [".profile.rise"]),
+    "manoeuvre.hold": (0, [".profile.hold"]),
+    "manoeuvre.torque": (1, [".torque[2]"]),
+    "manoeuvre.Omega_scale": (0, [".Omega_table.scale"]),
+    "manoeuvre.torque_scale": (1, [".torque_table.scale"]),
+    "fault.power.at": (0, [".faults[0].at"]),
+    "fault.power.share": (0, [".faults[0].share"]),
+    "fault.power.time_constant": (0, [".faults[0].time_constant"]),
+    "fault.bump.impulse": (0, [".faults[1].impulse"]),
+    "fault.deaf.until": (0, [".faults[2].until"]),
+    "fault.deaf.probability": (0, [".faults[2].probability"]),
+    "fault.drift.rate": (0, [".faults[3].rate"]),
+    "fault.hum.amplitude": (0, [".faults[4].amplitude"]),
+    "fault.hum.frequency_hz": (0, [".faults[4].frequency_hz"]),
+}
+
+
+@pytest.mark.parametrize("path", EXPECTED)
+def test_a_factor_multiplies_what_its_path_says_and_nothing_else(path: str) -> None:
+    manoeuvre, places = EXPECTED[path]
+    before, after = varied(path, 1.25, True, manoeuvre)
+    old, new = flat(before), changed(before, after)
+    assert set(new) == set(places)
+    for place in places:
+        assert new[place] == pytest.approx(1.25 * old[place], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("path", "number", "places"),
+    [
+        ("rotor.11.spin", 1000.0, {f"{P}.rotors[2].angular_momentum": 0.12}),
+        ("torquer.Q4.limit", 0.5, {f"{P}.torquers[0].limit": 0.5}),
+        ("torquer.Q5.rate_limit", 50.0, {f"{P}.torquers[1].rate_limit": 50.0}),
+        ("friction.5.coulomb", 5e-4, {f"{P}.frictions[0].coulomb[{k}]": 5e-4 for k in (0, 1)}),
+        ("unbalance.10.moment3", 1e-5, {f"{P}.unbalances[0].moment[2]": 1e-5}),
+        ("initial.beta10", -2e-3, {".q[4]": -2e-3}),
+        ("initial.alpha9_rate", 0.3, {".rate[3]": 0.3}),
+        ("root.specific_force1", 2.0, {f"{P}.specific_force[0]": 2.0}),
+        ("manoeuvre.rate", -0.5, {".profile.rate": -0.5}),
+        ("sampling.delay", 7e-4, {".delay": 7e-4}),
+        ("fault.drift.until", 0.75, {".faults[3].until": 0.75}),
+        ("pickoff.alpha4.quantisation", 1e-6, {f"{P}.pickoffs[0].quantisation": 1e-6}),
+    ],
+)
+def test_a_number_takes_the_place_of_what_its_path_says_and_of_nothing_else(
+    path: str, number: float, places: dict[str, float]
+) -> None:
+    new = changed(*varied(path, number, False))
+    assert set(new) == set(places)
+    assert all(new[place] == pytest.approx(expected, rel=1e-15) for place, expected in places.items())
+
+
+def test_every_path_that_is_known_is_tried_here() -> None:
+    known = set(parameters(planned().nominal, job().fault_events))
+    kinds = {(path.partition(".")[0], path.rpartition(".")[2]) for path in EXPECTED}
+    kinds |= {("root", f"specific_force{k}") for k in (1, 2)} | {("unbalance", f"moment{k}") for k in (1, 3)}
+    kinds |= {("pickoff", "quantisation"), ("rate_sensor", "quantisation"), ("rate_sensor", "noise_bandwidth_hz")}
+    kinds |= {("initial", name) for k in job().platform.angle_names for name in (k, f"{k}_rate")}
+    kinds |= {("initial", f"Omega{k}") for k in (1, 2)}
+    # Tried on their own below.
+    kinds |= {("torquer", "gain"), ("vibration", "scale")}
+    assert {(path.partition(".")[0], path.rpartition(".")[2]) for path in known} <= kinds
+
+
+def test_a_torquers_gain_is_a_weak_torquer_from_the_beginning() -> None:
+    _, after = varied("torquer.Q9.gain", 0.8, False)
+    weak = after.faults[0]
+    assert (weak.kind, weak.part, weak.at, weak.share, weak.until) == ("torquer weak", "Q9", 0.0, 0.8, np.inf)
+    assert after.faults[1:] == job().fault_events
+
+
+def test_a_vibrations_scale_multiplies_its_amplitudes() -> None:
+    before, after = varied("vibration.scale", 3.0, False)
+    np.testing.assert_allclose(after.vibrations[0].amplitudes[1], 3.0 * before.vibrations[0].amplitudes[1], rtol=1e-14)
+
+
+def test_a_body_without_unbalance_gets_one() -> None:
+    _, after = varied("unbalance.platform.moment2", 1e-4, False)
+    assert [one.body for one in after.platform.unbalances] == ["10", "platform"]
+    np.testing.assert_array_equal(after.platform.unbalances[1].moment, [0.0, 1e-4, 0.0])
+
+
+def test_components_and_parts_that_vary_together_do_not_disturb_one_another() -> None:
+    nominal, faults = planned().nominal, job().fault_events
+    known = parameters(nominal, faults)
+    paths = {
+        "rotor.11.spin": 0.9,
+        "rotor.11.axial_inertia": 1.1,
+        "unbalance.9.moment1": 1e-5,
+        "unbalance.9.moment3": 2e-5,
+        "torquer.Q4.limit": 0.5,
+        "torquer.Q4.lag": 2.0,
+        "manoeuvre.rate": 2.0,
+        "manoeuvre.rise": 0.5,
+    }
+    drawn = [(known[path], x, not path.startswith("unbalance")) for path, x in paths.items()]
+    for order in (drawn, drawn[::-1]):
+        after = varied_scenario(nominal[0], order)
+        rotor, torquer = after.platform.rotors[2], after.platform.torquers[0]
+        assert rotor.angular_momentum == pytest.approx(0.15 * 0.9 * 1.1, rel=1e-15)
+        assert (torquer.limit, torquer.lag) == (0.125, 0.0004)
+        assert after.profile is not None
+        assert (after.profile.rate, after.profile.rise, after.profile.hold) == (2.0, 0.25, 0.5)
+        np.testing.assert_array_equal(after.platform.unbalances[-1].moment, [1e-5, 0.0, 2e-5])
+
+
+def test_a_manoeuvre_without_the_number_is_flown_as_it_is() -> None:
+    before, after = varied("manoeuvre.rate", 2.0, True, 1)
+    assert not changed(before, after)
+    before, after = varied("initial.Omega3", 2.0, True, 0)
+    assert not changed(before, after)
+
+
+def test_the_plant_of_the_job_is_left_alone() -> None:
+    before = flat(job().platform)
+    campaign = planned(uniform("rotor.11.spin"), uniform("gimbal.4.inertia"), uniform("unbalance.10.moment1"))
+    runs = campaign.scenarios(0, 8)
+    assert flat(job().platform) == before
+    assert runs[0].platform.gimbals[1] is job().platform.gimbals[1]
+    assert not runs[0].platform.gimbals[0].inertia.flags.writeable
+
+
+MIXED = (
+    uniform("rotor.11.spin"),
+    uniform("gimbal.9.inertia"),
+    uniform("initial.alpha9", -1e-3, 1e-3, relative=False),
+    uniform("fault.deaf.at", 0.0, 0.5, relative=False),
+)
+
+
+def mixed(**keys: Any) -> Plan:
+    return planned(
+        *MIXED,
+        manoeuvres=(CampaignManoeuvre(name="push"), CampaignManoeuvre(name="turn", weight=3.0)),
+        faults=(CampaignFault(fault="deaf", probability=0.25), CampaignFault(fault="power", probability=0.5)),
+        **keys,
+    )
+
+
+def test_the_inputs_are_columns_by_their_names() -> None:
+    campaign = mixed()
+    inputs = campaign.inputs(0, 256)
+    assert tuple(inputs) == campaign.input_names
+    assert campaign.input_names == (
+        "manoeuvre",
+        "rotor.11.spin",
+        "gimbal.9.inertia",
+        "initial.alpha9",
+        "fault.deaf.at",
+        "fault.deaf",
+        "fault.power",
+    )
+    assert [column.dtype.kind for column in inputs.values()] == ["U", "f", "f", "f", "f", "b", "b"]
+    assert all(column.shape == (256,) for column in inputs.values())
+    # Sobol points meet probabilities of a quarter exactly.
+    assert int((inputs["manoeuvre"] == "push").sum()) == 64
+    assert int(inputs["fault.deaf"].sum()) == 64
+    assert int(inputs["fault.power"].sum()) == 128
+
+
+def test_a_run_is_flown_with_its_inputs() -> None:
+    campaign = mixed()
+    inputs = campaign.inputs(0, 64)
+    for run, scenario in enumerate(campaign.scenarios(0, 64)):
+        push = inputs["manoeuvre"][run] == "push"
+        assert scenario.mode == ("stabilised" if push else "caged")
+        assert scenario.platform.rotors[2].angular_momentum == pytest.approx(0.15 * inputs["rotor.11.spin"][run])
+        np.testing.assert_allclose(
+            scenario.platform.gimbals[3].inertia, job().platform.gimbals[3].inertia * inputs["gimbal.9.inertia"][run]
+        )
+        assert scenario.q[3] == inputs["initial.alpha9"][run]
+        faults = {fault.name: fault for fault in scenario.faults}
+        assert ("deaf" in faults) == inputs["fault.deaf"][run]
+        # A fault that the manoeuvre names happens whether or not it is drawn, and once.
+        assert ("power" in faults) == (not push or inputs["fault.power"][run])
+        assert len(faults) == len(scenario.faults)
+        if "deaf" in faults:
+            assert faults["deaf"].at == inputs["fault.deaf.at"][run]
+        assert scenario.limits == ({} if push else {"angle": 0.003})
+
+
+@POINTS
+@settings(max_examples=20, deadline=None)
+@given(ends=st.tuples(st.integers(0, 64), st.integers(0, 64)))
+def test_a_run_is_the_same_whatever_the_range(sampling: Any, ends: tuple[int, int]) -> None:
+    first, last = sorted(ends)
+    whole, part = mixed(runs=64, sampling=sampling), mixed(runs=64, sampling=sampling)
+    everything = _all_runs(sampling)
+    for name, column in part.inputs(first, last).items():
+        np.testing.assert_array_equal(column, whole.inputs(0, 64)[name][first:last])
+    for run, scenario in zip(range(first, last), part.scenarios(first, last), strict=True):
+        assert flat(scenario) == everything[run]
+    if last < 64:
+        assert flat(part.scenario(last)) == everything[last]
+
+
+@cache
+def _all_runs(sampling: Any) -> list[dict[str, Any]]:
+    return [flat(scenario) for scenario in mixed(runs=64, sampling=sampling).scenarios(0, 64)]
+
+
+def test_a_plan_goes_to_another_process_whole() -> None:
+    campaign = mixed()
+    for copied in (pickle.loads(pickle.dumps(campaign)), copy.deepcopy(campaign)):
+        assert flat(copied.scenario(17)) == flat(campaign.scenario(17))
+
+
+def test_noise_is_keyed_by_the_campaigns_seed_and_the_runs_number() -> None:
+    runs = mixed(seed=3).scenarios(0, 16)
+    assert [scenario.run for scenario in runs] == list(range(16))
+    assert len({scenario.seed for scenario in runs}) == 1
+    seeds = {mixed(seed=seed).noise_seed for seed in range(100)}
+    assert len(seeds) == 100
+    assert all(0 <= seed < 2**63 for seed in seeds)
+    # Inputs and noise do not come from one stream.
+    assert runs[0].seed != 3
+
+
+def test_a_job_without_a_campaign_flies_its_manoeuvres_with_noise_alone() -> None:
+    campaign = plan(job(), [], runs=10)
+    assert (campaign.runs, campaign.seed, campaign.sampling, campaign.step) == (10, 7, "sobol", 1e-4)
+    assert campaign.input_names == ("manoeuvre",)
+    for scenario in campaign.scenarios(0, 10):
+        nominal = campaign.nominal[0 if scenario.mode == "caged" else 1]
+        assert set(changed(nominal, scenario)) <= {".seed", ".run"}
+    assert {scenario.mode for scenario in campaign.scenarios(0, 10)} == {"caged", "stabilised"}
+
+
+def test_the_call_overrules_the_job() -> None:
+    campaign = plan(job(), [], runs=32, seed=9, sampling="random")
+    assert (campaign.runs, campaign.seed, campaign.sampling) == (32, 9, "random")
+
+
+def test_inputs_at_points_of_ones_own_are_those_of_their_quantiles() -> None:
+    campaign = mixed()
+    middle = campaign.inputs_at(np.full((1, campaign.dimensions), 0.5))
+    assert middle["manoeuvre"].tolist() == ["turn"]
+    assert middle["rotor.11.spin"][0] == pytest.approx(1.0)
+    assert not middle["fault.deaf"][0]
+    (scenario,) = campaign.scenarios_with(middle, [4711])
+    assert (scenario.run, scenario.mode) == (4711, "caged")
+    assert scenario.q[3] == pytest.approx(0.0, abs=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda: plan(job(), [], runs=0), "runs: given 0; expected a whole number from 1"),
+        (lambda: plan(job(), [], runs=2.5), "runs: given 2.5"),  # type: ignore[arg-type]
+        (lambda: plan(job(), [], seed=-1), "seed: given -1"),
+        (lambda: plan(job(), [], sampling="grid"), "sampling: given 'grid'; expected 'sobol', 'latin-hypercube'"),  # type: ignore[arg-type]
+        (lambda: plan(dataclasses.replace(job(), manoeuvres=()), []), "without a manoeuvre"),
+        (lambda: mixed().scenario(256), "run: given 256; expected a whole number from 0 to 255"),
+        (lambda: mixed().scenario(-1), "run: given -1"),
+        (lambda: mixed().inputs(5, 300), "end of the runs: given 300; expected a whole number from 5 to 256"),
+        (lambda: planned(uniform("rotor.12.spin")), 'parameter = "rotor.12.spin": does not exist'),
+        (lambda: planned(faults=(CampaignFault(fault="x", probability=1.0),)), "fault of the campaign: given 'x'"),
+        (lambda: planned(manoeuvres=(CampaignManoeuvre(name="x"),)), "manoeuvre of the campaign: given 'x'"),
+        (
+            lambda: planned(Vary(parameter="sampling.delay", distribution="uniform", numbers={"low": 0.0})),
+            'has no number "high"',
+        ),
+        (lambda: planned(Vary(parameter="sampling.delay", distribution="choice")), "has no values"),
+        (
+            lambda: planned(uniform("torquer.Q4.limit", -0.1, 0.1, relative=False)),
+            '"torquer.Q4.limit" would be drawn between -0.1 and 0.1; allowed is a number > 0',
+        ),
+        (lambda: planned(uniform("gimbal.4.restitution", 0.0, 4.0)), "allowed is a number from 0 to 1"),
+        (lambda: planned(uniform("friction.5.coulomb", 0.5, 3.0)), "above a breakaway torque of 0.002 N m"),
+        (lambda: planned(uniform("friction.5.breakaway", 0.4, 2.0)), '"friction.5.coulomb" would be drawn up to 0.002'),
+        (lambda: planned(uniform("rotor.6.axial_inertia", 0.5, 1.3)), "allowed is at least half of it"),
+    ],
+)
+def test_what_makes_no_plan_is_refused_in_one_line(ask: Any, words: str) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        ask()
+    assert words in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+def test_what_a_plant_file_accepts_is_accepted() -> None:
+    made = planned(
+        uniform("rotor.6.axial_inertia", 0.9, 1.1),
+        uniform("rotor.6.transverse_inertia", 0.95, 1.1),
+        uniform("friction.5.coulomb", 0.5, 1.2),
+        uniform("friction.9.coulomb", 0.0, 5.0),
+        uniform("torquer.Q4.limit", 0.0, 2.0),
+        Vary(parameter="torquer.Q5.limit", distribution="log-normal", numbers={"median": 0.2, "deviation": 0.3}),
+        uniform("manoeuvre.rate", -1.0, 1.0),
+    )
+    assert len(made.varied) == 7

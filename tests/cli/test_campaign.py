@@ -1,0 +1,328 @@
+"""The command campaign, and simulate --run: a campaign's run again, as it stands in the table."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import platform_ctrl as pc
+from campaign_flights import TEXT, flown_here
+from platform_ctrl.cli import main
+from platform_ctrl.cli.campaign_output import Pace, campaign_progress, time_words
+from refused_command import refused
+
+pytest.importorskip("pyarrow", reason="a campaign's table is Parquet")
+
+RUNS = 40
+CONTROLLERS = {
+    "schema": 1,
+    "controllers": [
+        {"name": f"gain {angle}", "dt": 5e-4, "delay": 5e-4, "inputs": [angle], "outputs": [torque]}
+        | {"A": [[]], "B": [[]], "C": [[]], "D": [[gain]]}
+        for angle, torque, gain in (("alpha9", "Q9", -0.5), ("beta10", "Q10", -0.5), ("alpha4", "Q4", -0.4))
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with job.toml, out/result.json, and campaign/ as the command leaves it."""
+    folder = tmp_path_factory.mktemp("flown")
+    (folder / "job.toml").write_text(TEXT, encoding="utf-8")
+    (folder / "out").mkdir()
+    (folder / "out" / "result.json").write_text(json.dumps(CONTROLLERS), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+        assert main(["campaign", "job.toml", "--runs", str(RUNS), "--workers", "1", "-q"]) in (0, 1)
+    return folder
+
+
+@pytest.fixture
+def there(flown: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(flown)
+    monkeypatch.setattr("platform_ctrl.campaign.engine.flown_by_processes", flown_here)
+    return flown
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    import pyarrow.parquet
+
+    listed: list[dict[str, Any]] = pyarrow.parquet.read_table(folder / "campaign.parquet").to_pylist()
+    return listed
+
+
+def test_the_table_has_a_row_a_run_and_the_record_says_what_was_flown(there: Path) -> None:
+    table = rows(there / "campaign")
+    assert [row["run"] for row in table] == list(range(RUNS))
+    assert {row["manoeuvre"] for row in table} == {"turn", "step"}
+    assert all(row["ended"] == "completed" for row in table)
+    assert all(0.0 < row["angle"] < 1.0 and 3e-4 <= row["sampling.delay"] <= 5e-4 for row in table)
+    record = json.loads((there / "campaign" / "campaign.json").read_text())
+    assert record["job"] == "a turn, many times"
+    assert record["runs"] == record["counts"]["completed"] == RUNS
+    assert record["identity"]["seed"] == 7
+    assert record["versions"]["platform_ctrl"] == pc.__version__
+
+
+def test_the_same_command_again_flies_nothing_and_ends_alike(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (there / "campaign" / "campaign.parquet").stat()
+    code = main(["campaign", "job.toml", "--runs", str(RUNS), "--json"])
+    out, err = capsys.readouterr()
+    assert err == ""
+    record = json.loads(out)
+    assert record == json.loads((there / "campaign" / "campaign.json").read_text())
+    assert code == (0 if record["counts"]["passed"] == RUNS else 1)
+    after = (there / "campaign" / "campaign.parquet").stat()
+    assert (after.st_mtime_ns, after.st_ino) == (before.st_mtime_ns, before.st_ino)
+
+
+def test_every_limit_met_ends_with_zero_and_one_that_is_not_with_one(there: Path) -> None:
+    loose = TEXT.replace("angle = 0.003", "angle = 3.0").replace("angle = 0.0005", "angle = 3.0")
+    (there / "loose.toml").write_text(loose.replace("torque_share = 1.0", "torque_share = 1e6"))
+    (there / "tight.toml").write_text(TEXT.replace("angle = 0.0005", "angle = 1e-12"))
+    common = ["--runs", "8", "--workers", "1", "-q"]
+    assert main(["campaign", "loose.toml", "-o", "loose", *common]) == 0
+    assert main(["campaign", "tight.toml", "-o", "tight", *common]) == 1
+
+
+def test_a_run_again_shows_its_draws_and_the_figures_of_its_row(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = rows(there / "campaign")[17]
+    code = main(["simulate", "job.toml", "--run", "17", "-q"])
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert code == (0 if row["passed"] else 1)
+    lines = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if "  " in line}
+    assert out.startswith("run 17 of the campaign\n")
+    assert lines["manoeuvre"] == row["manoeuvre"]
+    assert float(lines["rotor.11.spin"]) == pytest.approx(row["rotor.11.spin"], rel=1e-5)
+    assert f"largest gimbal angle           {row['angle']:.4g} rad" in out
+    assert f"the figures are those of {Path('campaign') / 'campaign.parquet'}" in out
+    assert (there / "campaign" / "run-17.svg").read_text().lstrip().startswith("<?xml")
+
+    assert main(["simulate", "job.toml", "--run", "17", "--json"]) == code
+    again = json.loads(capsys.readouterr().out)
+    assert again["as_in_table"] is True
+    assert again["inputs"] == {name: row[name] for name in ("manoeuvre", "rotor.11.spin", "sampling.delay")}
+    assert again["row"] == {name: item for name, item in row.items() if name not in (*again["inputs"], "run")}
+    assert again["largest"]["angle"]["value"] == pytest.approx(row["angle"], rel=1e-12)
+
+
+def test_a_row_that_is_not_what_the_run_comes_to_is_told(
+    there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = rows(there / "campaign")[3]
+    # The package calls a function by this name as well as the module.
+    module = importlib.import_module("platform_ctrl.campaign.rerun")
+    monkeypatch.setattr(module, "recorded_row", lambda folder, run: row | {"angle": 1.001 * row["angle"]})
+    main(["simulate", "job.toml", "--run", "3", "--json"])
+    out, err = capsys.readouterr()
+    assert json.loads(out)["as_in_table"] is False
+    [line] = err.splitlines()
+    assert re.search(r"campaign.parquet: run 3 is not the same: angle [\d.e-]+, there [\d.e-]+$", line)
+
+
+def test_manoeuvres_go_by_name_or_by_an_option_of_their_own(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for given in (["--run", "turn"], ["--manoeuvre", "turn"], ["--manoeuvre", "1"]):
+        main(["simulate", "job.toml", *given, "-q"])
+        assert capsys.readouterr().out.startswith("turn\n")
+    main(["simulate", "job.toml", "--manoeuvre", "2", "-o", "drawn", "-q"])
+    assert (there / "drawn" / "manoeuvre-2.svg").is_file()
+
+
+def test_runs_of_a_job_that_varies_nothing_are_flown_again_where_its_campaign_is(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there / "noise.toml").write_text(TEXT[: TEXT.index("[campaign]")])
+    main(["campaign", "noise.toml", "--runs", "16", "--workers", "1", "-o", "noise", "-q"])
+    capsys.readouterr()
+    main(["simulate", "noise.toml", "--run", "0", "-o", "noise", "--json"])
+    assert json.loads(capsys.readouterr().out)["as_in_table"] is True
+    main(["simulate", "noise.toml", "--run", "1", "-o", "elsewhere", "-q"])
+    assert capsys.readouterr().out.startswith("turn\n")
+
+
+def test_a_campaign_with_other_seed_and_length_is_known_by_its_folder(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--runs", "120", "--seed", "3", "--sampling", "latin-hypercube", "--workers", "1", "-q"]
+    main(["campaign", "job.toml", *given, "-o", "other"])
+    row = rows(there / "other")[110]
+    capsys.readouterr()
+    main(["simulate", "job.toml", "--run", "110", "-o", "other", "--json"])
+    again = json.loads(capsys.readouterr().out)
+    assert again["as_in_table"] is True
+    assert again["row"]["angle"] == row["angle"]
+    assert (there / "other" / "run-110.svg").is_file()
+
+
+def test_a_campaign_of_another_job_is_not_taken_for_this_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (there / "changed.toml").write_text(TEXT.replace("deviation = 0.01", "deviation = 0.02"))
+    words = "campaign.json: the campaign there was flown with other distributions"
+    assert words in refused(capsys, "simulate", "changed.toml", "--run", "5", "-o", "campaign")
+    main(["simulate", "changed.toml", "--run", "5", "-q"])
+    out, err = capsys.readouterr()
+    assert f"{words}; flown instead: a run of the campaign that the job describes now" in err
+    assert "the figures are those of" not in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["campaign", "job.toml", "--runs", "50", "--seed", "8"],
+            "begun with seed 7 instead of 8; name another folder",
+        ),
+        (["campaign", "job.toml", "--runs", "8"], f"has {RUNS} runs, given 8; expected at least as many"),
+        (["campaign", "job.toml", "--runs", "0"], "runs: given 0; expected a whole number from 1"),
+        (["campaign", "job.toml", "--sampling", "grid"], "sampling: given 'grid'; expected 'sobol', 'latin-hypercube'"),
+        (["campaign", "job.toml", "--workers", "0", "-o", "new"], "workers: given 0; expected at least one"),
+        (["campaign", "job.toml", "--device", "tpu", "-o", "new"], "device: given 'tpu'; expected 'cpu' or 'cuda'"),
+        (["campaign", "job.toml", "-o", "job.toml"], "-o job.toml: is not a folder"),
+        (["campaign", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
+        (
+            ["campaign", "job.toml", "--runs", "1073741824", "--sampling", "latin-hypercube", "-o", "new"],
+            "which is made in one piece; expected at most 89478485 with 3 numbers a run",
+        ),
+        (["simulate", "job.toml", "--run", "3", "-o", "job.toml"], "-o job.toml: is not a folder"),
+        (["simulate", "job.toml", "--run", "-3"], '--run "-3": expected the number of a run of the campaign, from 0'),
+        (["simulate", "job.toml", "--run", "4711"], "--run 4711: expected a run of the campaign, 0 to 39"),
+        (["simulate", "job.toml", "--run", "1", "--manoeuvre", "1"], "--run and --manoeuvre are both given"),
+        (
+            ["simulate", "job.toml", "--manoeuvre", "3"],
+            '--manoeuvre "3": no such manoeuvre in job.toml; it has 1 "turn"',
+        ),
+    ],
+)
+def test_wrong_input_is_one_line_and_ends_with_two(
+    arguments: list[str], words: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert words in refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("missing", "arguments", "words"),
+    [
+        ("pyarrow", [], "pyarrow is not installed: pip install 'platform_ctrl[campaign]'"),
+        ("distributed", ["--scheduler", "tcp://127.0.0.1:9"], "not installed: pip install 'platform_ctrl[cluster]'"),
+    ],
+)
+def test_a_package_that_is_missing_is_told_with_what_installs_it(
+    missing: str,
+    arguments: list[str],
+    words: str,
+    there: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    assert words in refused(capsys, "campaign", "job.toml", "-o", "without", *arguments, "-q")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
+def test_ctrl_c_stops_soon_says_how_to_go_on_and_loses_nothing(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (there / "long.toml").write_text(TEXT.replace("duration = 0.02", "duration = 0.5"))
+    arguments = ["campaign", "long.toml", "--runs", "100000", "-o", "long", "--workers", "1"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "platform_ctrl", *arguments],
+        cwd=there,
+        env=os.environ | {"PYTHONPATH": str(Path(pc.__file__).parents[1])},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 120.0
+    while len(list((there / "long").glob("campaign.parts/0*-*.parquet"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    *_, last, end = err.splitlines()
+    assert end == "platform-ctrl: interrupted"
+    stopped = re.fullmatch(r"stopped: ([\d,]+) of 100,000 runs are kept in long; the same command goes on", last)
+    assert stopped
+    assert "Traceback" not in err
+    kept = [path.name for path in (there / "long" / "campaign.parts").iterdir()]
+    pieces = [int(name[13:25]) - int(name[:12]) for name in kept]
+    # A piece that has just got its name may not have been counted yet.
+    told = int(stopped[1].replace(",", ""))
+    assert sum(pieces) - told in (0, *pieces)
+    assert told > 0
+
+
+def test_ctrl_c_before_the_runs_are_counted_does_not_say_that_there_are_none(
+    there: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*given: Any, **options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("platform_ctrl.campaign.engine.run_campaign", interrupted)
+    assert main(["campaign", "job.toml", "--runs", "50", "-q"]) == 130
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "stopped: what was flown is kept in campaign; the same command goes on"
+
+
+def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    with campaign_progress(False, 1000) as (tick, say):
+        for done in range(0, 1001, 10):
+            now = 0.2 * done
+            tick(done, done // 500)
+        say("putting the runs in order")
+        say("putting the runs in order")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "30 of 1,000 runs, 5 runs/s, 3 min 14 s left"
+    assert lines[-2:] == ["1,000 of 1,000 runs, 5 runs/s, 2 diverged or not flown", "putting the runs in order"]
+    assert 5 < len(lines) < 15
+
+
+def test_a_terminal_gets_a_bar_with_rate_and_time_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("TERM", "xterm")
+    now = 0.0
+    monkeypatch.setattr("platform_ctrl.cli.campaign_output.time.monotonic", lambda: now)
+    with campaign_progress(False, 1000) as (tick, _):
+        for done in (200, 300, 500):
+            tick(done, 0)
+            now += 10.0
+    err = capsys.readouterr().err
+    assert "500/1000 runs 20 runs/s, 25 s left" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", err)
+
+
+def test_what_was_there_and_the_first_runs_do_not_count_for_the_rate() -> None:
+    pace = Pace(1000)
+    assert pace.words(400, 0.0) == ""
+    assert pace.words(408, 30.0) == ""  # the kernel was compiled
+    assert pace.words(508, 40.0) == "10 runs/s, 49 s left"
+    assert pace.words(1000, 89.2) == "10 runs/s"
+
+
+def test_times_are_told_in_two_units() -> None:
+    assert [time_words(t) for t in (0.4, 59.0, 61.0, 3599.0, 7260.0, 90000.0)] == [
+        "0 s",
+        "59 s",
+        "1 min 1 s",
+        "59 min 59 s",
+        "2 h 1 min",
+        "1 d 1 h",
+    ]

@@ -1,0 +1,374 @@
+"""The command line: what it writes, how it ends, and that nobody sees a traceback."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import platform_ctrl as pc
+from platform_ctrl.cli import main
+from platform_ctrl.errors import DesignError
+from platform_ctrl.plant.source import platform_source
+from refused_command import refused
+
+JOB = """
+schema = 1
+name = "three gyros, fixed numbers"
+plant = "three_gyro_platform"
+operation = { Omega = [0.0, 0.0, 0.0], seed = 7 }
+sampling = { rate_hz = 2000, delay = 0.0005 }
+coupled = { disk_margin = 0.2, coupling_cost = 0.05 }
+
+[[loop]]
+name = "caging 4-5-7"
+kind = "caging"
+gimbals = ["4", "5", "7"]
+use = "classical"
+limits = { bandwidth_hz = 15, disk_margin = 0.2 }
+design = [{ name = "classical", method = "classical", crossover_hz = 30, integral_hz = 2 }]
+
+[[loop]]
+name = "caging 9-10"
+kind = "caging"
+gimbals = ["9", "10"]
+use = "classical"
+limits = { bandwidth_hz = 20, disk_margin = 0.4 }
+design = [{ name = "classical", method = "classical", crossover_hz = 40, integral_hz = 2 }]
+
+[[loop]]
+name = "stabilisation"
+kind = "stabilisation"
+use = "servo"
+design = [{ name = "servo", method = "platform-servo", crossover_hz = 4, filter_hz = 50 }]
+
+[[manoeuvre]]
+name = "turn"
+mode = "caged"
+axis = 1
+rate = 0.2
+rise = 0.01
+hold = 0.0
+duration = 0.02
+limits = { angle = 0.003, torque_share = 1.0 }
+
+[[manoeuvre]]
+name = "step"
+mode = "stabilised"
+axis = 2
+torque = 0.1
+duration = 0.02
+limits = { angle = 0.0005 }
+"""
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with job.toml, and out/ as `design` leaves it."""
+    folder = tmp_path_factory.mktemp("designed")
+    (folder / "job.toml").write_text(JOB, encoding="utf-8")
+    assert main(["design", str(folder / "job.toml"), "-o", str(folder / "out"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def there(designed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(designed)
+    return designed
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the figures, seconds of work: that they are drawn is seen in `designed` and in the first check."""
+    monkeypatch.setattr("platform_ctrl.report.write_page", lambda result, path, **about: Path(path).touch())
+
+
+def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command as users do, in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "platform_ctrl", *arguments],
+        cwd=cwd,
+        env=process_environment() | environment,
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+
+
+def process_environment() -> dict[str, str]:
+    path = str(Path(pc.__file__).parents[1])
+    return os.environ | {"PYTHONPATH": path, "PYTHONIOENCODING": "utf-8"}
+
+
+def test_design_writes_the_result_and_the_report_and_nothing_else(designed: Path) -> None:
+    assert sorted(path.name for path in (designed / "out").iterdir()) == ["report.html", "result.json"]
+    record = json.loads((designed / "out" / "result.json").read_text(encoding="utf-8"))
+    assert record["passed"] is True
+    assert [one["name"] for one in record["controllers"]] == ["caging 4-5-7", "caging 9-10", "stabilisation"]
+    assert "three gyros, fixed numbers" in (designed / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_check_comes_to_the_verdicts_of_design(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "job.toml"]) == 0
+    out, err = capsys.readouterr()
+    assert "PASSED" in out
+    assert "simulated run: turn" in err.splitlines()
+    assert (there / "check" / "report.html").is_file()
+    before, after = (json.loads((there / folder / "result.json").read_text()) for folder in ("out", "check"))
+    assert after["requirements"] == before["requirements"]
+    assert after["coupled"] == before["coupled"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_requirement_that_is_not_met_ends_with_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    strict = JOB.replace("bandwidth_hz = 20", "bandwidth_hz = 200")
+    (there / "strict.toml").write_text(strict, encoding="utf-8")
+    given = ["check", "strict.toml", "--controllers", "out/result.json", "-o", "strict", "--json"]
+    assert main(given) == 1
+    out, err = capsys.readouterr()
+    assert err == ""
+    printed = json.loads(out)
+    assert printed == json.loads((there / "strict" / "result.json").read_text())
+    failed = [(one["subject"], one["name"]) for one in printed["requirements"] if not one["passed"]]
+    assert failed == [("caging 9-10", "bandwidth")]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_folder_that_is_named_gives_its_controllers_and_a_narrow_terminal_gets_lines(
+    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there / "other").mkdir()
+    (there / "other" / "result.json").write_bytes((there / "out" / "result.json").read_bytes())
+    changed = json.loads((there / "other" / "result.json").read_text())
+    changed["controllers"][0]["design"] = "from there"
+    (there / "other" / "result.json").write_text(json.dumps(changed))
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["check", "job.toml", "-o", "other", "-q"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert max(map(len, out.splitlines())) <= 60
+    assert "met     caging 9-10, classical: bandwidth" in out
+    assert "\x1b" not in out
+    assert json.loads((there / "other" / "result.json").read_text())["controllers"][0]["design"] == "from there"
+
+
+def test_simulate_flies_one_manoeuvre_by_name_or_number(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "job.toml", "--run", "2", "-q"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith("step")
+    assert main(["simulate", "job.toml", "--run", "turn", "--json"]) == 0
+    run: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert (run["name"], run["mode"], run["ended"]) == ("turn", "caged", "completed")
+    # The same run as in the check: the seed makes it so.
+    whole = json.loads((there / "out" / "result.json").read_text())
+    assert run["largest"] == whole["runs"][0]["largest"]
+
+
+def test_simulate_ends_with_one_when_a_limit_is_not_met(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (there / "tight.toml").write_text(JOB.replace("angle = 0.0005", "angle = 1e-9"), encoding="utf-8")
+    assert main(["simulate", "tight.toml", "--run", "step", "-q"]) == 1
+    assert "NOT MET" in capsys.readouterr().out
+
+
+def test_a_method_that_finds_no_controller_ends_with_one_and_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "job.toml").write_text(JOB.replace("crossover_hz = 40", "crossover_hz = 400"), encoding="utf-8")
+    assert main(["design", str(tmp_path / "job.toml"), "-o", str(tmp_path / "out"), "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("platform-ctrl: error: caging 9-10, classical: the closed loop grows at")
+    assert len(err.splitlines()) == 1
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_models_are_listed_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["models"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert main(["models", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [line.split()[0] for line in lines] == [model["name"] for model in listed]
+    assert "three_gyro_platform" in [model["name"] for model in listed]
+
+
+@pytest.mark.parametrize("arguments", ["--help", "models -h", "design -h", "check -h", "simulate -h"])
+def test_help_teaches_with_examples(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments.split()) == 0
+    out = capsys.readouterr().out
+    assert "Usage: platform-ctrl" in out
+    assert any(line.startswith("  platform-ctrl ") for line in out.splitlines())
+
+
+def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    assert "To begin with:" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"platform-ctrl {pc.__version__}\n"
+
+
+def test_the_shell_gets_completion(monkeypatch: pytest.MonkeyPatch) -> None:
+    from platform_ctrl.cli.commands import app
+
+    asked = {"_PLATFORM_CTRL_COMPLETE": "complete_bash", "COMP_WORDS": "platform-ctrl si", "COMP_CWORD": "1"}
+    done = CliRunner().invoke(app, [], env=asked, prog_name="platform-ctrl")
+    assert done.output.split() == ["simulate"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["desing"], "No such command 'desing'"),
+        (["design"], "Missing argument 'JOB'"),
+        (["design", "job.toml", "--colour"], "No such option: --colour"),
+        (["design", "job.toml", "more"], "unexpected extra argument"),
+        (["design", "job.toml", "-o"], "requires an argument"),
+        (["simulate", "job.toml"], "Missing option '--run'"),
+        (["design", "none.toml"], "none.toml: there is no such file"),
+        (["design", "joob.toml"], "joob.toml: there is no such file; did you mean job.toml?"),
+        (["design", "qqq"], "qqq: there is no such file; platform-ctrl new writes one"),
+        (
+            ["design", "rate_gyro"],
+            "rate_gyro: is a shipped plant; expected a job: platform-ctrl new NAME --like rate_gyro",
+        ),
+        (
+            ["design", "plant.toml"],
+            "plant.toml: is a plant; expected a job that names it: platform-ctrl new NAME --like",
+        ),
+        (["equations", "job.toml"], "job.toml: is a job"),
+        (["design", "."], "is a directory; expected a TOML file"),
+        (["design", "wrong.toml"], 'unknown key "bandwith_hz"; did you mean "bandwidth_hz"?'),
+        (["design", "job.toml", "-o", "job.toml"], "-o job.toml: is not a folder"),
+        (["design", "job.toml", "-o", "job.toml/out"], "-o job.toml/out: is not a folder, or lies in a file"),
+        (["check", "job.toml", "-o", "taken"], "-o taken: report.html is a folder there"),
+        (["check", "job.toml", "--controllers", "none.json"], "none.json: there is no such file"),
+        (["check", "job.toml", "--controllers", "out"], "out: is a directory"),
+        (["check", "job.toml", "--controllers", "job.toml"], "job.toml: is not JSON"),
+        (["check", "job.toml", "--controllers", "faster.json"], 'controllers 1 "caging 4-5-7": dt: given 0.0001 s'),
+        (["simulate", "job.toml", "--run", "3"], '--run "3": no such manoeuvre in job.toml; it has 1 "turn", 2 "step"'),
+    ],
+)
+def test_wrong_input_is_one_line_and_ends_with_two(
+    arguments: list[str], words: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (there / "wrong.toml").write_text(JOB.replace("bandwidth_hz = 20", "bandwith_hz = 20"), encoding="utf-8")
+    (there / "plant.toml").write_text(platform_source("rate_gyro"), encoding="utf-8")
+    (there / "taken" / "report.html").mkdir(parents=True, exist_ok=True)
+    faster = (there / "out" / "result.json").read_text().replace('"dt": 0.0005', '"dt": 0.0001')
+    (there / "faster.json").write_text(faster)
+    assert words in refused(capsys, *arguments)
+
+
+def test_check_and_simulate_say_where_controllers_come_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "job.toml").write_text(JOB, encoding="utf-8")
+    for arguments in (["check", "job.toml"], ["simulate", "job.toml", "--run", "1"]):
+        assert f"{Path('out') / 'result.json'}: there is no such file; expected" in refused(capsys, *arguments)
+
+
+def test_a_process_ends_with_two_and_one_line_without_colour_or_boxes(tmp_path: Path) -> None:
+    done = command("design", "job.toml", "--colour", cwd=tmp_path, FORCE_COLOR="1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.isascii()
+    assert "\x1b" not in done.stderr
+
+
+def test_help_and_models_load_nothing_heavy() -> None:
+    code = (
+        "import sys; from platform_ctrl.cli import main; main(sys.argv[1:]);"
+        "print(*{'control', 'cvxpy', 'matplotlib', 'numba', 'scipy'} & {m.partition('.')[0] for m in sys.modules},"
+        " file=sys.stderr)"
+    )
+    for argument in ("--help", "models"):
+        done = subprocess.run(
+            [sys.executable, "-c", code, argument],
+            env=process_environment(),
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stderr.split() == []
+
+
+def test_an_interrupt_that_a_library_swallows_takes_effect_at_the_next_step() -> None:
+    from platform_ctrl.cli.terminal import progress
+
+    before = signal.getsignal(signal.SIGINT)
+    reached = []
+    with pytest.raises(KeyboardInterrupt), progress(True, "reading") as say:  # noqa: PT012
+        say("first")
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        reached.append("after the interrupt")
+        say("second")
+        reached.append("after the next step")
+    assert reached == ["after the interrupt"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("made", ["DesignError", "ValueError"])
+def test_an_error_that_a_library_makes_of_an_interrupt_is_an_interrupt(
+    made: str, there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*anything: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise {"DesignError": DesignError, "ValueError": ValueError}[made]("no luck") from None
+
+    monkeypatch.setattr("platform_ctrl.design.loops", broken)
+    assert main(["design", "job.toml", "-o", "broken", "-q"]) == 130
+    assert capsys.readouterr().err == "platform-ctrl: interrupted\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGINT as a terminal sends it")
+def test_ctrl_c_ends_with_one_line_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    (tmp_path / "job.toml").write_text(JOB.replace("duration = 0.02", "duration = 200.0"), encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "platform_ctrl", "design", "job.toml"],
+        cwd=tmp_path,
+        env=process_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    process.stderr.readline()  # the first step has begun
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "platform-ctrl: interrupted"
+    assert "Traceback" not in err
+    assert out == ""
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as gone:
+        done = subprocess.run(
+            [sys.executable, "-m", "platform_ctrl", "models"],
+            env=process_environment(),
+            stdout=gone,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.stderr == ""

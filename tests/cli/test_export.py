@@ -1,0 +1,322 @@
+"""``platform-ctrl export``: every form, all or none; folders of others, wrong input, Ctrl-C."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import tomllib
+import xml.etree.ElementTree as ET
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import platform_ctrl as pc
+from one_gyro_job import JOB
+from platform_ctrl import design, export
+from platform_ctrl.cli import main, staged
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.reading import read_job
+from refused_command import refused
+
+EVERYTHING = ("--c", "c", "--mat", "k.mat", "--models", "m.json", "--csv", "r", "--mjcf", "p.xml", "--fmu", "p.fmu")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("export")
+    job = read_job(tomllib.loads(JOB))
+    controllers = [outcome.closed.controller for outcome in design.loops(job)]
+    export.write_controllers(controllers, folder / "k.json", delay=job.sampling.delay)
+    return folder / "k.json"
+
+
+@pytest.fixture
+def there(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the job and, where design leaves them, its controllers."""
+    (tmp_path / "job.toml").write_text(JOB)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_bytes(made.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pythonfmu3", reason="PythonFMU3 is not installed")
+    before = files(there)
+    assert main(["export", "job.toml", *EVERYTHING, "--json"]) == 0
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert err == ""
+    assert told["job"] == "gyro 9-10"
+    of = Path("out/result.json")
+    assert told["controllers"] == {"file": str(of), "sha256": hashlib.sha256(of.read_bytes()).hexdigest()}
+    now = files(there)
+    assert {one["path"]: one["sha256"] for one in told["written"]} == {
+        name: hashlib.sha256(content).hexdigest() for name, content in now.items() if name not in before
+    }
+    assert {one["format"] for one in told["written"]} == {"c", "mat", "models", "csv", "mjcf", "fmu"}
+    assert told["notes"][0].startswith("p.xml: stops of 4, 5, 7, 9, 10")
+    # Each is what it says.
+    assert told["controllers"]["sha256"] in now["c/caging_9_10_classical.h"].decode()
+    assert len(export.read_mat("k.mat")) == len(export.read_systems("m.json")) == 4
+    assert design.read_measurement("r/plant_caging_9-10.csv", period=0.0005).input_labels == ["Q9", "Q10"]
+    assert ET.parse("p.xml").getroot().get("model") == "three-gyro platform"
+    assert zipfile.ZipFile("p.fmu").testzip() is None
+    # The same again is the same.
+    assert main(["export", "job.toml", *EVERYTHING, "--quiet"]) == 0
+    assert files(there) == now
+    assert capsys.readouterr().out.splitlines()[0] == "MATLAB data: k.mat"
+
+
+def test_options_reach_what_they_are_of(there: Path) -> None:
+    arguments = ["--number", "q15", "--anti-windup", "none", "--form", "polar", "--root", "prescribed"]
+    assert main(["export", "job.toml", "-q", "--c", "c", "--csv", "r", "--mjcf", "p.xml", *arguments]) == 0
+    source = (there / "c" / "caging_9_10_classical.c").read_text() + (
+        there / "c" / "caging_9_10_classical.h"
+    ).read_text()
+    assert "int16_t" in source
+    assert "--number q15" in source
+    assert "alpha9/Q9 phase_deg" in (there / "r" / "plant_caging_9-10.csv").read_text()
+    assert 'name="Omega1_dot"' in (there / "p.xml").read_text()
+
+
+def test_what_needs_no_controllers_asks_for_none(there: Path) -> None:
+    (there / "out" / "result.json").unlink()
+    assert main(["export", "job.toml", "-q", "--mjcf", "p.xml", "--models", "m.json"]) == 0
+    assert [one.name for one in export.read_systems("m.json")] == [
+        "plant",
+        "plant with free root",
+        "plant caging 9-10",
+    ]
+
+
+def test_controllers_saved_beside_the_job_are_found(there: Path) -> None:
+    (there / "out" / "result.json").rename(there / "job.controllers.json")
+    assert main(["export", "job.toml", "-q", "--mat", "k.mat"]) == 0
+    assert export.read_mat("k.mat")[0].outputs == ("Q9", "Q10")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "nothing to write; expected one of --c, --mat"),
+        (["--c", "c", "--number", "q7"], "--number q7: expected one of double, float, q31, q15"),
+        (["--c", "c", "--anti-windup", "some"], "--anti-windup some: expected one of back-calculation"),
+        (["--csv", "c", "--form", "dB"], "--form dB: expected one of complex, polar"),
+        (["--mjcf", "p.xml", "--root", "loose"], "--root loose: expected one of free, prescribed, fixed"),
+        (["--mat", "job.toml"], "--mat job.toml: the command reads or writes that for something else"),
+        (["--mat", "x", "--mjcf", "x"], "--mat x: the command reads or writes that for something else"),
+        (["--c", "x", "--csv", "x"], "--c x: is given for something else too"),
+        (["--mat", "out"], "--mat out: is a folder; expected a file"),
+        (["--c", "out"], "--c out: holds files that are not of an earlier export; expected a new or empty folder"),
+        (["--c", "job.toml"], "--c job.toml: is given for something else too"),
+        (["--c", "out/result.json/a/c"], "--c out/result.json/a/c: out/result.json is a file; expected a folder"),
+        (["--mat", "job.toml/k.mat"], "--mat job.toml/k.mat: job.toml is a file; expected a folder, or nothing there"),
+        (["--mat", "k.mat", "--controllers", "job.toml"], "job.toml: is not JSON"),
+        (["--fmu", "p.fmu", "--manoeuvre", "loop"], "loop"),
+    ],
+)
+def test_wrong_input_is_one_line_and_writes_nothing(
+    arguments: list[str], words: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "--fmu" in arguments:
+        pytest.importorskip("pythonfmu3", reason="PythonFMU3 is not installed")
+    before = files(there)
+    assert words in refused(capsys, "export", "job.toml", *arguments, "-q")
+    assert files(there) == before
+
+
+@pytest.mark.parametrize(
+    ("option", "of"),
+    [
+        ("--number=q31", "c"),
+        ("--range=a=1", "c"),
+        ("--accuracy=0.1", "c"),
+        ("--form=polar", "csv"),
+        ("--root=fixed", "mjcf"),
+        ("--manoeuvre=x", "fmu"),
+    ],
+)
+def test_an_option_of_what_is_not_written_is_refused(
+    option: str, of: str, there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"expected --{of} beside it" in refused(capsys, "export", "job.toml", "--mat", "k.mat", option)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_what_is_no_plain_file_is_never_replaced_by_one(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo("pipe")
+    assert "--mjcf pipe: is a device or a pipe; expected" in refused(capsys, "export", "job.toml", "--mjcf", "pipe")
+    assert Path("pipe").is_fifo()
+
+
+@pytest.mark.parametrize("option", ["--mat", "--mjcf", "--c"])
+def test_the_plant_that_the_job_reads_is_never_written_over(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", "gyro", "--like", "rate_gyro", "--out", str(tmp_path)]) == 0
+    before = files(tmp_path)
+    (tmp_path / "k.json").write_text("{}")
+    words = ["export", str(tmp_path / "gyro.toml"), "--controllers", str(tmp_path / "k.json")]
+    capsys.readouterr()
+    assert main([*words, option, str(tmp_path / "gyro_plant.toml")]) == 2
+    assert "something else" in capsys.readouterr().err
+    assert files(tmp_path) == before | {"k.json": b"{}"}
+
+
+def test_without_controllers_the_line_says_what_to_run(there: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (there / "out" / "result.json").unlink()
+    assert "platform-ctrl design writes: run it first" in refused(capsys, "export", "job.toml", "--c", "c")
+    assert "there is no such file" in refused(capsys, "export", "nowhere.toml", "--c", "c")
+
+
+def test_a_folder_of_its_own_is_renewed_but_never_what_somebody_changed(
+    there: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "job.toml", "-q", "--c", "c"]) == 0
+    double = files(there / "c")
+    assert {"gyro_9_10.c", "gyro_9_10.h", "export.json"} < set(double)
+    (there / "c" / "board.c").write_text("int main(void) { return 0; }\n")
+    assert main(["export", "job.toml", "-q", "--c", "c", "--number", "float"]) == 0
+    single = files(there / "c")
+    assert set(single) == {*double, "board.c"}
+    assert single["gyro_9_10.h"] != double["gyro_9_10.h"]
+    with (there / "c" / "gyro_9_10.c").open("a") as file:
+        file.write("/* mine */\n")
+    changed = files(there / "c")
+    capsys.readouterr()
+    assert "--c c: gyro_9_10.c was changed since it was exported" in refused(
+        capsys, "export", "job.toml", "--c", "c", "-q"
+    )
+    assert files(there / "c") == changed
+    # A file of another's where a new one would stand.
+    (there / "r").mkdir()
+    assert main(["export", "job.toml", "-q", "--csv", "r"]) == 0
+    for name in ("export.json", "plant_caging_9-10.csv"):
+        (there / "r" / name).write_text('{"files": {}}' if name == "export.json" else "measured")
+    capsys.readouterr()
+    assert "is not of an earlier export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
+    (there / "r" / "export.json").write_text('{"files": {"../job.toml": ""}}')
+    assert "is not the record of an export" in refused(capsys, "export", "job.toml", "--csv", "r", "-q")
+
+
+def test_files_that_an_export_no_longer_has_go_away(tmp_path: Path) -> None:
+    def written(*names: str) -> None:
+        with staged.all_or_none() as stage:
+            folder = stage.folder(tmp_path / "c", staged.own_files("--c", tmp_path / "c"))
+            for name in names:
+                (folder / name).write_text(name)
+            staged.write_folder_record(folder, {})
+
+    written("a", "b")
+    written("b", "d")
+    assert sorted(files(tmp_path / "c")) == ["b", "d", "export.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["c"]
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError, InputError])
+def test_nothing_is_left_half_written(
+    failure: type[BaseException], there: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last of three forms fails after the others are written."""
+    (there / "k.mat").write_text("old")
+    before = files(there)
+
+    def fail(*_: object, **__: object) -> None:
+        raise failure("no room")
+
+    monkeypatch.setattr("platform_ctrl.export.write_responses", fail)
+    arguments = ["export", "job.toml", "-q", "--mat", "k.mat", "--c", "c", "--csv", "r"]
+    assert main(arguments) == (130 if failure is KeyboardInterrupt else 2)
+    assert files(there) == before
+    assert not (there / "c").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_ctrl_c_while_files_move_waits_until_they_have(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved: Callable[[Path, Path], None] = os.replace
+
+    def interrupted(old: Path, new: Path) -> None:
+        signal.raise_signal(signal.SIGINT)
+        moved(old, new)
+
+    with staged.all_or_none() as stage:
+        stage.file(there / "first").write_text("1")
+    with pytest.raises(KeyboardInterrupt), staged.all_or_none() as stage:  # noqa: PT012
+        for name in ("first", "second"):
+            stage.file(there / name).write_text("2")
+        monkeypatch.setattr(os, "replace", interrupted)
+    assert (there / "first").read_text() == (there / "second").read_text() == "2"
+    assert not list(there.glob(".unfinished*"))
+
+
+def test_what_cannot_take_its_place_puts_everything_back(there: Path) -> None:
+    for name in ("first", "second"):
+        (there / name).write_text("old")
+    before = files(there)
+    moved = os.replace
+
+    def refusing(old: Path, new: Path) -> None:
+        if Path(new) == there / "second" and Path(old).read_text() == "new":
+            raise PermissionError(13, "Permission denied", str(old), None, str(new))
+        moved(old, new)
+
+    def write() -> None:
+        with staged.all_or_none() as stage:
+            (stage.folder(there / "c", {}) / "third").write_text("new")
+            for name in ("first", "second"):
+                stage.file(there / name).write_text("new")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "replace", refusing)
+        with pytest.raises(InputError, match="second: cannot be written: Permission denied"):
+            write()
+    assert files(there) == before
+    (there / "second").unlink()
+    (there / "second").mkdir()
+    with pytest.raises(InputError, match="second: is a folder"):
+        write()
+    assert (there / "first").read_text() == "old"
+    assert not (there / "c").exists()
+    assert not list(there.glob(".unfinished*"))
+
+
+def test_exported_models_are_of_the_plant_as_it_stands(there: Path) -> None:
+    assert main(["export", "job.toml", "-q", "--models", "m.json"]) == 0
+    plant = next(one for one in export.read_systems("m.json") if one.name == "plant")
+    ours = pc.state_space(pc.linearise(pc.read_platform("three_gyro_platform")))
+    assert (plant.A == ours.A).all()
+    assert plant.inputs == tuple(ours.input_labels)
+    assert plant.input_units[:2] == ("N m", "N m")
+
+
+def test_ranges_and_accuracy_of_fixed_point_stand_in_the_command_that_writes_it_again(there: Path) -> None:
+    options = ["--number", "q31", "--range", "alpha9=0.002", "--range", "beta10=0.001", "--accuracy", "0.01"]
+    assert main(["export", "job.toml", "--c", "c", *options]) == 0
+    header = "".join(path.read_text() for path in sorted(Path("c").glob("*.h")))
+    assert "--range alpha9=0.002 --range beta10=0.001 --accuracy 0.01" in " ".join(header.replace("*", " ").split())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--number", "q31", "--range", "alpha"], "--range alpha: expected a name, = and a number, as in alpha9=0.01"),
+        (["--range", "alpha9=1"], "--accuracy are of fixed point; given --number double; expected q31 or q15"),
+        (["--number", "q31", "--range", "gamma=1"], "ranges: given 'gamma'"),
+        (["--number", "q31", "--range", "alpha9=nan"], "--range alpha9=nan: expected a finite number > 0"),
+        (["--number", "q31", "--integral-limit", "pi=-1"], "--integral-limit pi=-1: expected a finite number > 0"),
+        (["--number", "q15", "--accuracy", "-1"], "--accuracy -1.0: expected a finite number > 0"),
+        (["--number", "float", "--accuracy", "0.1"], "--accuracy are of fixed point; given --number float"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused_in_one_line(options: list[str], said: str, there: Path, capsys) -> None:
+    assert said in refused(capsys, "export", "job.toml", "--c", "c", "--quiet", *options)
+    assert not Path("c").exists()

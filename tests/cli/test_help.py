@@ -1,0 +1,162 @@
+"""Help: every command and option is described, examples are real and fit the terminal; the page says it all."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from platform_ctrl.cli import main
+from platform_ctrl.cli.commands import app, split
+from refused_command import refused
+
+PAGE = Path(__file__).parents[2] / "docs" / "command-line.md"
+GROUP: Any = typer.main.get_command(app)
+COMMANDS: dict[str, Any] = GROUP.commands
+# They do not depend on where they are looked up, and stand in tables of their own.
+COMMON = {"--json", "--quiet", "-q"}
+
+
+def help_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main([*arguments, "--help"]) == 0
+    return capsys.readouterr().out
+
+
+def names(command: Any) -> list[list[str]]:
+    """Every argument by its metavar, every option by its spellings."""
+    return [p.opts if p.param_type_name == "option" else [p.metavar] for p in command.params]
+
+
+def section(command: str) -> str:
+    found = re.search(rf"^## `{command}`\n(.*?)^## ", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert found is not None, f"docs/command-line.md has no section on {command}"
+    return found[1]
+
+
+def test_the_groups_name_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = help_of(capsys)
+    for name in COMMANDS:
+        assert re.search(rf"^  {name} +\S", shown, re.MULTILINE)
+    assert "..." not in shown.partition("\n")[2]  # nothing is cut short
+    assert shown.index("To begin with:") < shown.index("Design and check:") < shown.index("Fly on")
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_help_fits_the_terminal_and_ends_with_examples(
+    name: str, width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    shown = help_of(capsys, *([name] if name else []))
+    prose, _, examples = shown.partition("\nExamples:\n")
+    assert max(map(len, prose.splitlines())) <= width
+    # Examples are never broken, so that they can be copied; their meanings stand beside or below them.
+    assert max(map(len, examples.splitlines())) <= max(width, 84)
+    assert sum(line.startswith("  platform-ctrl ") for line in examples.splitlines()) >= 2
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_argument_and_option_is_described(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = help_of(capsys, name)
+    for param in COMMANDS[name].params:
+        assert param.help, param.name
+        assert param.help.endswith(".") or param.help.endswith(")"), param.help
+    for spellings in names(COMMANDS[name]):
+        assert max(spellings, key=len) in shown
+
+
+def examples() -> list[str]:
+    texts = [GROUP.callback.__doc__, *(command.callback.__doc__ for command in COMMANDS.values())]
+    return [example for text in texts for example, _ in split("\n\n".join(map(dedented, text.split("\n\n"))))[1]]
+
+
+def dedented(paragraph: str) -> str:
+    return "\n".join(line.strip() for line in paragraph.splitlines()).strip("\n")
+
+
+def commands_on(page: str) -> list[str]:
+    return re.findall(r"^    (platform-ctrl .*)$", page, re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", [*examples(), *commands_on(PAGE.read_text(encoding="utf-8"))])
+def test_every_example_is_a_command_line_that_is_understood(line: str) -> None:
+    words = shlex.split(re.split(r" [|>] | && ", line)[0])
+    assert words[0] == "platform-ctrl"
+    if words[1].startswith("--"):
+        assert words[1:] in (["--install-completion"], ["--version"])
+        return
+    with COMMANDS[words[1]].make_context(words[1], words[2:]) as context:
+        given = {name: item for name, item in context.params.items() if item not in (None, False)}
+    assert given or words[1] == "models"
+
+
+def test_there_are_examples_for_every_command() -> None:
+    named = [shlex.split(line)[1] for line in examples()]
+    assert len(examples()) > 20
+    assert set(named) == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_page_has_every_command_and_option(name: str) -> None:
+    text = section(name)
+    cells = {cell for row in re.findall(r"^\|([^|]*)\|", text, re.MULTILINE) for cell in re.findall(r"`([^`]+)`", row)}
+    options = {spelling for spellings in names(COMMANDS[name]) for spelling in spellings} - COMMON
+    assert options == cells
+    assert f"platform-ctrl {name}" in text
+    assert f"| [`{name}`](#{name}) |" in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_page_has_the_options_of_all_commands() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for spellings in [*names(GROUP), ["--json"], ["--quiet", "-q"], ["--help", "-h"]]:
+        assert all(f"`{spelling}`" in text for spelling in spellings), spellings
+    for command in COMMANDS.values():
+        options = {spelling for spellings in names(command) for spelling in spellings}
+        assert "--json" in options
+        assert ("--quiet" in options) == (command.name != "models")
+
+
+def test_help_of_a_command_can_be_asked_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    assert help_of(capsys) == (main(["help"]), capsys.readouterr().out)[1]
+    assert help_of(capsys, "design") == (main(["help", "design"]), capsys.readouterr().out)[1]
+    assert "No such command 'desing'. Did you mean 'design'?" in refused(capsys, "help", "desing")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["desing"], "Did you mean 'design'? (see platform-ctrl --help)"),
+        (
+            ["design"],
+            "Missing argument 'JOB': Job file (TOML); platform-ctrl new writes one. (see platform-ctrl design",
+        ),
+        (["equations"], "Missing argument 'PLANT': A shipped plant's name (see platform-ctrl models)"),
+        (["design", "job.toml", "--quite"], "No such option: --quite"),
+        (["campaign", "job.toml", "--runs", "many"], "Invalid value for '--runs'"),
+    ],
+)
+def test_a_wrong_command_line_is_told_what_to_do(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert words in refused(capsys, *arguments)
+
+
+def test_a_wide_terminal_is_used(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    narrow = help_of(capsys, "campaign").splitlines()
+    monkeypatch.setenv("COLUMNS", "120")
+    assert len(help_of(capsys, "campaign").splitlines()) < len(narrow) - 5
+
+
+def test_meanings_stand_beside_examples_where_there_is_room(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    example, meaning = "  platform-ctrl check job.toml", "the controllers of out/result.json"
+    monkeypatch.setenv("COLUMNS", "120")
+    assert re.search(rf"^{example} +{meaning}$", help_of(capsys, "check"), re.MULTILINE)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert f"{example}\n      {meaning}\n" in help_of(capsys, "check")

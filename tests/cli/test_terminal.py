@@ -1,0 +1,225 @@
+"""On a terminal and elsewhere: colours, what moves while work is done, and Ctrl-C at any moment."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl.cli import main, terminal
+from platform_ctrl.cli.staged import together
+from platform_ctrl.common.files import write_whole
+from platform_ctrl.errors import InputError
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="terminals as POSIX has them")
+
+# Ctrl-C reaches whoever the terminal belongs to.
+OWN_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0);"
+    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+)
+
+
+def environment(**more: str) -> dict[str, str]:
+    kept = {name: item for name, item in os.environ.items() if name not in ("NO_COLOR", "FORCE_COLOR", "COLUMNS")}
+    return kept | {"PYTHONPATH": str(Path(pc.__file__).parents[1]), "TERM": "xterm", "COLUMNS": "120"} | more
+
+
+class Terminal:
+    """A command on a terminal of its own: what it shows so far, and how it ended."""
+
+    def __init__(self, *arguments: str, cwd: Path, **more: str) -> None:
+        import pty
+
+        self._parent, child = pty.openpty()
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", OWN_TERMINAL, "-m", "platform_ctrl", *arguments],
+            stdin=child,
+            stdout=child,
+            stderr=child,
+            cwd=cwd,
+            env=environment(**more),
+            start_new_session=True,
+        )
+        os.close(child)
+        self.shown = ""
+
+    def until(self, words: str) -> Terminal:
+        """Wait until this stands on the screen."""
+        while words not in self.shown:
+            assert self._more(), f"{words!r} did not come: {self.shown!r}"
+        return self
+
+    def type(self, keys: bytes) -> Terminal:
+        os.write(self._parent, keys)
+        return self
+
+    def end(self) -> int:
+        """Wait for the end and return the exit code."""
+        while self._more():
+            pass
+        os.close(self._parent)
+        return self.process.wait(timeout=30)
+
+    def _more(self) -> bool:
+        ready, _, _ = select.select([self._parent], [], [], 60.0)
+        assert ready, f"nothing for a minute after {self.shown!r}"
+        try:
+            got = os.read(self._parent, 1 << 16).decode("utf-8", "replace")
+        except OSError:  # closed by the other side
+            return False
+        self.shown += got
+        return bool(got)
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("terminal")
+    assert main(["new", "gyro", "-o", str(folder), "-q"]) == 0
+    with pytest.MonkeyPatch.context() as patch:  # the figures are seconds of work
+        patch.setattr("platform_ctrl.report.write_page", lambda result, path, **about: path.touch())
+        assert main(["design", str(folder / "gyro.toml"), "-o", str(folder / "out"), "-q"]) == 0
+    return folder
+
+
+SIMULATE = ("simulate", "gyro.toml", "--manoeuvre", "turn")
+GREEN = "\x1b[32m"
+
+
+def test_a_terminal_gets_colours_and_something_that_moves(there: Path) -> None:
+    shown = Terminal(*SIMULATE, cwd=there).until("reading gyro.toml").until("met")
+    assert shown.end() == 0
+    assert GREEN in shown.shown
+    assert "0:00:0" in shown.shown  # the time beside the line
+
+
+def test_a_pipe_gets_lines_without_colours_unless_they_are_forced(
+    there: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(there)
+    monkeypatch.setenv("COLUMNS", "120")
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+
+    def piped() -> str:
+        assert main(SIMULATE) == 0
+        out, err = capsys.readouterr()
+        assert err == "simulated run: turn\n"
+        return out
+
+    plain = piped()
+    assert "\x1b" not in plain
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    forced = piped()
+    assert GREEN in forced
+    assert _without_colours(forced) == plain
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert GREEN not in piped()
+
+
+def _without_colours(text: str) -> str:
+    return re.sub(r"\x1b\[[\d;]*m", "", text)
+
+
+@pytest.mark.parametrize("moment", ["reading", "setting the report"])
+def test_ctrl_c_leaves_what_was_there(moment: str, there: Path) -> None:
+    out = there / "out"
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    shown = Terminal("design", "gyro.toml", "--pdf", cwd=there).until(moment)
+    time.sleep(0.05)
+    assert shown.type(b"\x03").end() == 130
+    assert _without_colours(shown.shown).splitlines()[-1].endswith("platform-ctrl: interrupted")
+    assert "Traceback" not in shown.shown
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_ctrl_c_before_a_plant_is_read_leaves_no_file(there: Path, tmp_path: Path) -> None:
+    shown = Terminal("new", "mine", "--like", "suspended_platform", cwd=tmp_path).until("starting values")
+    assert shown.type(b"\x03").end() == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "one").write_text("old")
+
+    def write(fail: type[BaseException] | None) -> None:
+        with together(tmp_path) as folder:
+            (folder / "one").write_text("new")
+            (folder / "two").write_text("new")
+            if fail is not None:
+                raise fail
+
+    for failure, told in ((KeyboardInterrupt, KeyboardInterrupt), (OSError, InputError)):
+        with pytest.raises(told):
+            write(failure)
+        assert [path.name for path in tmp_path.iterdir()] == ["one"]
+        assert (tmp_path / "one").read_text() == "old"
+    write(None)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "two": "new"}
+
+
+def test_an_interrupt_while_files_move_waits_until_they_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = os.replace
+
+    def interrupted(old: Path, new: Path) -> None:
+        signal.raise_signal(signal.SIGINT)
+        moved(old, new)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), together(tmp_path) as folder:  # noqa: PT012
+        (folder / "one").write_text("new")
+        (folder / "two").write_text("new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_file_that_cannot_take_its_place_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "one").write_text("old")
+    (tmp_path / "two").mkdir()
+    with pytest.raises(InputError, match="two: is a folder; expected a file"), together(tmp_path) as folder:  # noqa: PT012
+        (folder / "one").write_text("new")
+        (folder / "two").write_text("new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
+    assert (tmp_path / "one").read_text() == "old"
+    with pytest.raises(InputError, match="nowhere: cannot be written to"), together(tmp_path / "nowhere"):
+        pass
+
+
+def test_what_is_no_file_is_never_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe: cannot be written: is no regular file"):
+        write_whole(tmp_path / "pipe", "text")
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_elsewhere_a_line_that_stands_is_printed_again_with_its_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(terminal, "_LATE", 0.1)
+    monkeypatch.setattr(terminal, "_AGAIN", (0.4, 60.0))
+    with terminal.progress(False, "reading") as say:
+        time.sleep(0.3)
+        say("designing")
+        time.sleep(0.8)
+        say("drawing")
+    lines = capsys.readouterr().err.splitlines()
+    assert "designing (0.4 s)" in lines
+    assert [line for line in lines if not line.endswith(" s)")] == ["reading", "designing", "drawing"]
+
+
+def test_the_first_run_says_that_its_kernel_is_compiled(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("platform_ctrl.simulation.compilation.is_compiled", lambda: False)
+    with terminal.progress(False, "reading") as say:
+        say("simulated run: turn")
+    assert capsys.readouterr().err == "simulated run: turn (its kernel is compiled first, once: half a minute)\n"

@@ -1,0 +1,122 @@
+"""What caging designs claim besides their margins: gains between the samples, and the Omega that they survive."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import re
+from typing import Any
+
+import pytest
+
+from platform_ctrl.design import LoopOutcome, caging_survival, loops
+from platform_ctrl.design.jobs import survived_name, with_caging_claims
+from platform_ctrl.design.riccati.intersample_loop import intersample_gains
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.report.document import survival
+from platform_ctrl.verification.given import outcomes_from
+from platform_ctrl.verification.simulated import fly
+
+DATA: dict[str, Any] = {
+    "schema": 1,
+    "name": "one gyro",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.0]},
+    "spread": {"spin": 0.1},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "closed",
+            "limits": {"bandwidth_hz": 20},
+            "design": [
+                {"name": "other", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+                {"name": "closed", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+            ],
+        }
+    ],
+    "manoeuvre": [
+        {
+            "name": "turn",
+            "mode": "caged",
+            "axis": 1,
+            "rate": 1.0,
+            "rise": 0.2,
+            "hold": 0.1,
+            "duration": 0.6,
+            "limits": {"torque_share": 1.0},
+        }
+    ],
+}
+TORQUE, RATE = "intersample torque rejection, rad/(N m)", "intersample Omega rejection, rad s/rad"
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return read_job(DATA)
+
+
+@pytest.fixture(scope="module")
+def outcome(job: Job) -> LoopOutcome:
+    return loops(job)[0]
+
+
+def test_every_caging_design_claims_its_gains_between_the_samples(job: Job, outcome: LoopOutcome) -> None:
+    for made in outcome.designs:
+        gains = intersample_gains(job, made.controller)
+        assert (made.claims[TORQUE], made.claims[RATE]) == (gains.torque_rejection, gains.Omega_rejection)
+
+
+def test_the_closed_design_alone_claims_what_it_survives_about_the_axes_that_load_it(
+    job: Job, outcome: LoopOutcome
+) -> None:
+    (other,) = outcome.alternatives
+    assert set(other.claims) == {TORQUE, RATE}
+    found = caging_survival(job, outcome.closed.controller)
+    expected = {survived_name(one.axis): one.nominal.Omega for one in found}
+    expected |= {survived_name(one.axis, spread=True): one.spread for one in found}
+    assert {name: number for name, number in outcome.closed.claims.items() if name not in (TORQUE, RATE)} == expected
+    assert [one.axis for one in found] == [1, 3]
+
+
+def test_controllers_that_are_given_claim_the_same(job: Job, outcome: LoopOutcome) -> None:
+    again = outcomes_from(job, [outcome.closed.controller], [outcome.alternatives[0].controller])[0]
+    assert again.closed.claims == outcome.closed.claims
+    assert again.alternatives[0].claims == outcome.alternatives[0].claims
+
+
+def test_a_torquer_without_limit_and_a_loop_that_is_not_stable_claim_nothing(job: Job, outcome: LoopOutcome) -> None:
+    closed = dataclasses.replace(outcome.closed, claims={})
+    torquers = tuple(dataclasses.replace(one, limit=None) for one in job.platform.torquers)
+    free = dataclasses.replace(job, platform=dataclasses.replace(job.platform, torquers=torquers))
+    assert set(with_caging_claims(free, closed, closed=True).claims) == {TORQUE, RATE}
+    assert closed.measures is not None
+    decay = -closed.measures.decay
+    unstable = dataclasses.replace(closed, measures=dataclasses.replace(closed.measures, decay=decay))
+    assert with_caging_claims(job, unstable, closed=True).claims == {}
+
+
+def test_where_one_plant_of_the_spread_is_not_stable_the_nominal_claim_stays(outcome: LoopOutcome) -> None:
+    wide = copy.deepcopy(DATA)
+    wide["spread"] = {"spin": 0.9}
+    closed = dataclasses.replace(outcome.closed, claims={})
+    claims = with_caging_claims(read_job(wide), closed, closed=True).claims
+    assert claims[survived_name(1)] == outcome.closed.claims[survived_name(1)]
+    assert survived_name(1, spread=True) not in claims
+
+
+def test_the_run_is_told_beside_what_is_proved(job: Job, outcome: LoopOutcome) -> None:
+    run = fly(job, job.manoeuvres[0], [outcome.closed.controller])
+    told = survival(run, [outcome])
+    shown = [float(number) for number in re.findall(r"(\d\.\d+) (?:rad/s|over)", told)]
+    proved = [outcome.closed.claims[survived_name(1, spread=over)] for over in (False, True)]
+    assert shown == pytest.approx(proved, rel=0.01)
+    # Never more than was proved.
+    assert all(number <= claim for number, claim in zip(shown, proved, strict=True))
+    assert told.endswith("this run goes to 1.")
+    # About axis 2 the loop carries no load.
+    turned = dataclasses.replace(run, manoeuvre=dataclasses.replace(run.manoeuvre, axis=2))
+    assert survival(turned, [outcome]) == ""

@@ -1,0 +1,209 @@
+"""H2 output feedback: slycot, one route against the other, sampled plants, singular problems, and refusals."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl.analysis.norms import h2_norm
+from platform_ctrl.design.partition import Realisation, closed_loop, partition
+from platform_ctrl.design.riccati.h2 import h2
+from platform_ctrl.design.scaling import autoscale
+from platform_ctrl.errors import ArgumentError, DesignError, IllPosedError, NotStabilisableError
+
+
+def random_plant(seed, n=6, nw=4, nz=4, ny=2, nu=2, dt=0.0, D11=False):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    A = 1.2 * A / np.abs(np.linalg.eigvals(A)).max() if dt else A - (np.linalg.eigvals(A).real.max() - 0.3) * np.eye(n)
+    D = 0.5 * rng.normal(size=(nz + ny, nw + nu))
+    D[nz:, nw:] = 0
+    if not D11:
+        D[:nz, :nw] = 0
+    return control.ss(A, rng.normal(size=(n, nw + nu)), rng.normal(size=(nz + ny, n)), D, dt)
+
+
+def as_scaled(P, nmeas=2, ncon=2):
+    p = autoscale(partition(P, nmeas, ncon)).plant
+    return control.ss(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]), np.block([[p.D11, p.D12], [p.D21, p.D22]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slycot_agrees_on_scaled_plants(seed):
+    pytest.importorskip("slycot")
+    P = as_scaled(random_plant(seed))
+    K = control.h2syn(P, 2, 2)
+    result = h2(P, 2, 2)
+    assert result.gamma == pytest.approx(h2_norm(P.lft(K, 2, 2)), rel=1e-10)
+    assert result.gamma_optimal == pytest.approx(result.gamma, rel=1e-10)
+    assert result.norm == "h2"
+    assert max(result.residual.values()) < 1e-12
+
+
+def test_integrator_has_its_textbook_norm():
+    # x' = u + w1, y = x + w2, z = [x, u]: X = Y = 1, F = L = -1, norm² = tr(B1' X B1) + F Y F' = 2.
+    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    P = control.ss(0.0, [[1.0, 0, 1]], [[1.0], [0], [1]], D)
+    result = h2(P, 1, 1)
+    assert result.gamma == pytest.approx(np.sqrt(2), rel=1e-12)
+    K = result.controller
+    assert (K.A.item(), K.B.item() * K.C.item()) == (pytest.approx(-2), pytest.approx(-1))
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("direct", [True, False])
+def test_both_routes_find_the_same_norm(dt, direct):
+    P = random_plant(5, n=4, dt=dt, D11=dt > 0)
+    riccati, lmi = (h2(P, 2, 2, method=method, direct=direct) for method in ("riccati", "lmi"))
+    assert lmi.gamma_optimal == pytest.approx(riccati.gamma, rel=1e-5)
+    assert riccati.gamma <= lmi.gamma <= 1.011 * riccati.gamma
+    if dt and not direct:
+        np.testing.assert_array_equal(riccati.controller.D, np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("direct", [True, False])
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_no_nearby_controller_is_better(dt, direct):
+    P = random_plant(6, dt=dt, D11=dt > 0)
+    D = P.D.copy()
+    D[4:, 4:] = [[0.3, -0.2], [0.1, 0.4]]
+    P = control.ss(P.A, P.B, P.C, D, dt)
+    result, plant = h2(P, 2, 2, direct=direct), partition(P, 2, 2, sampled=True)
+    rng = np.random.default_rng(0)
+    norms = []
+    for _ in range(40):
+        K = [1e-4 * rng.normal(size=m.shape) + m for m in (getattr(result.controller, name) for name in "ABC")]
+        change = 1e-4 * rng.normal(size=(2, 2)) if dt and direct else 0.0
+        loop = closed_loop(plant, Realisation(A=K[0], B=K[1], C=K[2], D=result.controller.D + change))
+        norms.append(h2_norm(control.ss(loop.A, loop.B, loop.C, loop.D, dt)))
+    assert min(norms) > result.gamma
+
+
+def test_sampling_fast_approaches_the_continuous_optimum():
+    # Noise of unit density is noise of variance 1/T; an integral is a sum times T.
+    P = random_plant(7, n=3, nw=3, nz=3, ny=1, nu=1)
+    least = h2(P, 1, 1).gamma
+    gaps = []
+    for T in (4e-3, 2e-3):
+        # Process noise through the exact covariance is B1 √T to first order, held measurement noise D21/√T.
+        Ad = np.eye(3) + T * P.A + 0.5 * T**2 * P.A @ P.A
+        integral = T * np.eye(3) + 0.5 * T**2 * P.A
+        B = np.hstack([integral @ P.B[:, :3] / np.sqrt(T), integral @ P.B[:, 3:]])
+        C = np.vstack([P.C[:3] * np.sqrt(T), P.C[3:]])
+        D = P.D.copy()
+        D[:3, 3:] *= np.sqrt(T)
+        D[3:, :3] /= np.sqrt(T)
+        gaps.append(h2(control.ss(Ad, B, C, D, T), 1, 1).gamma / np.sqrt(T) / least - 1)
+    assert abs(gaps[1]) < 0.01
+    assert abs(gaps[1]) < 0.6 * abs(gaps[0])
+
+
+def test_the_norm_does_not_depend_on_units():
+    P = random_plant(8)
+    rng = np.random.default_rng(8)
+    d, r = 10.0 ** rng.uniform(-4, 4, 6), 1e3
+    u, y = 10.0 ** np.array([0, 0, 0, 0, 5.0, -4]), 10.0 ** np.array([0, 0, 0, 0, -6.0, 3])
+    other = control.ss(r * P.A / d[:, None] * d, r * P.B / d[:, None] * u, y[:, None] * P.C * d, y[:, None] * P.D * u)
+    assert h2(other, 2, 2).gamma == pytest.approx(np.sqrt(r) * h2(P, 2, 2).gamma, rel=1e-8)
+
+
+def test_a_direct_path_is_cancelled_where_a_gain_can_and_named_where_none_can():
+    P = random_plant(9)
+    D = P.D.copy()
+    D[:4, :4] = -D[:4, 4:] @ [[0.3, 0.1], [-0.2, 0.5]] @ D[4:, :4]
+    result = h2(control.ss(P.A, P.B, P.C, D), 2, 2)
+    np.testing.assert_allclose(result.controller.D, [[0.3, 0.1], [-0.2, 0.5]], rtol=1e-9)
+    assert result.gamma == pytest.approx(result.gamma_optimal, rel=1e-8)
+    D = P.D.copy()
+    D[1, 2] = 0.1
+    with pytest.raises(IllPosedError, match=r"D11 has a direct path from u\[2\] to y\[1\]"):
+        h2(control.ss(P.A, P.B, P.C, D), 2, 2)
+
+
+@pytest.mark.parametrize("missing", ["D12", "D21"])
+def test_singular_problems_are_named_and_solved_by_lmi_or_a_stated_regularisation(missing):
+    P = random_plant(10, n=4)
+    D = P.D.copy()
+    if missing == "D12":
+        D[:4, 5] = 0
+    else:
+        D[5, :4] = 0
+    P = control.ss(
+        P.A, P.B, P.C, D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"], outputs=["e1", "e2", "e3", "e4", "a", "b"]
+    )
+    name = "Q10" if missing == "D12" else "b"
+    with pytest.raises(IllPosedError, match=rf"{missing} has .* rank 1; .* {name} directly"):
+        h2(P, 2, 2)
+    lmi = h2(P, 2, 2, method="lmi", backoff=0.02)
+    coarse, fine = (h2(P, 2, 2, regularise=size) for size in (1e-2, 1e-3))
+    assert fine.residual["regularisation of controls and measurements"] == 1e-3
+    assert fine.residual["least norm at a tenth of it"] < fine.level
+    # The norm of the plant as given lies below that of the plant with something added, and above the infimum.
+    for result in (coarse, fine):
+        assert lmi.gamma_optimal == pytest.approx(result.gamma_optimal, rel=1e-10)
+        assert result.gamma_optimal <= result.gamma <= result.level * (1 + 1e-6)
+    assert fine.gamma < coarse.gamma
+    assert lmi.gamma_optimal == pytest.approx(fine.gamma, rel=0.05)
+
+
+def test_a_zero_on_the_axis_is_named_and_shifted_when_asked():
+    # z does not see the integrator.
+    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
+    with pytest.raises(
+        IllPosedError, match=r"\[A − jωI, B2; C1, D12\] loses column rank at 0 rad/s in the states x\[0\]"
+    ):
+        h2(P, 1, 1)
+    result = h2(P, 1, 1, regularise=1e-2)
+    assert result.spectral_abscissa < 0
+    assert result.residual["regularisation by a shift of A, rad/s"] > 0
+    assert result.gamma <= result.level
+
+
+def test_modes_out_of_reach_are_named_in_z_where_the_plant_is_sampled():
+    P = control.ss(np.diag([1.5, 0.5]), [[1.0, 0, 0], [0, 1, 1]], np.ones((3, 2)), 0, 0.1)
+    with pytest.raises(NotStabilisableError, match=r"h2: the plant is not stabilisable: .* z = 1\.5"):
+        h2(P, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"method": "hinf"}, "method: given 'hinf'"),
+        ({"backoff": 0.0}, "backoff: given 0.0"),
+        ({"time_limit": -1.0}, "time_limit = -1.0"),
+        ({"regularise": 2.0}, "regularise = 2.0"),
+        ({"regularise": True}, "regularise: given True"),
+        ({"time_limit": None}, "time_limit: given None"),
+        ({"backoff": "small"}, "backoff: given 'small'"),
+        ({"regularise": 1e-3, "method": "lmi"}, 'expected method="riccati"'),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(options, match):
+    with pytest.raises(ArgumentError, match=match):
+        h2(random_plant(1), 2, 2, **options)
+
+
+def test_lmi_loop_on_the_stability_boundary_is_an_error_and_no_warning():
+    # No w drives the oscillator: the less it is damped the smaller the norm, down to none.
+    P = control.StateSpace(
+        [[0, 5.0], [-5, 0]], [[0, 0, 0], [0, 0, 1]], [[1, 0], [0, 0], [1, 0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+        remove_useless_states=False,
+    )  # fmt: skip
+    with pytest.raises(DesignError, match="h2, lmi"):
+        h2(P, 1, 1, method="lmi")
+
+
+@pytest.mark.parametrize("pole", [-1.0, -1.0 - 1e-9])
+def test_sampled_plant_may_have_a_pole_at_minus_one(pole):
+    P = control.ss(pole, [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], 0.1)
+    assert h2(P, 1, 1).spectral_abscissa < 0
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_norm_follows_the_unit_of_z(unit):
+    P = random_plant(1)
+    in_unit = np.concatenate([np.full(4, unit), np.ones(2)])[:, None]
+    there = h2(control.ss(P.A, P.B, in_unit * P.C, in_unit * P.D), 2, 2)
+    assert there.gamma == pytest.approx(unit * h2(P, 2, 2).gamma, rel=1e-9)

@@ -1,0 +1,566 @@
+"""H-infinity output feedback: closed forms, slycot, one route against the other, and what must be refused."""
+
+from __future__ import annotations
+
+import copy
+
+import control
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_continuous_are
+
+from platform_ctrl.analysis.norms import hinf_norm
+from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
+from platform_ctrl.design.partition import Realisation, closed_loop, partition
+from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
+from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
+from platform_ctrl.design.synthesis import Claim, certify, hinf
+from platform_ctrl.errors import (
+    ArgumentError,
+    DesignError,
+    IllPosedError,
+    NotCertifiedError,
+    NotStabilisableError,
+    TimeLimitError,
+)
+
+METHODS = ("lmi", "riccati")
+# The least gamma of the LMI route is as good as its solver, that of the Riccati route as its bisection.
+ACCURACY = {"lmi": 1e-4, "riccati": 1e-6}
+
+
+def gyro(lag=2e-4, J9=5e-4, J10=2e-4, L=0.15):
+    """A, B, C of a two-axis gyro behind torquer lags: torques to angles, states [q, p, torque], SI units."""
+    G, Mi = np.array([[0, L], [-L, 0]]), np.diag([1 / J9, 1 / J10])
+    Z, one = np.zeros((2, 2)), np.eye(2)
+    A = np.block([[Z, Mi, Z], [Z, -G @ Mi, one], [Z, Z, -one / lag]])
+    return A, np.vstack([Z, Z, one / lag]), np.hstack([one, Z, Z])
+
+
+def three_gimbals(lag=2e-4, L=0.15, J4=1e-3, J=2e-4):
+    """The same for gimbal 4 with housings 5 and 7: a defective pole at zero."""
+    G, Mi = np.array([[0, L, L], [-L, 0, 0], [-L, 0, 0]]), np.diag([1 / J4, 1 / J, 1 / J])
+    Z, one = np.zeros((3, 3)), np.eye(3)
+    A = np.block([[Z, Mi, Z], [Z, -G @ Mi, one], [Z, Z, -one / lag]])
+    return A, np.vstack([Z, Z, one / lag]), np.hstack([one, Z, Z])
+
+
+def with_integrators(A, B, C, gain, frequency):
+    """A plant behind gain * (s + frequency) / s in every input."""
+    m = B.shape[1]
+    Z = np.zeros((m, len(A)))
+    return (
+        np.block([[A, gain * frequency * B], [Z, np.zeros((m, m))]]),
+        np.vstack([gain * B, np.eye(m)]),
+        np.hstack([C, np.zeros((len(C), m))]),
+    )
+
+
+def coprime_problem(A, B, C):
+    """[K; I] (I − G K)⁻¹ [I, G] as a plant: w = [noise, input disturbance], z = [u, y]."""
+    (n, m), p = B.shape, len(C)
+    D = np.zeros((m + 2 * p, p + 2 * m))
+    D[:m, p + m :] = np.eye(m)
+    D[m : m + p, :p] = D[m + p :, :p] = np.eye(p)
+    return control.ss(A, np.hstack([np.zeros((n, p)), B, B]), np.vstack([np.zeros((m, n)), C, C]), D), p, m
+
+
+def coprime_least(A, B, C):
+    """sqrt(1 + lambda_max(X Z)) from the two LQG Riccati equations (McFarlane and Glover 1990)."""
+    rate = np.linalg.norm(A, 2) ** 0.5
+    d = balance(A / rate, B / rate, C)
+    A, B, C = A / rate / d[:, None] * d, B / rate / d[:, None], C * d
+    X = solve_continuous_are(A, B, C.T @ C, np.eye(B.shape[1]))
+    Z = solve_continuous_are(A.T, C.T, B @ B.T, np.eye(len(C)))
+    return np.sqrt(1 + np.max(np.linalg.eigvals(X @ Z).real))
+
+
+def random_plant(seed, n=6, nw=4, nz=4, ny=2, nu=2, stable=False):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(n, n))
+    A -= (np.linalg.eigvals(A).real.max() + (0.3 if stable else -0.3)) * np.eye(n)
+    D = 0.5 * rng.normal(size=(nz + ny, nw + nu))
+    D[nz:, nw:] = 0
+    return control.ss(A, rng.normal(size=(n, nw + nu)), rng.normal(size=(nz + ny, n)), D)
+
+
+SHAPED = {
+    "gyro": gyro(),
+    "gyro behind integrators": with_integrators(*gyro(), 30.0, 50.0),
+    "three gimbals": three_gimbals(),
+    "three gimbals behind integrators": with_integrators(*three_gimbals(), 30.0, 50.0),
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", SHAPED)
+def test_gyros_in_si_units_reach_the_closed_form_of_the_coprime_factor_problem(name, method):
+    P, nmeas, ncon = coprime_problem(*SHAPED[name])
+    result = hinf(P, nmeas, ncon, method=method)
+    least = coprime_least(*SHAPED[name])
+    assert result.gamma_optimal == pytest.approx(least, rel=ACCURACY[method])
+    # No controller does better than the least gamma, and this one keeps what was promised.
+    assert least * (1 - 1e-6) <= result.gamma <= 1.021 * least
+    assert result.gamma == pytest.approx(hinf_norm(result.closed_loop)[0], rel=1e-9)
+    assert result.spectral_abscissa < 0
+    assert result.controller.nstates == P.nstates
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("denominator", "least"),
+    [([1, 0], np.sqrt(2)), ([1, 0, 0], np.sqrt(4 + 2 * np.sqrt(2))), ([1, -1], np.sqrt(4 + 2 * np.sqrt(2)))],
+)
+def test_integrators_and_an_unstable_pole_have_their_textbook_gamma(denominator, least, method):
+    G = control.tf2ss([1], denominator)
+    result = hinf(*coprime_problem(G.A, G.B, G.C), method=method)
+    assert result.gamma_optimal == pytest.approx(least, rel=ACCURACY[method])
+
+
+def test_controllers_of_both_routes_are_not_faster_than_the_plant_asks_for():
+    # With X and Y small where the separation does not look, the LMI route had poles at 1e5 rad/s here.
+    P, nmeas, ncon = coprime_problem(*gyro())
+    fastest = [np.abs(hinf(P, nmeas, ncon, method=method).controller.poles()).max() for method in METHODS]
+    assert max(fastest) < 2 * 5000
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_slycot_agrees_on_scaled_plants_with_full_d11(seed):
+    pytest.importorskip("slycot")
+    p = autoscale(partition(random_plant(seed), 2, 2)).plant
+    P = control.ss(p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2]), np.block([[p.D11, p.D12], [p.D21, p.D22]]))
+    least = control.hinfsyn(P, 2, 2)[2]
+    assert hinf(P, 2, 2, method="riccati").gamma_optimal == pytest.approx(least, rel=1e-5)
+    assert hinf(P, 2, 2, method="lmi").gamma_optimal == pytest.approx(least, rel=1e-4)
+
+
+def test_the_default_is_the_riccati_route_where_its_assumptions_hold_and_the_result_says_why():
+    P = random_plant(7, n=4)
+    default, asked = hinf(P, 2, 2), hinf(P, 2, 2, method="riccati")
+    assert (default.method, default.reason) == ("hinf, riccati", "the assumptions of the Riccati equations hold")
+    assert (default.gamma, default.gamma_optimal) == (asked.gamma, asked.gamma_optimal)
+    assert asked.reason == ""
+    D = P.D.copy()
+    D[:4, 4:] = 0
+    singular = hinf(control.ss(P.A, P.B, P.C, D), 2, 2)
+    assert singular.method == "hinf, lmi"
+    assert singular.reason == "hinf, riccati: D12 has column rank 0"
+    integrator = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    unseen = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], integrator)
+    found = hinf(unseen, 1, 1)
+    assert found.method == "hinf, lmi"
+    assert "loses column rank at 0 rad/s" in found.reason
+    # What has to be added for the Riccati equations is added to them.
+    assert hinf(unseen, 1, 1, regularise=1e-3).method == "hinf, riccati"
+
+
+def test_where_both_routes_fail_the_error_names_both_reasons():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 4:] = 0
+    with pytest.raises(TimeLimitError, match=r"did not finish .*the other route fails, too: .*D12 has column"):
+        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, time_limit=1e-6)
+
+
+def test_eigenvalues_on_the_axis_are_not_taken_for_a_solution():
+    # Below the least gamma of this plant, 7.857, the Hamiltonian matrix has eigenvalues on the axis that rounding puts
+    # on either side of it in equal numbers: sb10ad takes 6.246 for the answer.
+    P = random_plant(2)
+    results = [hinf(P, 2, 2, method=method) for method in METHODS]
+    assert results[0].gamma_optimal == pytest.approx(results[1].gamma_optimal, rel=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 50),
+    exponents=st.lists(st.floats(-4, 4), min_size=6, max_size=6),
+    rate=st.floats(-3, 4),
+    ports=st.lists(st.floats(-5, 5), min_size=4, max_size=4),
+)
+def test_least_gamma_does_not_depend_on_the_units(seed, exponents, rate, ports):
+    P = random_plant(seed, stable=True)
+    d, r = 10.0 ** np.array(exponents), 10.0**rate
+    u, y = 10.0 ** np.array([0, 0, 0, 0, *ports[:2]]), 10.0 ** np.array([0, 0, 0, 0, *ports[2:]])
+    other = control.ss(r * P.A / d[:, None] * d, r * P.B / d[:, None] * u, y[:, None] * P.C * d, y[:, None] * P.D * u)
+    here, there = (hinf(p, 2, 2, method="riccati") for p in (P, other))
+    assert there.gamma_optimal == pytest.approx(here.gamma_optimal, rel=1e-6)
+    assert there.gamma == pytest.approx(here.gamma, rel=1e-4)
+
+
+@pytest.mark.parametrize("gain", [1e-6, 1e6])
+def test_lmi_route_finds_a_gamma_of_any_size(gain):
+    P = random_plant(4)
+    scaled = control.ss(P.A, P.B, np.vstack([gain * P.C[:4], P.C[4:]]), np.vstack([gain * P.D[:4], P.D[4:]]))
+    assert hinf(scaled, 2, 2, method="lmi").gamma_optimal == pytest.approx(
+        gain * hinf(P, 2, 2, method="riccati").gamma_optimal, rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_direct_feedthrough_from_u_to_y_costs_nothing(method):
+    P = random_plant(5)
+    D = P.D.copy()
+    D[4:, 4:] = [[0.3, -0.2], [0.1, 0.4]]
+    shifted = hinf(control.ss(P.A, P.B, P.C, D), 2, 2, method=method)
+    plain = hinf(P, 2, 2, method=method)
+    assert shifted.gamma == pytest.approx(plain.gamma, rel=1e-5)
+    assert shifted.gamma_optimal == pytest.approx(plain.gamma_optimal, rel=1e-6)
+
+
+def test_closed_loop_is_the_linear_fractional_transformation():
+    rng = np.random.default_rng(6)
+    P = random_plant(6)
+    D = P.D.copy()
+    D[4:, 4:] = 0.3
+    P = control.ss(P.A, P.B, P.C, D)
+    K = control.ss(*(0.5 * rng.normal(size=s) for s in ((3, 3), (3, 2), (2, 3), (2, 2))))
+    loop = closed_loop(partition(P, 2, 2), Realisation(A=K.A, B=K.B, C=K.C, D=K.D))
+    for s in (0.3j, 2j, 1 + 1j):
+        p, k = P(s), K(s)
+        expected = p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
+        found = loop.C @ np.linalg.solve(s * np.eye(len(loop.A)) - loop.A, loop.B) + loop.D
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("missing", ["D12", "D21", "both"])
+def test_lmi_route_needs_no_rank_and_undercuts_the_regularised_problem(missing):
+    P = random_plant(7, n=4)
+    D, regular = P.D.copy(), P.D.copy()
+    if missing in ("D12", "both"):
+        D[:4, 4:], regular[:4, 4:] = 0, 1e-3 * P.D[:4, 4:]
+    if missing in ("D21", "both"):
+        D[4:, :4], regular[4:, :4] = 0, 1e-3 * P.D[4:, :4]
+    singular = control.ss(P.A, P.B, P.C, D)
+    result = hinf(singular, 2, 2)
+    near = hinf(control.ss(P.A, P.B, P.C, regular), 2, 2, method="riccati")
+    assert result.gamma_optimal == pytest.approx(near.gamma_optimal, rel=0.02)
+    assert result.gamma <= 1.021 * result.gamma_optimal
+    with pytest.raises(DesignError, match=r"D(12|21) has (column|row) rank 0; expected .* method=\"lmi\"") as refused:
+        hinf(singular, 2, 2, method="riccati")
+    assert refused.value.problem is singular
+
+
+def test_solver_s_answer_satisfies_every_inequality_and_none_holds_below_the_least_gamma():
+    P, nmeas, ncon = coprime_problem(*gyro())
+    result = hinf(P, nmeas, ncon, method="lmi")
+    eigenvalues = [value for name, value in result.residual.items() if name.startswith("largest eigenvalue")]
+    assert len(eigenvalues) == 3
+    assert max(eigenvalues) < 0
+    scaled = autoscale(partition(P, nmeas, ncon)).plant
+    best = minimised([scaled], where="test", time_limit=60.0, P=P, tolerance=1e-7)
+    worst = [np.linalg.eigvalsh(m)[-1] for m in inequalities(scaled, 0.9 * best.gamma, best.X, best.Y).values()]
+    assert max(worst) > 1e-3
+
+
+def test_riccati_equations_are_solved():
+    residual = hinf(*coprime_problem(*gyro()), method="riccati").residual
+    assert all(value < 1e-12 for name, value in residual.items() if "residual" in name)
+    assert residual["spectral radius of X Y over gamma squared"] < 1
+
+
+def _certify(P, K, gamma_optimal):
+    return certify(
+        P,
+        partition(P, 2, 2),
+        K,
+        gamma_optimal=gamma_optimal,
+        backoff=0.02,
+        method="test",
+        residual={},
+    )
+
+
+def test_certificate_refuses_a_wrong_controller_and_a_claim_that_is_too_good():
+    P, _, _ = coprime_problem(*gyro())
+    good = hinf(P, 2, 2, method="riccati")
+    K = good.controller
+    kept = _certify(P, Realisation(A=K.A, B=K.B, C=K.C, D=K.D), good.gamma_optimal)
+    assert kept.gamma == pytest.approx(good.gamma, rel=1e-6)
+    with pytest.raises(DesignError, match="has a pole at") as refused:
+        _certify(P, Realisation(A=K.A, B=K.B, C=-K.C, D=-K.D), good.gamma_optimal)
+    assert refused.value.problem is P
+    with pytest.raises(DesignError, match="the closed loop has the norm"):
+        _certify(P, Realisation(A=K.A, B=K.B, C=K.C, D=K.D), 0.9 * good.gamma_optimal)
+    with pytest.raises(DesignError, match="the closed loop has the norm"):
+        _certify(P, Realisation(A=K.A, B=K.B, C=1.2 * K.C, D=K.D), good.gamma_optimal)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("B2", "C2", "word", "pole"),
+    [
+        ([[1.0], [0.0], [0.0]], [[1.0, 1.0, 1.0]], "stabilisable", r"0\+20j|-?0-20j"),
+        ([[1.0], [1.0], [1.0]], [[1.0, 0.0, 0.0]], "detectable", r"20j"),
+    ],
+)
+def test_a_mode_out_of_reach_is_named(B2, C2, word, pole, method):
+    A = np.array([[-5.0, 0, 0], [0, 0, 20], [0, -20, 0]])
+    B = np.hstack([np.eye(3)[:, :2], np.zeros((3, 1)), B2])
+    C = np.vstack([np.eye(3)[:2], np.zeros((1, 3)), C2])
+    D = np.zeros((4, 4))
+    D[2, 3] = D[3, 2] = 1
+    with pytest.raises(DesignError, match=rf"not {word}: .* the mode at .*({pole}) rad/s"):
+        hinf(control.ss(A, B, C, D), 1, 1, method=method)
+
+
+def test_riccati_route_names_a_zero_on_the_axis_that_the_lmi_route_does_not_mind():
+    # z does not see the integrator.
+    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
+    with pytest.raises(DesignError, match=r"\[A − jωI, B2; C1, D12\] loses column rank at 0 rad/s"):
+        hinf(P, 1, 1, method="riccati")
+    assert hinf(P, 1, 1, method="lmi").spectral_abscissa < 0
+
+
+def test_solver_that_does_not_finish_in_time_is_an_error():
+    P, nmeas, ncon = coprime_problem(*gyro())
+    with pytest.raises(DesignError, match="did not finish in 1e-06 s"):
+        hinf(P, nmeas, ncon, method="lmi", time_limit=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "match"),
+    [
+        ((np.eye(3), 1, 1), {}, "given a ndarray; expected a control.StateSpace"),
+        ((control.ss(0.5, [[1, 1]], [[1], [1]], 0, True), 1, 1), {}, "without a period"),
+        ((control.ss([], [], [], np.eye(2)), 1, 1), {}, "no states"),
+        ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 2, 1), {}, "nmeas = 2 of 2 outputs"),
+        ((control.ss(-1, [[1, 1]], [[1], [1]], 0), 1, 0), {}, "ncon = 0 of 2 inputs"),
+        ((control.ss(-1, [[1, 1]], [[np.nan], [1]], 0), 1, 1), {}, "C is not finite"),
+        ((random_plant(1), 2, 2), {"method": "h2"}, "method: given 'h2'"),
+        ((random_plant(1), 2, 2), {"backoff": 0.0}, "backoff: given 0.0"),
+        ((random_plant(1), 2, 2), {"backoff": [0.02, 0.03]}, "expected a number"),
+        ((random_plant(1), 2, 2), {"method": np.array(["lmi", "lmi"])}, "expected 'lmi' or 'riccati'"),
+        ((random_plant(1), 2, True), {}, "ncon = True"),
+        ((random_plant(1), 2, 2), {"time_limit": 0.0}, "time_limit = 0.0"),
+        ((random_plant(1), 2, 2), {"time_limit": None}, "time_limit = None"),
+        ((random_plant(1), 2, 2), {"time_limit": "1"}, "time_limit = '1'"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(arguments, options, match):
+    with pytest.raises(ArgumentError, match=match):
+        hinf(*arguments, **options)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e6, 1e9])
+def test_gamma_follows_the_unit_of_z(unit):
+    P = random_plant(1)
+    in_unit = np.concatenate([np.full(4, unit), np.ones(2)])[:, None]
+    here = hinf(P, 2, 2, method="riccati")
+    there = hinf(control.ss(P.A, P.B, in_unit * P.C, in_unit * P.D), 2, 2, method="riccati")
+    assert there.gamma_optimal == pytest.approx(unit * here.gamma_optimal, rel=1e-6)
+
+
+def beside(pole, controls=1.0):
+    """A sampled plant with a further pole that w and, where asked, u drive, and that y and z see."""
+    P = control.ss(0.5, [[1, 0, 1]], [[1], [0], [1]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], 0.1)
+    A, B = np.diag([0.5, pole]), np.vstack([P.B, [[1, 0, controls]]])
+    return control.StateSpace(A, B, np.hstack([P.C, [[1], [0], [1]]]), P.D, 0.1, remove_useless_states=False)
+
+
+def test_a_sampled_pole_at_minus_one_is_named():
+    with pytest.raises(NotStabilisableError, match=r"no control u moves the mode at z = -1\+0j"):
+        hinf(beside(-1.0, controls=0.0), 1, 1)
+    with pytest.raises(IllPosedError, match="pole at z = -1") as caught:
+        hinf(beside(-1.0), 1, 1)
+    assert caught.value.problem is not None
+
+
+def test_a_stable_mode_far_slower_than_another_is_no_obstacle():
+    # Poles at -0.01 and -1e9 rad/s: no control reaches the slow one, none has to.
+    P = control.StateSpace(
+        np.diag([-0.01, -1e9]), [[0.1, 0, 0], [3e4, 0, 3e4]], [[0.1, 3e4], [0, 0], [0.1, 3e4]],
+        [[0, 0, 0], [0, 0, 1], [0, 1, 0]], remove_useless_states=False,
+    )  # fmt: skip
+    require_stabilisable(partition(P, 1, 1), P)
+    unstable = control.StateSpace(np.diag([0.01, -1e9]), P.B, P.C, P.D, remove_useless_states=False)
+    with pytest.raises(NotStabilisableError, match=r"the mode at 0\.01\+0j rad/s"):
+        require_stabilisable(partition(unstable, 1, 1), unstable)
+
+
+def test_result_keeps_names_and_evidence_through_copies():
+    plain = random_plant(8)
+    P = control.ss(
+        plain.A,
+        plain.B,
+        plain.C,
+        plain.D,
+        inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"],
+        outputs=["e1", "e2", "e3", "e4", "alpha9", "beta10"],
+    )
+    before = copy.deepcopy((P.A, P.B, P.C, P.D))
+    result = hinf(P, 2, 2, method="riccati")
+    assert result.controller.input_labels == ["alpha9", "beta10"]
+    assert result.controller.output_labels == ["Q9", "Q10"]
+    assert result.closed_loop.input_labels == ["d1", "d2", "d3", "d4"]
+    for old, new in zip(before, (P.A, P.B, P.C, P.D), strict=True):
+        np.testing.assert_array_equal(old, new)
+    again = copy.deepcopy(result)
+    np.testing.assert_array_equal(again.poles, result.poles)
+    assert not again.poles.flags.writeable
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_sampled_plants_have_the_norm_of_their_w_plane(seed, method):
+    plain = random_plant(seed, n=4)
+    D = plain.D.copy()
+    D[4:, 4:] = 0.2
+    P = control.sample_system(control.ss(plain.A, plain.B, plain.C, D), 0.05, "bilinear")
+    result = hinf(P, 2, 2, method=method)
+    flat = hinf(control.ss(plain.A, plain.B, plain.C, D), 2, 2, method=method)
+    assert result.controller.dt == 0.05
+    assert result.gamma_optimal == pytest.approx(flat.gamma_optimal, rel=ACCURACY[method])
+    # Recomputed along the unit circle from plant and controller alone.
+    z = np.exp(1j * np.linspace(0, np.pi, 400))
+    peaks = []
+    for one in z:
+        p, k = P(one), result.controller(one)
+        peaks.append(
+            np.linalg.norm(p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4]), 2)
+        )
+    assert 0.98 * result.gamma < max(peaks) <= result.gamma * (1 + 1e-6)
+    assert np.abs(result.poles).max() < 1
+    assert result.spectral_abscissa < 0
+
+
+def test_slycot_agrees_to_six_digits_where_its_own_loop_has_the_norm_that_it_claims():
+    slycot = pytest.importorskip("slycot")
+    for n, seed in ((3, 0), (3, 2), (10, 5), (15, 2), (20, 4)):
+        p = autoscale(partition(random_plant(seed, n), 2, 2)).plant
+        A, B, C = p.A, np.hstack([p.B1, p.B2]), np.vstack([p.C1, p.C2])
+        D = np.block([[p.D11, p.D12], [p.D21, p.D22]])
+        claimed, *_, Ac, Bc, Cc, Dc, _ = slycot.sb10ad(n, 6, 6, 2, 2, 1e3, A, B, C, D)
+        true = hinf_norm(control.ss(Ac, Bc, Cc, Dc))[0]
+        result = hinf(control.ss(A, B, C, D), 2, 2, method="riccati")
+        if n == 3 and seed == 0:
+            assert claimed < 0.2 * result.gamma < 0.1 * true
+        else:
+            assert result.gamma_optimal == pytest.approx(claimed, rel=1e-6)
+            assert true == pytest.approx(claimed, rel=1e-4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    n=st.integers(1, 8),
+    ports=st.tuples(*[st.integers(1, 3)] * 2),
+    more=st.tuples(*[st.integers(0, 3)] * 2),
+    stable=st.booleans(),
+)
+@example(seed=154, n=8, ports=(2, 1), more=(1, 0), stable=False)  # its coefficients' rounding moves gamma by 2e-6
+# X, and Y, becomes infinite a second time past the least gamma.
+@example(seed=1828, n=8, ports=(1, 2), more=(0, 0), stable=False)
+@example(seed=5035, n=6, ports=(3, 2), more=(0, 0), stable=False)
+def test_just_above_the_least_gamma_there_are_solutions_and_just_below_none(seed, n, ports, more, stable):
+    (nu, ny), (z, w) = ports, more
+    P = random_plant(seed, n, ny + w, nu + z, ny, nu, stable)
+    scaled = autoscale(partition(P, ny, nu))
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    if least < 1e-3:
+        return  # Nothing stands in the way of gamma = 0 but rounding.
+    sides = _sides(_normal_form(scaled.plant))
+    # Rounding moves the stable subspace by eps / distance, and with it a solution as large as 1 / room.
+    start = _trial(sides, 0.0)
+    near = max(1e-6, np.finfo(float).eps / (min(start.room) * start.distance))
+    assert _trial(sides, (least * (1 + near)) ** -2).slack > 0
+    floor = max(_floor(_normal_form(scaled.plant)), 1e-6)
+    beyond = _trial(sides, (least * (1 - near)) ** -2).slack
+    assert least <= floor * (1 + near) or beyond is None or beyond < 0
+
+
+@pytest.mark.parametrize("seed", [1781, 2476])
+def test_a_coupling_that_is_rounding_does_not_end_the_search(seed):
+    # D12 is square: X is zero but for rounding, and gamma ends where Y does.
+    P = random_plant(seed, 3, nw=2, nz=2, ny=1, nu=2)
+    scaled = autoscale(partition(P, 1, 2))
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    beyond = _trial(_sides(_normal_form(scaled.plant)), (least * (1 - 1e-7)) ** -2).slack
+    assert beyond is None or beyond < 0
+
+
+def test_missing_weights_are_named_by_their_signals():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 5] = 0
+    singular = control.ss(P.A, P.B, P.C, D, inputs=["d1", "d2", "d3", "d4", "Q9", "Q10"])
+    with pytest.raises(IllPosedError, match=r"D12 has column rank 1; .*: z does not see Q10 directly"):
+        hinf(singular, 2, 2, method="riccati")
+    D = P.D.copy()
+    D[5, :4] = D[4, :4]
+    with pytest.raises(IllPosedError, match=r"no w disturbs y\[4\], y\[5\] directly"):
+        hinf(control.ss(P.A, P.B, P.C, D), 2, 2, method="riccati")
+
+
+def test_a_stated_regularisation_tends_to_the_lmi_route_from_above():
+    P = random_plant(7, n=4)
+    D = P.D.copy()
+    D[:4, 5] = D[5, :4] = 0
+    P = control.ss(P.A, P.B, P.C, D)
+    least = hinf(P, 2, 2, method="lmi").gamma_optimal
+    for size in (1e-2, 1e-3):
+        result = hinf(P, 2, 2, method="riccati", regularise=size)
+        assert result.residual["regularisation of controls and measurements"] == size
+        changed = result.level / (1 + result.backoff)
+        assert result.residual["least gamma at a tenth of it"] <= changed
+        assert result.gamma_optimal <= result.gamma <= 1.021 * changed
+        assert least * (1 - 1e-3) <= changed <= least * (1 + 20 * size)
+        # What no controller undercuts is that of the plant as given, whatever was added.
+        assert result.gamma_optimal == pytest.approx(least, rel=1e-8)
+    # Nothing is added where nothing is missing.
+    regular = random_plant(7, n=4)
+    plain, same = (hinf(regular, 2, 2, method="riccati", regularise=size) for size in (None, 1e-3))
+    assert same.gamma == plain.gamma
+    assert same.residual.keys() == plain.residual.keys()
+
+
+def test_a_zero_on_the_axis_is_shifted_when_asked():
+    D = [[0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]
+    P = control.ss([[0.0, 1], [0, -1]], [[1.0, 0, 0], [0, 0, 1]], [[0, 1.0], [0, 0], [1, 0]], D)
+    result = hinf(P, 1, 1, method="riccati", regularise=1e-3)
+    assert result.residual["regularisation by a shift of A, rad/s"] > 0
+    assert result.gamma <= result.level
+    assert result.level == pytest.approx(hinf(P, 1, 1, method="lmi").level, rel=0.05)
+
+
+def test_promised_norms_are_judged_one_by_one():
+    P, _, _ = coprime_problem(*gyro())
+    good = hinf(P, 2, 2, method="riccati")
+    K = Realisation(**{name: getattr(good.controller, name) for name in "ABCD"})
+    torque = Claim(name="of the torques", norm="hinf", limit=np.inf, outputs=(0, 1))
+    arguments = {"gamma_optimal": good.gamma_optimal, "backoff": 0.02, "method": "test", "residual": {}}
+    kept = certify(P, partition(P, 2, 2), K, **arguments, claims=[torque])
+    assert 0 < kept.norms["of the torques"] <= kept.gamma
+    strict = Claim(name="of the torques", norm="hinf", limit=0.9 * kept.norms["of the torques"], outputs=(0, 1))
+    with pytest.raises(NotCertifiedError, match="has the norm of the torques"):
+        certify(P, partition(P, 2, 2), K, **arguments, claims=[strict])
+    infinite = Claim(name="of white noise", norm="h2", limit=np.inf)
+    with pytest.raises(NotCertifiedError, match="no finite H2 norm of white noise"):
+        certify(P, partition(P, 2, 2), K, **arguments, claims=[infinite])
+
+
+def test_the_proof_is_made_when_asked_for():
+    result = hinf(*coprime_problem(*gyro()), method="riccati")
+    assert result.certificate is result.certificate
+    assert result.certificate.verify().proved
+
+
+def test_where_the_central_controller_is_not_well_posed_another_one_is_taken():
+    # T = P/(1 − P K) has the norm 1 at least: T = 1/z. The central controller of the w-plane makes T vanish at z = −1.
+    P = control.ss(0.5, [[1, 1]], [[1], [1]], 0, 0.1)
+    result = hinf(P, 1, 1, method="riccati")
+    assert result.gamma_optimal == pytest.approx(1, rel=1e-6)
+    assert 1 <= result.gamma <= 1.021
+
+
+@pytest.mark.parametrize("share", [0.3, -0.9])
+def test_every_free_parameter_below_gamma_keeps_gamma(share):
+    P = random_plant(5)
+    scaled = autoscale(partition(P, 2, 2))
+    normal = _normal_form(scaled.plant)
+    least = hinf_riccati(scaled, 0.02, P)[1] / scaled.gain
+    best = _trial(_sides(normal), (1.05 * least) ** -2).solution
+    loop = closed_loop(normal, _central(normal, best, share))
+    assert hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0] <= 1.05 * least * (1 + 1e-9)

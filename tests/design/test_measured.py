@@ -1,0 +1,404 @@
+"""Designs from measured responses: the file, the Nyquist count, the convex-concave design, against known plants."""
+
+import io
+import itertools
+
+import control
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import analysis
+from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.design.measured import measured_pid, read_measurement
+from platform_ctrl.design.measured.contour import contour, plant_integrators, unstable_poles
+from platform_ctrl.design.measured.pid import basis, controller_response, masks, realisation
+from platform_ctrl.design.measured.search import candidates, fitted_mechanics
+from platform_ctrl.errors import (
+    ArgumentError,
+    InfeasibleError,
+    InputError,
+    NotCertifiedError,
+    NotStabilisableError,
+    TimeLimitError,
+)
+
+PERIOD, DELAY, LAG = 5e-4, 5e-4, 2e-4
+ANGLES, TORQUES = ["alpha9", "beta10"], ["Q9", "Q10"]
+L, J9, J10 = 0.15, 5e-4, 2e-4
+NUTATION = L / np.sqrt(J9 * J10)
+
+
+@pytest.fixture(scope="module")
+def gyro():
+    """Torques to angles of 9-10, continuous."""
+    return pc.state_space(pc.linearise(pc.read_platform("three_gyro_platform")), gimbals=("9", "10"))[ANGLES, TORQUES]
+
+
+@pytest.fixture(scope="module")
+def plant(gyro):
+    return analysis.sampled(gyro, PERIOD, DELAY, [LAG, LAG])
+
+
+def measurement(plant, noise=0.01, points=90, low=0.5, seed=0):
+    w = 2.0 * np.pi * np.geomspace(low, 990.0, points)
+    H = analysis.frequency_response(plant, w)
+    rng = np.random.default_rng(seed)
+    H = H * (1.0 + noise * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2.0))
+    return control.FRD(H, w, plant.dt, inputs=plant.input_labels, outputs=plant.output_labels)
+
+
+@pytest.fixture(scope="module")
+def measured(plant):
+    return measurement(plant)
+
+
+@pytest.fixture(scope="module")
+def design(measured):
+    return measured_pid(measured, pattern="cross-axis", disk_margin=0.5, torque_per_noise=400.0)
+
+
+# The file
+
+
+CSV = """\
+# torques to angles
+frequency_hz, a/P re, a/P im, a/Q magnitude, a/Q phase_deg
+1.0, 0.5, -0.25, 2.0, 90
+2.0, 0.4, -0.20, 1.0, -90
+
+4.0, 0.3, -0.10, 0.5, 0
+"""
+
+
+def test_a_file_is_read_with_units_names_and_both_forms():
+    found = read_measurement(io.StringIO(CSV))
+    np.testing.assert_allclose(found.omega, 2.0 * np.pi * np.array([1.0, 2.0, 4.0]))
+    assert (found.input_labels, found.output_labels, found.dt) == (["P", "Q"], ["a"], 0.0)
+    np.testing.assert_allclose(found.frdata[0], [[0.5 - 0.25j, 0.4 - 0.2j, 0.3 - 0.1j], [2j, -1j, 0.5]], atol=1e-15)
+    in_decibels = CSV.replace("frequency_hz", "frequency_rad_s").replace("magnitude", "magnitude_db").replace(",", ";")
+    other = read_measurement(io.StringIO(in_decibels), period=0.1)
+    np.testing.assert_allclose(other.omega, [1.0, 2.0, 4.0])
+    assert other.frdata[0, 1, 0] == pytest.approx(10.0**0.1 * 1j)
+    assert other.dt == 0.1
+
+
+MISTAKES = {
+    "no such file": (None, "nowhere.csv: there is no such file"),
+    "empty": ("# nothing\n", "is empty; expected a header"),
+    "frequency": (CSV.replace("frequency_hz", "f"), 'line 2: the first column is "f"; expected frequency_hz or'),
+    "no pair": (CSV.replace("a/P re", "alpha"), 'line 2: column 2 is "alpha"; expected a name such as'),
+    "part": (CSV.replace("a/P re", "a/P real"), 'holds "real": did you mean "re"?'),
+    "twice": (CSV.replace("a/P im", "a/P re"), '"a/P re" stands there twice'),
+    "half": (CSV.replace("a/P im", "a/Q im"), "line 2: a/P has re; expected re and im, or magnitude"),
+    "pair missing": (CSV.replace("a/P", "b/P"), "line 2: b/Q is missing; expected re and im"),
+    "only frequency": ("frequency_hz\n1\n2\n3\n", "there are no columns but the frequency"),
+    "word": (CSV.replace("0.4", "zero"), 'line 4: a/P re = "zero"; expected a finite number'),
+    "not finite": (CSV.replace("0.4", "nan"), 'line 4: a/P re = "nan"; expected a finite number'),
+    "short line": (CSV.replace(", 1.0, -90", ""), "line 4: has 3 columns; expected 5 as in the header"),
+    "falling": (CSV.replace("4.0, 0.3", "1.5, 0.3"), "line 6: frequency_hz = 1.5 after 2; expected rising"),
+    "zero": (CSV.replace("1.0, 0.5", "0.0, 0.5"), "line 3: frequency_hz = 0 after 0; expected rising frequencies > 0"),
+    "few": (CSV.partition("2.0, 0.4")[0], "1 frequencies; expected at least 3"),
+    "header alone": (CSV.partition("1.0, 0.5")[0], "0 frequencies; expected at least 3"),
+    "negative size": (CSV.replace("1.0, -90", "-1.0, -90"), "line 4: a/Q magnitude = -1; expected 0 or more"),
+    "large decibels": (
+        CSV.replace("a/Q magnitude", "a/Q magnitude_db").replace("1.0, -90", "1e6, -90"),
+        "line 4: a/Q is too large a number",
+    ),
+    "large frequency": (CSV.replace("4.0, 0.3", "1e308, 0.3"), "line 6: frequency_hz = 1e+308; expected at most"),
+    "quote": (CSV.replace("2.0, 0.4", '"2.0, 0.4'), "line 4: is not CSV"),
+    "beyond Nyquist": (
+        CSV.replace("4.0, 0.3", "40.0, 0.3"),
+        "line 6: frequency_hz = 40 lies above half the sample rate",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_in_a_file_is_one_line_that_says_where(name, tmp_path):
+    text, message = MISTAKES[name]
+    file = tmp_path / ("nowhere.csv" if text is None else "measured.csv")
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_measurement(file, period=0.05)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_and_indented_comments_are_no_data():
+    plain = read_measurement(io.StringIO(CSV))
+    marked = read_measurement(io.StringIO("\ufeff" + CSV.replace("1.0, 0.5", "  # by hand\n1.0, 0.5")))
+    np.testing.assert_array_equal(plain.frdata, marked.frdata)
+
+
+# The controller
+
+
+@pytest.mark.parametrize("period", [0.0, PERIOD])
+def test_the_realised_controller_answers_like_its_actions(period):
+    gains = np.random.default_rng(1).standard_normal((3, 2, 2)) * np.array([1.0, 50.0, 0.02])[:, None, None]
+    w = np.geomspace(1.0, 5000.0, 30)
+    K = state_space(realisation(gains, 1e-3, period), ANGLES, TORQUES)
+    expected = np.moveaxis(controller_response(gains, basis(1j * w, 1e-3, period)), 0, -1)
+    np.testing.assert_allclose(analysis.frequency_response(K, w), expected, rtol=1e-9)
+    assert K.nstates == 4
+
+
+def test_sampled_actions_are_python_controls_tustin():
+    s = control.tf("s")
+    w = np.geomspace(1.0, 5000.0, 30)
+    for k, action in enumerate([1 / s, s / (1e-3 * s + 1)], 1):
+        expected = control.sample_system(action, PERIOD, method="tustin")(np.exp(1j * w * PERIOD))
+        np.testing.assert_allclose(basis(1j * w, 1e-3, PERIOD)[:, k], expected, rtol=1e-9)
+
+
+# Stability from data
+
+
+def test_the_nyquist_count_is_that_of_the_poles_for_all_kinds_of_controllers(plant, measured):
+    """Weak and strong, right and wrong signs: wherever the data decide, they decide as the true plant does."""
+    w, P = measured.omega, np.moveaxis(measured.frdata, -1, 0)
+    path, rng = contour(w, P), np.random.default_rng(5)
+    decided = {}
+    for gains in itertools.islice(candidates(w, P), 30):
+        for size in (0.1, 1.0, 4.0):
+            trial = gains * size * (1.0 + 0.5 * rng.standard_normal(gains.shape))
+            K = state_space(realisation(trial, 2e-4, PERIOD), ANGLES, TORQUES)
+            true = int(np.sum(np.abs(analysis.poles(analysis.closed_loop(plant, K))) > 1.0))
+            try:
+                found = unstable_poles(path, lambda s, g=trial: controller_response(g, basis(s, 2e-4, PERIOD)))
+            except NotCertifiedError:
+                continue
+            assert found == true
+            decided[true] = decided.get(true, 0) + 1
+    assert len(decided) >= 3
+    assert sum(decided.values()) >= 40
+
+
+def test_an_unstable_plant_needs_its_encirclements():
+    """1/(s − 1) under PI, against the roots; taken for stable, the count is off by its pole."""
+    w = np.geomspace(1e-3, 1e3, 200)
+    path = contour(w, (1.0 / (1j * w - 1.0))[:, None, None])
+    for gain, count in ((2.0, 0), (0.5, 2)):
+        assert np.sum(np.roots([1.0, gain - 1.0, 0.01 * gain]).real > 0.0) == count
+        gains = -np.array([gain, 0.01 * gain, 0.0]).reshape(3, 1, 1)
+
+        def controller(s, gains=gains):
+            return controller_response(gains, basis(s, 1e-3, 0.0))
+
+        assert unstable_poles(path, controller, unstable=1) == count
+        assert unstable_poles(path, controller) == count - 1
+
+
+def test_integrators_are_read_from_the_slope():
+    w = np.geomspace(0.1, 100.0, 60)
+    for k in range(4):
+        P = (3.0 / ((1j * w) ** k * (1j * w / 40.0 + 1.0)))[:, None, None]
+        assert plant_integrators(w, P) == k
+    with pytest.raises(NotCertifiedError, match="expected a whole number"):
+        plant_integrators(w, ((1j * w) ** -0.5)[:, None, None])
+
+
+def test_an_unresolved_resonance_is_found_between_its_neighbours(measured):
+    path = contour(measured.omega, np.moveaxis(measured.frdata, -1, 0))
+    inserted = path.s[path.residue > 0.0]
+    assert inserted.real.max() > 0.0
+    assert inserted[inserted.real.argmax()].imag == pytest.approx(NUTATION, rel=2e-3)
+    assert np.all(np.diff(path.frequency) > 0.0)
+
+
+def test_data_that_do_not_decide_stability_say_what_is_missing(measured):
+    P = np.moveaxis(measured.frdata, -1, 0)
+    gains = next(itertools.islice(candidates(measured.omega, P), 4, None))
+
+    def controller(s, factor=1.0):
+        return controller_response(factor * gains, basis(s, 2e-4, PERIOD))
+
+    for low, high, missing in ((70, None, "measure lower frequencies"), (0, 60, "measure higher frequencies")):
+        with pytest.raises(NotCertifiedError, match=missing):
+            unstable_poles(contour(measured.omega[low:high], P[low:high]), lambda s: controller(s, 10.0))
+    w = np.geomspace(0.01, 100.0, 40)
+    delayed = (30.0 * np.exp(-1j * w) / (1j * w + 1.0))[:, None, None]
+    with pytest.raises(NotCertifiedError, match="measure more frequencies there"):
+        unstable_poles(contour(w, delayed), lambda s: controller_response(-np.ones((3, 1, 1)), basis(s, 1.0, 0.0)))
+
+
+# Where it starts
+
+
+def test_the_mechanics_are_read_from_noisy_data(measured):
+    fit = fitted_mechanics(measured.omega, np.moveaxis(measured.frdata, -1, 0))
+    np.testing.assert_allclose(np.diag(fit.M), [J9, J10], rtol=0.05)
+    np.testing.assert_allclose(fit.G, [[0.0, L], [-L, 0.0]], atol=0.05 * L)
+    # Delay, half a period of the hold, and the lag.
+    assert fit.dead_time == pytest.approx(DELAY + 0.5 * PERIOD + LAG, rel=0.05)
+
+
+# The design
+
+
+def test_the_design_is_stable_on_the_true_plant_and_keeps_its_limits_within_the_noise(plant, design):
+    loop = analysis.closed_loop(plant, design.controller)
+    damping = analysis.damping(loop)
+    assert np.all(damping.poles.real < 0.0)
+    assert damping.ratio.min() > 0.04
+    margins = [analysis.loop_transfer(plant, design.controller, at) for at in ("input", "output")]
+    assert min(analysis.disk_margin(margin).unstructured for margin in margins) > 0.5 * 0.95
+    w = design.responses[0].frequency
+    noise = np.moveaxis(analysis.gang(plant, design.controller, w).torque_per_noise, -1, 0)
+    assert np.linalg.norm(noise, 2, axis=(1, 2)).max() < 400.0 * 1.05
+
+
+def test_every_limit_is_kept_at_every_measured_frequency(measured, design):
+    [response] = design.responses
+    np.testing.assert_allclose(response.frequency, measured.omega)
+    assert design.unstable_poles == (0,)
+    assert {"sensitivity_peak", "disk_margin", "torque_per_noise"} <= set(response.ratios)
+    assert max(ratio.max() for ratio in response.ratios.values()) <= 1.0
+    eye = np.eye(2)
+    for S in (response.S, response.S_input):
+        assert np.linalg.norm(S, 2, axis=(1, 2)).max() <= 2.0
+        assert np.linalg.norm(S - 0.5 * eye, 2, axis=(1, 2)).max() <= 1.0 / 0.5
+    assert np.linalg.norm(response.torque_per_noise, 2, axis=(1, 2)).max() <= 400.0
+    K = np.moveaxis(analysis.frequency_response(design.controller, measured.omega), -1, 0)
+    np.testing.assert_allclose(np.linalg.inv(eye - np.moveaxis(measured.frdata, -1, 0) @ K), response.S, rtol=1e-6)
+
+
+def test_a_limit_is_what_stops_the_gain(design):
+    """Something binds at the end, and the iterations have raised the gain by orders of magnitude."""
+    assert max(ratio.max() for ratio in design.responses[0].ratios.values()) > 0.99
+    assert design.objective == pytest.approx(np.linalg.svd(design.gains[1], compute_uv=False)[-1])
+    assert design.objective > 100.0 * design.history[0, 0]
+    assert design.history[-1, 0] == pytest.approx(design.objective)
+    assert design.ended == "no more progress"
+
+
+def test_the_pattern_keeps_gains_at_zero(design):
+    assert np.all(design.gains[1][[0, 1], [0, 1]] == 0.0)
+    assert np.all(design.gains[2][[0, 1], [1, 0]] == 0.0)
+    assert list(design.controller.input_labels) == ANGLES
+    assert list(design.controller.output_labels) == TORQUES
+    assert design.controller.dt == PERIOD
+
+
+def test_an_angle_after_a_torque_step_is_the_inverse_of_the_integral_gain(plant, design):
+    """‖P S‖ → ω ‖Ki⁻¹‖: what is maximised is the rejection of slow disturbances."""
+    w = np.array([1e-3])
+    slow = analysis.gang(plant, design.controller, w).angle_per_torque[:, :, 0]
+    assert np.linalg.norm(slow, 2) / w[0] == pytest.approx(1.0 / design.objective, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_one_controller_serves_several_measured_plants(plant, design):
+    """A second plant with 15 % more momentum: every limit on both, and stable on both."""
+    both = [measurement(one, points=50) for one in (plant, second_plant())]
+    options = {"pattern": "cross-axis", "disk_margin": 0.6, "torque_per_noise": 400.0, "start": design.start}
+    found = measured_pid(both, **options)
+    assert found.unstable_poles == (0, 0)
+    assert max(ratio.max() for response in found.responses for ratio in response.ratios.values()) <= 1.0
+    for one in (plant, second_plant()):
+        assert analysis.is_stable(analysis.closed_loop(one, found.controller))
+
+
+def second_plant():
+    mobility = np.diag([1.0 / J9, 1.0 / J10])
+    G = 1.15 * L * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 2)), -mobility @ G]])
+    B = np.vstack([np.zeros((2, 2)), mobility])
+    sys = control.ss(A, B, np.eye(2, 4), np.zeros((2, 2)), inputs=TORQUES, outputs=ANGLES)
+    return analysis.sampled(sys, PERIOD, DELAY, [LAG, LAG])
+
+
+def test_dead_time_is_exact_and_not_rational():
+    """First-order lag with dead time, continuous: the limit on S binds on the exact response."""
+    w = np.geomspace(0.01, 100.0, 100)
+    plant = control.FRD((1.0 / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
+    options = {"filter_time": 0.02, "sensitivity_peak": 1.4, "complementary_peak": 1.4}
+    found = measured_pid(plant, dead_time=0.3, **options)
+    inside = control.FRD((np.exp(-0.3j * w) / (1j * w + 1.0))[None, None], w, inputs=["u"], outputs=["y"])
+    np.testing.assert_allclose(measured_pid(inside, **options).gains, found.gains, rtol=1e-6)
+    K = controller_response(found.gains, basis(1j * w, 0.02, 0.0))[:, 0, 0]
+    S = 1.0 / (1.0 - np.exp(-0.3j * w) / (1j * w + 1.0) * K)
+    assert np.abs(S).max() == pytest.approx(1.4, rel=2e-2)
+    # No PI with the same limit integrates faster: a search over both gains.
+    best = 0.0
+    for kp, ki in itertools.product(np.linspace(0.0, 3.0, 61), np.linspace(0.05, 4.0, 80)):
+        loop = np.exp(-0.3j * w) / (1j * w + 1.0) * (kp + ki / (1j * w))
+        # Stable: kp below its ultimate gain, and the phase margin region is what the peaks leave.
+        if np.abs(1.0 / (1.0 + loop)).max() <= 1.4 and np.abs(loop / (1.0 + loop)).max() <= 1.4:
+            best = max(best, ki)
+    assert found.objective > best
+
+
+def test_a_hold_adds_its_half_period():
+    w = np.geomspace(0.1, 60.0, 80)
+    plant = control.FRD((1.0 / (1j * w))[None, None], w, inputs=["u"], outputs=["y"])
+    found = measured_pid(plant, period=0.05, hold=True, sensitivity_peak=1.6)
+    true = control.sample_system(control.tf([1], [1, 0]), 0.05, "zoh")
+    exact = analysis.frequency_response(control.ss(true), w)[0, 0]
+    K = analysis.frequency_response(found.controller, w)[0, 0]
+    # What the hold folds back is all that differs.
+    slow = w < 8.0
+    np.testing.assert_allclose(1.0 / (1.0 - exact * K)[slow], found.responses[0].S[slow, 0, 0], rtol=0.05)
+    assert found.controller.dt == 0.05
+
+
+# What cannot be
+
+
+def test_limits_that_cannot_be_met_name_the_obstacle_and_its_frequency(measured, design):
+    with pytest.raises(
+        InfeasibleError,
+        match=r"measured_pid: (sensitivity_peak|resonance_damping) is [\d.]+ times its limit at [\d.]+ Hz",
+    ) as caught:
+        measured_pid(measured, pattern="cross-axis", sensitivity_peak=1.02, start=design.start, steps=12)
+    assert caught.value.problem is not None
+
+
+def test_a_start_that_does_not_stabilise_is_refused(measured, design):
+    with pytest.raises(NotStabilisableError, match="unstable poles; expected none"):
+        measured_pid(measured, start=-design.start)
+
+
+def test_no_time_is_said(measured):
+    with pytest.raises(TimeLimitError, match="larger time_limit"):
+        measured_pid(measured, pattern="cross-axis", time_limit=1e-3)
+
+
+def test_arguments_that_make_no_sense_are_named(measured, design):
+    w = measured.omega
+    wide = control.FRD(measured.frdata[:, :1], w, PERIOD)
+    cases = {
+        r"sensitivity_peak = 0\.9": {"sensitivity_peak": 0.9},
+        "disk_margin = 2.5; expected numbers between 0 and 2": {"disk_margin": 2.5},
+        "sensitivity_peak: given None": {"sensitivity_peak": None},
+        "expected the same": {"period": 0.1},
+        "its hold is in it": {"hold": True, "period": PERIOD},
+        "given 'cross'; expected 'full', 'diagonal' or 'cross-axis'": {"pattern": "cross"},
+        "integral action on every angle": {"pattern": np.array([[1, 0], [1, 0]])},
+        "gains that the pattern leaves out": {"pattern": "diagonal", "start": design.start},
+        "expected a number, or a function": {"torque_per_noise": lambda w: w[:3]},
+        "angle_per_torque is .*; expected a number, or a function": {"angle_per_torque": lambda w: 1j * w},
+        "complementary_peak is .*; expected a number, or a function": {"complementary_peak": lambda w: 1 / len([])},
+        r"unstable: given 1\.5; expected a whole number": {"unstable": 1.5},
+        "integrators: given 'x'; expected a whole number": {"integrators": "x"},
+        "steps = -1; expected a whole number": {"steps": -1},
+    }
+    for size in (0.0, 1e-150, 1e150):
+        with pytest.raises(ArgumentError, match="has a response of"):
+            measured_pid(control.FRD(size * measured.frdata, w, PERIOD))
+    for message, options in cases.items():
+        with pytest.raises(ArgumentError, match=message):
+            measured_pid(measured, **options)
+    with pytest.raises(ArgumentError, match=r"expected a control\.FRD"):
+        measured_pid(design.controller)
+    with pytest.raises(ArgumentError, match="expected as many of both"):
+        measured_pid(wide)
+    with pytest.raises(ArgumentError, match="needs two angles"):
+        masks("cross-axis", 3)
+    continuous = control.FRD(measured.frdata, w)
+    with pytest.raises(ArgumentError, match="filter_time is missing"):
+        measured_pid(continuous)
+    with pytest.raises(ArgumentError, match="hold = True without a period"):
+        measured_pid(continuous, hold=True)

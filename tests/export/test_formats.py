@@ -1,0 +1,284 @@
+"""Controllers, models and responses to JSON, MATLAB and CSV, and back."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import random
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pandas
+import pytest
+import scipy.io
+
+from fuzz_bytes import mangled
+from one_gyro_job import JOB
+from platform_ctrl import analysis, design, export
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export import LinearSystem
+from platform_ctrl.job.job import Job
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.verification import read_controllers
+
+K = "caging_9_10_classical"
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return read_job(tomllib.loads(JOB))
+
+
+@pytest.fixture(scope="module")
+def controllers(job: Job) -> list[control.StateSpace]:
+    return [outcome.closed.controller for outcome in design.loops(job)]
+
+
+@pytest.fixture(scope="module")
+def systems(job: Job, controllers: list[control.StateSpace]) -> tuple[LinearSystem, ...]:
+    return export.controller_systems(job, controllers) + export.model_systems(job)
+
+
+def same(one: LinearSystem, other: LinearSystem) -> bool:
+    return all(
+        np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in dataclasses.fields(one)
+    )
+
+
+def static(**more: Any) -> LinearSystem:
+    gain = control.ss([], [], [], [[2.0, 0.0]], 0.01, inputs=["a", "b"], outputs=["c"], name="gain")
+    return dataclasses.replace(export.linear_system(gain), **more)
+
+
+def test_json_keeps_every_bit_name_and_unit(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    path = export.write_systems([*systems, static()], tmp_path / "models.json")
+    back = export.read_systems(path)
+    assert [one.name for one in back[:3]] == ["caging 9-10, classical", "plant", "plant with free root"]
+    assert all(map(same, [*systems, static()], back))
+    assert back[0].output_units == ("N m", "N m")
+    assert back[0].delay == 0.0005
+    assert back[1].state_space.input_labels[:2] == ["Q4", "Q5"]
+    assert path.read_bytes() == export.write_systems(back, tmp_path / "again.json").read_bytes()
+
+
+def test_controllers_leave_in_the_form_that_check_reads(
+    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+) -> None:
+    path = export.write_controllers(controllers, tmp_path / "k.json", delay=job.sampling.delay)
+    [back] = read_controllers(path, job)
+    assert back.name == controllers[0].name
+    assert all(np.array_equal(getattr(back, name), getattr(controllers[0], name)) for name in "ABCD")
+    [system] = export.read_systems(path)
+    assert (system.dt, system.delay, system.inputs) == (0.0005, 0.0005, ("alpha9", "beta10"))
+
+
+def test_json_that_makes_no_sense_is_one_line(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    good = json.loads(export.write_systems(systems[:1], tmp_path / "m.json").read_text())
+
+    def refused(**changes: Any) -> str:
+        entry = good["systems"][0] | changes
+        file = tmp_path / "bad.json"
+        file.write_text(json.dumps({"schema": 1, "systems": [{k: v for k, v in entry.items() if v != "gone"}]}))
+        with pytest.raises(InputError) as caught:
+            export.read_systems(file)
+        assert "\n" not in str(caught.value)
+        return str(caught.value).removeprefix(f"{file}: systems 1: ")
+
+    assert refused(A="gone") == 'missing "A"; expected a matrix'
+    assert refused(B=[[1.0, 2.0]]) == "B: is 1 x 2; expected 4 x 2"
+    assert refused(D=[[1.0, None], [0.0, 0.0]]) == "D: element (1, 2) is no finite number; expected one"
+    assert refused(dt=-1) == "dt: given -1; expected a finite number >= 0, s"
+    assert refused(inputs=["a"]) == "inputs: has 1 names; expected 2, as the matrices have"
+    assert refused(outputs=["a", "a"]) == 'outputs: name 2 is "a"; expected each name once, in one line'
+    assert refused(C=[[0.0] * 4, [0.0] * 3]).startswith("C: has 2 rows of [3, 4] numbers")
+    assert refused(name=["x"]) == 'name: given ["x"]; expected text in one line'
+    assert refused(A=[[0.0] * 1001]).startswith("A: has 1 rows of [1001] numbers")
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(InputError, match="expected a JSON file with systems"):
+        export.read_systems(tmp_path / "list.json")
+    with pytest.raises(ArgumentError, match="expected 1 to 1000"):
+        export.write_systems([], tmp_path / "none.json")
+    assert not (tmp_path / "none.json").exists()
+
+
+def test_mat_keeps_every_bit_name_and_unit(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    path = tmp_path / "s.mat"
+    assert export.write_mat([*systems, static()], path) == (
+        K,
+        "plant",
+        "plant_with_free_root",
+        "plant_caging_9_10",
+        "gain",
+    )
+    assert all(map(same, [*systems, static()], export.read_mat(path)))
+    first = path.read_bytes()
+    export.write_mat([*systems, static()], path)
+    assert path.read_bytes() == first
+    assert len(set(export.write_mat([static(name="1 x"), static(name="1-x"), static(name="–")], path))) == 3
+
+
+def test_mat_holds_what_ss_takes(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    """``ss(s.A, s.B, s.C, s.D, s.Ts, "InputName", s.InputName, ...)``: names as standing cells of text."""
+    export.write_mat([*systems, static(delay=0.025)], tmp_path / "s.mat")
+    held = scipy.io.loadmat(tmp_path / "s.mat", simplify_cells=False)
+    struct = held[K][0, 0]
+    assert struct["InputName"].shape == (2, 1)
+    assert struct["InputName"].dtype == object
+    assert [str(name[0]) for name in struct["OutputName"].ravel()] == ["Q9", "Q10"]
+    assert struct["Ts"].item() == 0.0005
+    assert struct["OutputDelay"].ravel().tolist() == [1.0, 1.0]  # whole sample periods
+    assert held["gain"][0, 0]["OutputDelay"].ravel().tolist() == [2.0]
+    assert held["gain"][0, 0]["Delay"].item() == 0.025
+    assert held["gain"][0, 0]["A"].shape == (0, 0)
+
+
+def test_mat_made_by_hand_is_read(tmp_path: Path) -> None:
+    names = np.empty((1, 2), dtype=object)
+    names[0] = ["a", "b"]
+    structs: dict[str, Any] = {
+        # As code that squeezes leaves one state: B stands, C lies.
+        "squeezed": {"A": 0.5, "B": [[1.0], [2.0]], "C": [[3.0, 4.0]], "D": np.zeros((2, 2)), "Ts": 0.1},
+        "lying": {"A": -1.0, "B": [[1.0, 2.0]], "C": 1.0, "D": [[0.0, 0.0]], "InputName": names, "OutputName": "y"},
+        "padded": {"A": -1.0, "B": [[1.0, 2.0]], "C": 1.0, "D": [[0, 0]], "InputName": np.array(["torque", "q   "])},
+        "waits": {"A": -1.0, "B": 1.0, "C": 1.0, "D": 0.0, "Ts": 0.1, "OutputDelay": 2.0},
+        "other": {"a": 1},
+        "number": 3.0,
+    }
+    scipy.io.savemat(tmp_path / "hand.mat", structs)
+    found = {one.name: one for one in export.read_mat(tmp_path / "hand.mat")}
+    assert list(found) == ["squeezed", "lying", "padded", "waits"]
+    assert found["squeezed"].B.tolist() == [[1.0, 2.0]]
+    assert found["squeezed"].C.tolist() == [[3.0], [4.0]]
+    assert (found["squeezed"].inputs, found["squeezed"].states) == (("u1", "u2"), ("x1",))
+    assert (found["lying"].inputs, found["lying"].outputs) == (("a", "b"), ("y",))
+    assert found["padded"].inputs == ("torque", "q")
+    assert found["waits"].delay == pytest.approx(0.2)
+
+
+def test_mat_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
+    def refused(content: Any) -> str:
+        file = tmp_path / "bad.mat"
+        if isinstance(content, dict):
+            scipy.io.savemat(file, content)
+        else:
+            file.write_bytes(content)
+        with pytest.raises(InputError) as caught:
+            export.read_mat(file)
+        assert "\n" not in str(caught.value)
+        return str(caught.value).removeprefix(f"{file}: ")
+
+    matrices = {"A": -1.0, "B": 1.0, "C": 1.0, "D": 0.0}
+    assert refused({"x": 1.0}).startswith("holds 0 systems")
+    assert refused({"s": matrices | {"A": "text"}}) == "s: A: is no matrix of real numbers; expected one"
+    assert refused({"s": matrices | {"A": 1j}}) == "s: A: is no matrix of real numbers; expected one"
+    assert refused({"s": matrices | {"A": np.nan}}) == "s: A: element (1, 1) is no finite number; expected one"
+    assert refused({"s": matrices | {"B": [[1.0, 2.0]]}}).startswith("s: D: is 1 x 1; expected 1 x 2")
+    assert refused({"s": matrices | {"Ts": -1.0}}).startswith("s: dt: given -1.0")
+    assert refused({"s": matrices | {"InputName": 3.0}}).startswith("s: InputName: is neither text")
+    assert refused(b"\x89HDF\r\n").startswith("is MATLAB's format 7.3")
+    assert refused(b"").startswith("cannot be read")
+    with pytest.raises(InputError, match="cannot be read"):
+        export.read_mat(tmp_path / "missing.mat")
+
+
+def test_a_small_mat_file_does_not_become_gigabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platform_ctrl.export.matlab.MOST_INFLATED", 2**20)
+    matrices = {"A": np.zeros((300, 300)), "B": 1.0, "C": 1.0, "D": 1.0}
+    for copies, words in ((1, "s: B: is 1 x 1"), (2, "inflates to more than 1 MiB")):
+        held = {f"s{k}": matrices for k in range(copies)}
+        scipy.io.savemat(tmp_path / "zeros.mat", held, do_compression=True)
+        assert (tmp_path / "zeros.mat").stat().st_size < 2**14
+        with pytest.raises(InputError, match=words.replace("s:", "s0:")):
+            export.read_mat(tmp_path / "zeros.mat")
+
+
+def test_responses_are_read_by_read_measurement_and_by_pandas(
+    job: Job, controllers: list[control.StateSpace], tmp_path: Path
+) -> None:
+    tables = export.job_responses(job, controllers)
+    assert [table.name for table in tables] == [
+        "plant caging 9-10",
+        "controller caging 9-10",
+        "loop caging 9-10 at Q9",
+        "loop caging 9-10 at Q10",
+    ]
+    for table in tables:
+        for form, parts in (("complex", ("re", "im")), ("polar", ("magnitude", "phase_deg"))):
+            path = export.write_responses(table.response, tmp_path / "r.csv", form=form, notes=table.notes)  # type: ignore[arg-type]
+            back = design.read_measurement(path, period=job.sampling.period)
+            assert np.allclose(back.frdata, table.response.frdata, rtol=1e-13)
+            assert (back.input_labels, back.output_labels) == (
+                table.response.input_labels,
+                table.response.output_labels,
+            )
+            frame = pandas.read_csv(path, comment="#")
+            pair = f"{back.output_labels[0]}/{back.input_labels[0]}"
+            assert list(frame.columns[:3]) == ["frequency_hz", *(f"{pair} {part}" for part in parts)]
+            assert len(frame) == len(back.omega)
+
+
+def test_the_loop_of_a_torquer_is_the_return_ratio(job: Job, controllers: list[control.StateSpace]) -> None:
+    """L = -K P where the other torquer's loop is closed by hand."""
+    plant, K, L = (one.response for one in export.job_responses(job, controllers)[:3])
+    P, G = (np.moveaxis(np.asarray(one.frdata), -1, 0) for one in (plant, K))
+    KP = -G @ P  # u = K y: the sign of the loop as it is drawn
+    schur = KP[:, 0, 0] - KP[:, 0, 1] * KP[:, 1, 0] / (1.0 + KP[:, 1, 1])
+    assert np.allclose(L.frdata[0, 0], schur, rtol=1e-6)
+
+
+def test_responses_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    response = export.response_data(control.ss(-1, 1, 1, 0), [1, 2, 3])
+    with pytest.raises(ArgumentError, match="at least 3 finite frequencies"):
+        export.write_responses(export.response_data(control.ss(-1, 1, 1, 0), [0.0, 1.0, 2.0]), path)
+    with pytest.raises(ArgumentError, match=r"response: given 3; expected a control\.FRD"):
+        export.write_responses(3, path)
+    with pytest.raises(ArgumentError, match="form: given 'bode'"):
+        export.write_responses(response, path, form="bode")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="not finite"):
+        export.write_responses(control.FRD([1.0, np.inf, 1.0], [1.0, 2.0, 3.0]), path)
+    with pytest.raises(ArgumentError, match="cannot stand in the header"):
+        export.write_responses(control.FRD([1.0, 1.0, 1.0], [1.0, 2.0, 3.0], outputs=["a/b"]), path)
+    assert not path.exists()
+
+
+def test_names_with_commas_and_quotes_survive_csv(tmp_path: Path) -> None:
+    response = control.FRD([1.0, 2j, 3.0], [1.0, 2.0, 3.0], inputs=['Q "9", left'], outputs=["α; 9"])
+    back = design.read_measurement(export.write_responses(response, tmp_path / "r.csv"))
+    assert (back.input_labels, back.output_labels) == (['Q "9", left'], ["α; 9"])
+    assert next(csv.reader(io.StringIO((tmp_path / "r.csv").read_text())))[1] == 'α; 9/Q "9", left re'
+
+
+@pytest.mark.usefixtures("untraced")
+def test_mangled_files_are_read_or_refused_in_one_line(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    path, dice = tmp_path / "f", random.Random(5)
+    export.write_mat(systems[:1], path)
+    plain = path.read_bytes()
+    scipy.io.savemat(path, {"s": {key: getattr(systems[0], key) for key in "ABCD"}}, do_compression=True)
+    packed = path.read_bytes()
+    text = export.write_systems(systems[:1], path).read_bytes()
+    for whole, read in ((plain, export.read_mat), (packed, export.read_mat), (text, export.read_systems)):
+        refused = 0
+        for _ in range(150):
+            path.write_bytes(mangled(whole, dice))
+            said = ""
+            try:
+                read(path)
+            except InputError as error:
+                said, refused = str(error), refused + 1
+            assert said == "" or ("\n" not in said and said.startswith(str(path)))
+        assert refused > 50
+
+
+def test_what_is_read_responds_as_what_was_written(systems: tuple[LinearSystem, ...], tmp_path: Path) -> None:
+    export.write_mat(systems, tmp_path / "s.mat")
+    w = [1.0, 10.0, 100.0]
+    for one, back in zip(systems, export.read_mat(tmp_path / "s.mat"), strict=True):
+        assert np.array_equal(
+            analysis.frequency_response(one.state_space, w), analysis.frequency_response(back.state_space, w)
+        )

@@ -1,0 +1,511 @@
+"""Plants as MuJoCo models: the same motion there, with controllers too, and back again."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+import platform_ctrl as pc
+from fuzz_bytes import mangled
+from oracle_trees import for_all, sprung, unbalanced
+from oracle_trees import motions as motions_drawn
+from platform_ctrl import design, simulation
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.export import read_mjcf, write_mjcf
+from platform_ctrl.export.mujoco.writing import REGULATED
+from platform_ctrl.job.job import Faults, Job, Spread, manoeuvre_scenario
+from platform_ctrl.job.reading import read_job
+from platform_ctrl.plant.source import shipped_models
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
+
+MAIN_JOB = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+MODELS = shipped_models()
+
+
+class Run:
+    """A model that has been written, with rates and angles by the plant's names."""
+
+    def __init__(self, platform: pc.Platform, folder: Path, **options: Any) -> None:
+        self.platform = platform
+        self.notes = write_mjcf(platform, folder / "plant.xml", **options)
+        self.model = mujoco.MjModel.from_xml_path(str(folder / "plant.xml"))
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        hinges = [self.model.joint(name) for name in platform.angle_names]
+        self.angles = [int(hinge.qposadr[0]) for hinge in hinges]
+        self.rates = [int(hinge.dofadr[0]) for hinge in hinges]
+
+    def begin(self, q: np.ndarray, velocity: np.ndarray) -> None:
+        self.data.qpos[self.angles], self.data.qvel[[0, 1, 2, *self.rates]] = q, velocity
+        B = pc.matrices(self.platform, q).B @ velocity
+        for rotor, carried in zip(self.platform.rotors, B, strict=True):
+            if rotor.control == "free":  # its axial momentum, not its rate, is the plant's constant
+                self.data.joint(f"spin {rotor.name}").qvel[0] = rotor.spin - carried
+
+    @property
+    def state(self) -> np.ndarray:
+        q, u = self.data.qpos, self.data.qvel
+        return np.concatenate([q[self.angles], u[[0, 1, 2, *self.rates]], q[:4] / np.linalg.norm(q[:4])])
+
+
+def smooth(platform: pc.Platform) -> pc.Platform:
+    """The plant without what MuJoCo has in another form: dry friction, stops, erection; in free fall."""
+    return dataclasses.replace(
+        platform,
+        frictions=tuple(dataclasses.replace(f, coulomb=(0.0, 0.0), breakaway=(0.0, 0.0)) for f in platform.frictions),
+        gimbals=tuple(dataclasses.replace(gimbal, stops=None) for gimbal in platform.gimbals),
+        erections=(),
+        specific_force=np.zeros(3),
+    )
+
+
+def motions(platform: pc.Platform, folder: Path, step: float, duration: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    """The ends of the same run here, with steps of 1e-5 s, and in MuJoCo: q, Omega, rates, attitude."""
+    rng = np.random.default_rng(7)
+    n = len(platform.gimbals)
+    q, velocity = 0.2 * rng.normal(size=n), 0.3 * rng.normal(size=3 + n)
+    force = 3.0 * np.diag(pc.matrices(platform, q).A_star) * rng.normal(size=3 + n)
+    out = simulation.rollout(platform, [q], [velocity], step=1e-5, steps=round(duration / 1e-5), force=[force])
+    run = Run(platform, folder, step=step)
+    run.begin(q, velocity)
+    run.data.qfrc_applied[[0, 1, 2, *run.rates]] = force
+    mujoco.mj_step(run.model, run.data, round(duration / step))
+    return np.concatenate([out.q[0], out.velocity[0], out.attitude[0]]), run.state
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_shipped_plant_moves_as_in_the_simulation(name: str, tmp_path: Path) -> None:
+    """Free root, torques at all joints and on the root: rotors as in the plant, and free ones."""
+    platform = smooth(pc.read_platform(name))
+    for control_ in ("free", *{rotor.control for rotor in platform.rotors}):
+        rotors = tuple(dataclasses.replace(rotor, control=control_) for rotor in platform.rotors)
+        ours, theirs = motions(dataclasses.replace(platform, rotors=rotors), tmp_path, 1e-5)
+        assert np.allclose(theirs, ours, rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["momentum_wheel_satellite", "quanser_3dof_gyroscope", "suspended_platform"])
+def test_a_prescribed_root_turns_as_told_whatever_reacts(name: str, tmp_path: Path) -> None:
+    """Its angular acceleration is given at every stage of MuJoCo's integrator; gimbals begin anywhere."""
+    platform = smooth(pc.read_platform(name))
+    n = len(platform.gimbals)
+    q, rate = 0.1 * np.cos(np.arange(n)), 0.2 * np.sin(1.0 + np.arange(n))
+    profile = simulation.HalfCosine(axis=2, rate=1.5, rise=0.02, hold=0.01)
+    ours = simulation.simulate(
+        platform,
+        [],
+        period=1e-4,
+        delay=0.0,
+        duration=0.0201,
+        mode="caged",
+        Omega_profile=profile,
+        q=q,
+        rate=rate,
+        step=1e-5,
+    )
+    run = Run(platform, tmp_path, root="prescribed", step=2e-5)
+    run.data.qpos[run.angles], run.data.qvel[run.rates] = q, rate
+    control_ = run.model.actuator("Omega2_dot").id
+
+    def accelerate(model: Any, data: Any) -> None:
+        data.ctrl[control_] = 1.5 * 0.5 * np.pi / 0.02 * np.sin(np.pi * data.time / 0.02)
+
+    mujoco.set_mjcb_control(accelerate)
+    try:
+        mujoco.mj_step(run.model, run.data, 1000)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert np.allclose(run.data.qvel[:3], ours.Omega[200], rtol=0.0, atol=1e-8)
+    assert np.allclose(run.data.qpos[run.angles], ours.q[200], rtol=0.0, atol=1e-8)
+    assert np.allclose(run.data.qvel[run.rates], ours.rate[200], rtol=0.0, atol=1e-6)
+    assert np.allclose(run.state[-4:], ours.attitude[200], rtol=0.0, atol=1e-8)
+
+
+def test_the_difference_shrinks_by_sixteen_with_half_the_step(tmp_path: Path) -> None:
+    platform = smooth(pc.read_platform("three_gyro_platform"))
+    coarse, fine = (np.subtract(*motions(platform, tmp_path, step)) for step in (4e-4, 2e-4))
+    assert 12.0 < np.linalg.norm(coarse) / np.linalg.norm(fine) < 20.0
+    assert np.abs(fine[:5]).max() < 1e-6
+
+
+def test_a_regulated_rotor_keeps_its_speed_against_its_carrier(tmp_path: Path) -> None:
+    platform = smooth(pc.read_platform("three_gyro_platform"))
+    run = Run(platform, tmp_path)
+    before = [run.data.joint(f"spin {rotor.name}").qvel[0] for rotor in platform.rotors]
+    assert before == pytest.approx([1250.0] * 3)
+    run.data.qfrc_applied[run.rates] = 0.02
+    mujoco.mj_step(run.model, run.data, 200)
+    after = [run.data.joint(f"spin {rotor.name}").qvel[0] for rotor in platform.rotors]
+    moved = np.abs(run.state[5:13]).max()
+    assert moved > 0.1
+    # What its drive gives way by: the carrier's rate, divided by what the drive's inertia is worth.
+    assert np.abs(np.subtract(after, before)).max() < 10.0 * moved / REGULATED + 1e-9
+
+
+@pytest.mark.parametrize("name", ["ae353_cmg", "gimballed_gyro", "rate_gyro"])
+def test_unbalance_falls_in_the_models_gravity(name: str, tmp_path: Path) -> None:
+    platform = pc.read_platform(name)
+    platform = dataclasses.replace(smooth(platform), specific_force=platform.specific_force)
+    q = 0.1 * np.arange(1, 1 + len(platform.gimbals))
+    ours = simulation.simulate(
+        platform, [], period=1e-4, delay=0.0, duration=0.0201, mode="caged", q=q, noise=False, step=1e-4
+    )
+    run = Run(platform, tmp_path, root="fixed", step=1e-4)
+    run.data.qpos[run.angles] = q
+    mujoco.mj_step(run.model, run.data, 200)
+    assert np.allclose(run.data.qpos[run.angles], ours.q[200], rtol=0.0, atol=1e-10)
+    assert np.allclose(run.data.qvel[run.rates], ours.rate[200], rtol=0.0, atol=1e-9)
+    assert np.abs(ours.q[200] - q).max() > 1e-7
+
+
+@pytest.fixture(scope="module")
+def main_job() -> tuple[Job, list[control.StateSpace]]:
+    """The main job with its classical controllers as they stand there."""
+    job = read_job(MAIN_JOB)
+    chosen = [next(d for d in loop.designs if d.method in ("classical", "platform-servo")) for loop in job.loops]
+    loops = tuple(
+        dataclasses.replace(loop, designs=(dataclasses.replace(made, tune=False),), use=made.name)
+        for loop, made in zip(job.loops, chosen, strict=True)
+    )
+    job = dataclasses.replace(job, loops=loops, spread=Spread(), faults=Faults(), Omega=np.zeros(3))
+    return job, [outcome.closed.controller for outcome in design.loops(job)]
+
+
+def closed_loop(
+    run: Run, controllers: list[control.StateSpace], period: float, samples: int, rate: Any = None, torque: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sampled controllers on MuJoCo's plant: angles and commands at every sample; a command acts one period later."""
+    model, data = run.model, run.data
+    states = [np.zeros(K.nstates) for K in controllers]
+    controls = {model.actuator(k).name: k for k in range(model.nu)}
+    steps = round(period / model.opt.timestep)
+    angles, commands, waiting = [], [], np.zeros(model.nu)
+    for k in range(samples):
+        signals = dict(zip(run.platform.angle_names, data.qpos[run.angles], strict=True))
+        angles.append(data.qpos[run.angles].copy())
+        command = np.zeros(model.nu)
+        for j, K in enumerate(controllers):
+            y = np.array([signals[name] for name in K.input_labels])
+            u = K.C @ states[j] + K.D @ y
+            states[j] = K.A @ states[j] + K.B @ y
+            signals |= dict(zip(K.output_labels, u, strict=True))
+            for name, number in zip(K.output_labels, u, strict=True):
+                if name in controls:
+                    command[controls[name]] = number
+        commands.append(command)
+        data.ctrl[:] = waiting  # MuJoCo limits it
+        data.qfrc_applied[0] = torque
+        for step in range(steps):
+            if rate is not None:
+                t, h = k * period + step * model.opt.timestep, model.opt.timestep
+                data.ctrl[controls["Omega1_dot"]] = (rate(t + h) - rate(t)) / h
+            mujoco.mj_step(model, data)
+        waiting = command
+    return np.array(angles), np.array(commands)
+
+
+def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
+    main_job: tuple[Job, list[control.StateSpace]], tmp_path: Path
+) -> None:
+    """1 rad/s about axis 1 through the root's angular acceleration; the difference goes with the square of the step."""
+    job, controllers = main_job
+    caging = [K for K in controllers if not {"M1", "M2", "M3"} & set(K.output_labels)]
+    assert len(caging) == 2
+    scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[0]), duration=0.1)
+    ours = simulation.flight(scenario, caging, period=job.sampling.period, step=1e-5, noise=False)
+    profile = scenario.profile
+    assert profile is not None
+
+    def rate(t: float) -> float:
+        return float(profile.rate * 0.5 * (1.0 - np.cos(np.pi * min(t / profile.rise, 1.0))))
+
+    assert rate(0.02) == pytest.approx(ours.Omega[40, 0])
+    differ = []
+    for step in (1e-4, 5e-5):
+        run = Run(job.platform, tmp_path, root="prescribed", step=step)
+        angles, commands = closed_loop(run, caging, job.sampling.period, len(ours.t), rate)
+        assert np.abs(run.data.qvel[:3] - [rate(0.1005), 0.0, 0.0]).max() < 1e-6
+        differ.append(np.abs(angles - ours.q).max() / np.abs(ours.q).max())
+        torquers = [run.model.actuator(name).id for name in ("Q4", "Q5", "Q7", "Q9", "Q10")]
+        assert np.allclose(commands[:, torquers], ours.command[:, :5], atol=1e-5 * np.abs(ours.command).max())
+    assert differ[0] < 1e-6
+    assert 3.5 < differ[0] / differ[1] < 4.5
+
+
+def test_all_loops_hold_mujocos_free_platform_as_ours(
+    main_job: tuple[Job, list[control.StateSpace]], tmp_path: Path
+) -> None:
+    job, controllers = main_job
+    manoeuvre = next(one for one in job.manoeuvres if one.mode == "stabilised")
+    scenario = dataclasses.replace(manoeuvre_scenario(job, manoeuvre), duration=0.1)
+    ours = simulation.flight(scenario, controllers, period=job.sampling.period, step=1e-4, noise=False)
+    run = Run(job.platform, tmp_path, step=1e-4)
+    angles, _ = closed_loop(run, controllers, job.sampling.period, len(ours.t), torque=manoeuvre.torque)
+    assert np.allclose(angles, ours.q, rtol=0.0, atol=1e-6 * np.abs(ours.q).max())
+    mujoco.mj_forward(run.model, run.data)
+    assert run.data.sensor("Omega").data == pytest.approx(run.data.qvel[:3])
+
+
+def test_stops_stop_and_friction_brakes(tmp_path: Path) -> None:
+    platform = pc.read_platform("three_gyro_platform")
+    run = Run(platform, tmp_path, root="fixed", step=5e-5)
+    run.data.ctrl[run.model.actuator("Q9").id] = 1.0  # its limit is 0.25 N m
+    mujoco.mj_step(run.model, run.data, 2000)
+    assert 0.008 < np.abs(run.data.qpos[run.angles[3:]]).max() < 0.0095
+    assert run.data.actuator_force[run.model.actuator("Q9").id] == pytest.approx(0.25)
+    table = {"gimbal": [{"name": "g", "parent": "r", "axis": [0, 0, 1], "inertia": [1e-3] * 3}]}
+    plain = {"schema": 1, "name": "x", "root": {"name": "r", "inertia": [1, 1, 1]}} | table
+    slowed = pc.read_platform(plain | {"friction": [{"gimbal": "g", "coulomb": 1e-3, "viscous": 1e-3}]})
+    run = Run(slowed, tmp_path, root="fixed")
+    run.data.qvel[0] = 2.0
+    mujoco.mj_step(run.model, run.data, 5000)
+    assert run.data.qvel[0] == pytest.approx(3.0 * np.exp(-0.5) - 1.0, abs=1e-4)  # ω' = −ω − 1
+
+
+def test_what_drives_a_gimbal_away_is_a_spring_too(tmp_path: Path) -> None:
+    platform = pc.read_platform(
+        {
+            "schema": 1,
+            "name": "x",
+            "root": {"name": "r", "inertia": [1, 1, 1]},
+            "gimbal": [{"name": "g", "parent": "r", "axis": [0, 0, 1], "inertia": [1e-3] * 3}],
+            "spring": [{"gimbal": "g", "stiffness": -1e-3, "rest": 0.1}],
+        }
+    )
+    run = Run(platform, tmp_path, root="fixed")
+    mujoco.mj_step(run.model, run.data, 10000)
+    assert run.data.qpos[0] == pytest.approx(0.1 - 0.1 * np.cosh(1.0), rel=1e-6)
+    [spring] = read_mjcf(tmp_path / "plant.xml").springs
+    assert (spring.stiffness, spring.rest) == pytest.approx((-1e-3, 0.1))
+
+
+def scaled_error(platform: pc.Platform, q: np.ndarray, found: np.ndarray, expected: np.ndarray) -> float:
+    """Difference of accelerations by their energy in A*, over what is expected and the matrix's condition."""
+    A_star = pc.matrices(platform, q).A_star
+    scale = np.sqrt(np.diag(A_star))
+    size = np.linalg.norm(expected * scale) * np.linalg.cond(A_star / np.outer(scale, scale))
+    return float(np.linalg.norm((found - expected) * scale) / max(size, 1e-9))
+
+
+@for_all(st.tuples(motions_drawn(min_size=1e-3), st.booleans()), quick=12, long=500)
+def test_any_tree_accelerates_as_its_plant_there_and_when_it_is_back(drawn):
+    """Springs, dampers, unbalance; regulated and free rotors; chains and bushes drawn together or apart."""
+    motion, heavy = drawn
+    platform = sprung(motion).platform
+    q, u = motion.q, motion.velocity
+    if heavy:
+        platform = unbalanced(dataclasses.replace(motion, platform=platform))[0]
+        platform = dataclasses.replace(platform, specific_force=np.array([1.0, 2.0, 9.0]))
+    ours = pc.forward_dynamics(platform, q, u, pc.element_forces(platform, q, u))
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(platform, Path(folder))
+        run.begin(q, u)
+        mujoco.mj_forward(run.model, run.data)
+        back = read_mjcf(Path(folder) / "plant.xml")
+    assert scaled_error(platform, q, run.data.qacc[[0, 1, 2, *run.rates]], ours) < 1e-8
+    order = [back.gimbal_names.index(name) for name in platform.gimbal_names]
+    q_back, places = np.empty_like(q), [0, 1, 2, *(3 + k for k in order)]
+    u_back = np.empty_like(u)
+    q_back[order], u_back[places] = q, u
+    again = pc.forward_dynamics(back, q_back, u_back, pc.element_forces(back, q_back, u_back))[places]
+    assert scaled_error(platform, q, again, ours) < 1e-11
+
+
+@pytest.mark.parametrize("root", ["free", "prescribed", "fixed"])
+def test_every_shipped_plant_comes_back(root: Any, tmp_path: Path) -> None:
+    for name in MODELS:
+        platform = pc.read_platform(name)
+        write_mjcf(platform, tmp_path / "plant.xml", root=root)
+        back = read_mjcf(tmp_path / "plant.xml")
+        assert back.name == platform.name
+        assert np.allclose(back.root_inertia, platform.root_inertia, rtol=1e-9, atol=1e-12)
+        assert np.allclose(back.specific_force, platform.specific_force)
+        for field, keys in (
+            ("gimbals", ("parent", "axis", "inertia", "angle", "stops", "restitution")),
+            ("rotors", ("carrier", "axis", "axial_inertia", "transverse_inertia", "angular_momentum", "control")),
+            ("rotors", ("speed_gain", "speed_integral")),
+            ("pickoffs", ("gimbal", "noise_rms")),
+        ):
+            known = {part.name: part for part in getattr(back, field)}
+            for part in getattr(platform, field):
+                for key in keys:
+                    given, found = getattr(part, key), getattr(known[part.name], key)
+                    if given is None or isinstance(given, str):
+                        assert found == given
+                    else:
+                        assert np.allclose(found, given, rtol=1e-6, atol=1e-12), (name, part.name, key)
+        kept = [t for t in platform.torquers if root == "free" or t.gimbal is not None]
+        assert [(t.name, t.limit, t.lag) for t in back.torquers] == [(t.name, t.limit, t.lag) for t in kept]
+        assert [(s.gimbal, s.stiffness, s.rest) for s in back.springs] == [
+            (s.gimbal, s.stiffness, s.rest) for s in platform.springs
+        ]
+        assert {f.gimbal: f.viscous for f in back.frictions} == {f.gimbal: f.viscous for f in platform.frictions}
+        assert {u.body for u in back.unbalances} == {u.body for u in platform.unbalances}
+        for given, found in zip(platform.unbalances, back.unbalances, strict=True):
+            assert np.allclose(found.moment, given.moment, rtol=1e-9, atol=0.0)
+
+
+def test_the_file_says_what_it_leaves_out(tmp_path: Path) -> None:
+    notes = write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "p.xml", root="fixed")
+    assert notes == (
+        "dry friction of outer, inner: MuJoCo's frictionloss, the mean of both directions, in place of a smooth curve",
+        "erection of outer, inner: left out; add it to the control of a torquer",
+        "stops of inner: contacts that give a little, in place of impacts",
+    )
+    text = (tmp_path / "p.xml").read_text()
+    assert all(f"<!-- {note} -->" in text for note in notes)
+    write_mjcf(pc.read_platform("gyro_horizon"), tmp_path / "q.xml", root="fixed")
+    assert (tmp_path / "q.xml").read_text() == text
+
+
+BARE = {"schema": 1, "root": {"name": '<r&d> --- "x"', "inertia": [1, 1, 1]}, "source": "a---b, <c> & d-"}
+WHEELED = {"rotor": [{"name": "ω", "carrier": BARE["root"]["name"], "axis": [0, 0, -1], "spin": -3.0}]}  # type: ignore[index]
+WHEELED["rotor"][0] |= {"axial_inertia": 1e-3, "transverse_inertia": 1e-3}
+
+
+@pytest.mark.parametrize("root", ["free", "prescribed", "fixed"])
+@pytest.mark.parametrize("more", [{}, WHEELED], ids=["bare", "wheel"])
+def test_a_platform_without_gimbals_and_names_with_marks_are_models_too(more: Any, root: Any, tmp_path: Path) -> None:
+    platform = pc.read_platform(BARE | {"name": 'one "& only" <plant>'} | more)
+    run = Run(platform, tmp_path, root=root)
+    mujoco.mj_step(run.model, run.data, 10)
+    assert (tmp_path / "plant.xml").read_text().count("a- - -b, <c> & d-") == 1
+    if more:
+        assert run.data.joint("spin ω").qpos[0] == pytest.approx(-3.0 * 1e-3)
+        [rotor] = read_mjcf(tmp_path / "plant.xml").rotors
+        assert (rotor.carrier, rotor.spin) == (platform.root_name, pytest.approx(-3.0))
+    else:
+        with pytest.raises(InputError, match="no body"):
+            read_mjcf(tmp_path / "plant.xml")
+
+
+def test_arguments_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    platform = pc.read_platform("rate_gyro")
+    for wrong in ({"root": "loose"}, {"step": 0.0}, {"step": np.nan}):
+        with pytest.raises(ArgumentError):
+            write_mjcf(platform, tmp_path / "p.xml", **wrong)
+    with pytest.raises(ArgumentError, match="'world' names something else in MuJoCo"):
+        write_mjcf(
+            dataclasses.replace(
+                platform,
+                root_name="world",
+                gimbals=tuple(dataclasses.replace(g, parent="world") for g in platform.gimbals),
+                unbalances=(),
+            ),
+            tmp_path / "p.xml",
+        )
+    with pytest.raises(InputError, match="cannot be written"):
+        write_mjcf(platform, tmp_path / "nowhere" / "p.xml")
+    assert list(tmp_path.iterdir()) == []
+
+
+WHEEL = """
+<mujoco model="pendulum with a wheel">
+  <worldbody>
+    <geom type="plane" size="1 1 0.1"/>
+    <body name="frame" pos="0 0 1">
+      <geom type="box" size="0.1 0.1 0.02"/>
+      <body name="arm" pos="0 0 0.1" euler="0 0 90">
+        <joint name="swing" axis="1 0 0" ref="30" range="-60 60" damping="0.01"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.2" size="0.01"/>
+        <body name="wheel" pos="0 0 0.2">
+          <joint name="turn" axis="0 0 1"/>
+          <geom type="cylinder" size="0.05 0.01"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="swing" gear="2" ctrlrange="-1 1"/></actuator>
+  <sensor><jointpos name="angle" joint="swing"/></sensor>
+</mujoco>
+"""
+
+
+def test_a_model_that_somebody_else_made_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "wheel.xml"
+    path.write_text(WHEEL)
+    platform = read_mjcf(path, spins={"turn": 300.0})
+    [arm], [wheel] = platform.gimbals, platform.rotors
+    mass = 1000.0 * np.pi * 0.05**2 * 0.02
+    assert (arm.parent, arm.angle, wheel.carrier) == ("frame", "swing", "arm")
+    assert np.allclose(arm.axis, [0.0, 1.0, 0.0])  # turned by 90 degrees against the frame
+    assert wheel.axial_inertia == pytest.approx(0.5 * mass * 0.05**2)
+    assert (wheel.control, wheel.spin) == ("free", pytest.approx(300.0))
+    assert arm.stops == pytest.approx((np.radians(-90.0), np.radians(30.0)))  # zero is the drawn position
+    assert platform.torquers[0].limit == pytest.approx(2.0)
+    assert np.allclose(platform.specific_force, [0.0, 0.0, 9.81])
+    model = mujoco.MjModel.from_xml_path(str(path))
+    carried = float(model.body_mass[model.body("arm").id]) * 0.1 + mass * 0.2
+    assert np.allclose(platform.unbalances[-1].moment, [0.0, 0.0, carried])
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1.0, 300.0
+    mujoco.mj_forward(model, data)
+    ours = pc.element_forces(platform, [0.0], np.array([0.0, 0.0, 0.0, 1.0]))
+    assert ours[3] == pytest.approx(data.qfrc_passive[0], rel=1e-9)  # upright: its weight has no arm
+    with pytest.raises(InputError, match='spins: "spin" = 1'):
+        read_mjcf(path, spins={"spin": 1.0})
+    assert read_mjcf(path).rotors == ()  # nothing says that it turns
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name="swing"', 'name="swing" type="slide"', "does not hang on one hinge"),
+        ('name="turn"', 'name="turn" armature="1e-6"', "has an armature on its hinge"),
+        ("<motor ", '<position kp="3" ', "is no motor"),
+        ('ctrlrange="-1 1"', 'ctrlrange="-1 2"', "expected the same to both sides"),
+        ('joint="swing" gear', 'joint="slip" gear', "is no model that MuJoCo takes"),
+        ("<sensor>", '<equality><joint joint1="swing"/></equality><sensor>', "has equality constraints"),
+        ('<joint name="turn" axis="0 0 1"/>', '<joint name="turn" axis="0 1 0" pos="0 0.1 0.3"/>', "meets neither"),
+        ("</mujoco>", "", "is no model that MuJoCo takes"),
+        ('damping="0.01"', 'damping="nan"', "holds a number that is NaN"),
+        ('pos="0 0 0.2"', 'pos="0 0 1e60"', "is not finite or huge"),
+        ("<joint", "<freejoint/><joint", "is no model that MuJoCo takes"),
+    ],
+)
+def test_a_model_that_is_no_platform_is_one_line(
+    old: str, new: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "wheel.xml"
+    path.write_text(WHEEL.replace(old, new))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=words) as caught:
+        read_mjcf(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["wheel.xml"]  # MuJoCo keeps no log of it
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.usefixtures("untraced")
+def test_mangled_models_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
+    dice, path, refused = random.Random(3), tmp_path / "m.xml", 0
+    write_mjcf(pc.read_platform("rate_gyro"), path)
+    whole = path.read_bytes()
+    for text in (WHEEL.encode(), whole):
+        for _ in range(60):
+            path.write_bytes(mangled(text, dice))
+            said = ""
+            try:
+                read_mjcf(path)
+            except InputError as error:
+                said, refused = str(error), refused + 1
+            assert said == "" or ("\n" not in said and said.startswith(str(path)))
+    assert refused > 30
+
+
+def test_reading_without_mujoco_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_mjcf(pc.read_platform("rate_gyro"), tmp_path / "p.xml")
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(InputError, match="pip install mujoco"):
+        read_mjcf(tmp_path / "p.xml")
+    with pytest.raises(InputError, match="there is no such file"):
+        read_mjcf(tmp_path / "q.xml")

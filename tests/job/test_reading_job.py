@@ -1,0 +1,498 @@
+"""Job files: what is read, and that every mistake is one line that names its place."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import pickle
+import random
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from plant.test_reading_plant import JUNK, Change, add, both, drop, mutate, outcome, plant, put, refusal, toml_file
+from platform_ctrl.job.job import LoopLimits, Method
+from platform_ctrl.job.reading import OPTIONS, read_job
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
+
+
+def job() -> dict[str, Any]:
+    """Return a small valid job on a shipped plant."""
+    return {
+        "schema": 1,
+        "name": "two loops",
+        "plant": "three_gyro_platform",
+        "operation": {"Omega": [1.0, 0.5, 0], "seed": 7},
+        "spread": {"inertia": 0.1, "spin": 0.2},
+        "sampling": {"rate_hz": 2000, "delay": 0.0005},
+        "loop": [
+            {
+                "name": "caging",
+                "kind": "caging",
+                "gimbals": ["9", "10"],
+                "use": "hand",
+                "limits": {"bandwidth_hz": 40, "damping": 0.1},
+                "design": [
+                    {"name": "hand", "method": "classical", "tune": True, "crossover_hz": 40, "notch_depth": 0.5},
+                    {"name": "machine", "method": "hinf", "bandwidth_hz": 40},
+                ],
+            },
+            {
+                "name": "servo",
+                "kind": "stabilisation",
+                "use": "servo",
+                "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 5}],
+            },
+        ],
+        "coupled": {"disk_margin": 0.5},
+        "manoeuvre": [
+            {
+                "name": "turn",
+                "mode": "caged",
+                "axis": 1,
+                "rate": -1.0,
+                "rise": 0.5,
+                "hold": 1,
+                "duration": 2,
+                "limits": {"angle": 0.003},
+            },
+            {"name": "push", "mode": "stabilised", "axis": 3, "torque": 0.1, "duration": 1, "limits": {"attitude": 1}},
+        ],
+    }
+
+
+def small_job() -> dict[str, Any]:
+    """Return a valid job whose plant stands in the job itself; it has one root torquer only."""
+    return job() | {
+        "plant": plant(),
+        "loop": [dict(job()["loop"][0], gimbals=["4", "5"])],
+        "manoeuvre": [],
+    }
+
+
+CAGING = '[[loop]] 1 "caging"'
+HAND = f'{CAGING}: [[loop.design]] 1 "hand"'
+SERVO = '[[loop]] 2 "servo"'
+TURN = '[[manoeuvre]] 1 "turn"'
+PUSH = '[[manoeuvre]] 2 "push"'
+
+MISTAKES: dict[str, tuple[Change, list[str]]] = {
+    "schema missing": (drop("schema"), ['missing key "schema"']),
+    "schema 3": (put(3, "schema"), ["schema = 3", "expected 1"]),
+    "name empty": (put("", "name"), ['name = ""', "empty"]),
+    "unknown table": (put([{}], "manouvre"), ['unknown table "manouvre"', 'did you mean "manoeuvre"?']),
+    "plant missing": (drop("plant"), ['missing key "plant"', "a shipped model, a path relative to this file"]),
+    "plant a number": (put(3, "plant"), ["plant = 3", "a shipped model, a path relative to this file"]),
+    "plant empty": (put("", "plant"), ['plant = ""', "empty"]),
+    "plant unknown": (put("three_gyro", "plant"), ["plant: ", 'no shipped model "three_gyro"', "did you mean"]),
+    "plant nowhere": (put("plants/nowhere.toml", "plant"), ["plant: ", "nowhere.toml: there is no such file"]),
+    "operation missing": (drop("operation"), ["missing table [operation]"]),
+    "Omega missing": (drop("operation", "Omega"), ["[operation]", 'missing key "Omega"', "three numbers >= 0"]),
+    "Omega a number": (put(1.0, "operation", "Omega"), ["[operation]", "Omega = 1.0", "three numbers >= 0"]),
+    "Omega negative": (put([1, -1, 1], "operation", "Omega"), ["Omega = [1, -1, 1]", "three numbers >= 0"]),
+    "Omega not finite": (put([1, math.nan, 1], "operation", "Omega"), ["element 2, nan, is not finite"]),
+    "Omega in small letters": (
+        both(drop("operation", "Omega"), put([1, 1, 1], "operation", "omega")),
+        ['unknown key "omega"', 'did you mean "Omega"?'],
+    ),
+    "seed negative": (put(-1, "operation", "seed"), ["seed = -1", "a whole number >= 0"]),
+    "seed a fraction": (put(0.5, "operation", "seed"), ["seed = 0.5", "a whole number >= 0"]),
+    "spread too large": (put(0.95, "spread", "spin"), ["[spread]", "spin = 0.95", "from 0 to 0.9"]),
+    "spread negative": (put(-0.1, "spread", "inertia"), ["[spread]", "inertia = -0.1", "from 0 to 0.9"]),
+    "a fraction of a sample": (put(2.5, "spread", "samples"), ["[spread]", "samples = 2.5", "from 0 to 1000"]),
+    "samples of nothing": (
+        put({"samples": 4}, "spread"),
+        ["[spread]", "samples = 4: neither inertia nor spin has a spread", "inertia or spin > 0"],
+    ),
+    "a grid of one point": (put(1, "operation", "Omega_grid"), ["Omega_grid = 1", "a whole number from 2 to 9"]),
+    "a rotor that is too fast": (put({"slow_rotor": 1.5}, "faults"), ["[faults]", "slow_rotor = 1.5", "from 0 to 1"]),
+    "a torquer without torque": (put({"weak_torquer": 0}, "faults"), ["[faults]", "weak_torquer = 0", "a share > 0"]),
+    "fault unknown": (put({"slow_rotors": 1}, "faults"), ['unknown key "slow_rotors"', 'did you mean "slow_rotor"?']),
+    "rate zero": (put(0, "sampling", "rate_hz"), ["[sampling]", "rate_hz = 0", "a number > 0"]),
+    "rate without a period": (put(1e-310, "sampling", "rate_hz"), ["rate_hz = 1e-310", "a number > 0"]),
+    "delay negative": (put(-1e-4, "sampling", "delay"), ["[sampling]", "delay = -0.0001", "a number >= 0"]),
+    "delay of a thousand periods": (
+        put({"rate_hz": 1e6, "delay": 1e-3}, "sampling"),
+        ["[sampling]", "delay = 0.001: is 1000 sample periods", "at most 100, or a lower rate_hz"],
+    ),
+    "delay missing": (drop("sampling", "delay"), ["[sampling]", 'missing key "delay"']),
+    "no loop": (put([], "loop"), ["loop = []", "at least one [[loop]]"]),
+    "loop missing": (drop("loop"), ["missing table [[loop]]"]),
+    "loop a table": (put({"name": "x"}, "loop"), ["loop = a table", "[[loop]]"]),
+    "loop twice": (put("caging", "loop", 1, "name"), ['[[loop]] 2 "caging"', "is the name of [[loop]] 1 already"]),
+    "kind unknown": (put("cage", "loop", 0, "kind"), [CAGING, 'kind = "cage"', '"caging" or "stabilisation"']),
+    "use missing": (drop("loop", 0, "use"), [CAGING, 'missing key "use"']),
+    "use names no design": (put("hnad", "loop", 0, "use"), [CAGING, 'use = "hnad"', 'did you mean "hand"?']),
+    "no design": (put([], "loop", 0, "design"), [CAGING, "design = []", "at least one [[loop.design]]"]),
+    "design missing": (drop("loop", 0, "design"), [CAGING, "missing table [[loop.design]]"]),
+    "design twice": (
+        put("hand", "loop", 0, "design", 1, "name"),
+        [f'{CAGING}: [[loop.design]] 2 "hand"', "is the name of [[loop.design]] 1 already"],
+    ),
+    "method unknown": (
+        put("clasical", "loop", 0, "design", 0, "method"),
+        [HAND, 'method = "clasical"', 'expected "classical" or "hinf" or "lqg" or "structured" or "platform-servo"'],
+    ),
+    "method for another kind": (
+        put({"name": "machine", "method": "platform-servo", "crossover_hz": 40}, "loop", 0, "design", 1),
+        ['method = "platform-servo"', "does not make a caging loop", '"classical" or "hinf"'],
+    ),
+    "option unknown": (
+        put(4, "loop", 0, "design", 0, "crosover_hz"),
+        [HAND, 'unknown key "crosover_hz"', 'did you mean "crossover_hz"?'],
+    ),
+    "option of another method": (
+        put(0.02, "loop", 0, "design", 0, "backoff"),
+        [HAND, 'unknown key "backoff"'],
+    ),
+    "option as text": (put("40", "loop", 0, "design", 0, "crossover_hz"), [HAND, 'crossover_hz = "40"', "a number"]),
+    "option true": (put(True, "loop", 0, "design", 0, "crossover_hz"), [HAND, "crossover_hz = true", "a number"]),
+    "option not finite": (put(math.inf, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = inf"]),
+    "option negative": (put(-4, "loop", 0, "design", 0, "integral_hz"), [HAND, "integral_hz = -4", "> 0"]),
+    "tune a number": (put(1, "loop", 0, "design", 0, "tune"), [HAND, "tune = 1", "true or false"]),
+    "no gimbals": (drop("loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
+    "empty gimbals": (put([], "loop", 0, "gimbals"), [CAGING, "gimbals: expected the names"]),
+    "gimbals a text": (put("9", "loop", 0, "gimbals"), [CAGING, 'gimbals = "9"', "a list of names"]),
+    "gimbals numbers": (put([9, 10], "loop", 0, "gimbals"), [CAGING, "gimbals = [9, 10]", "a list of names"]),
+    "gimbal unknown": (
+        put(["9", "100"], "loop", 0, "gimbals"),
+        [CAGING, 'gimbals = ["9", "100"]', '"100" is no gimbal of the plant', 'did you mean "10"?'],
+    ),
+    "gimbal twice": (put(["9", "9"], "loop", 0, "gimbals"), [CAGING, '"9" is caged by [[loop]] 1 already']),
+    "gimbal in two loops": (
+        lambda data: data["loop"].insert(1, dict(data["loop"][0], name="more", gimbals=["4", "10"])),
+        ['[[loop]] 2 "more"', '"10" is caged by [[loop]] 1 already'],
+    ),
+    "caging after stabilisation": (
+        lambda data: data["loop"].reverse(),
+        ['[[loop]] 2 "caging"', "[[loop]] 1 stabilises the root", "the caging loops before it"],
+    ),
+    "limit of another kind of loop": (
+        put({"damping": 0.1}, "loop", 1, "limits"),
+        [f"{SERVO}: [loop.limits]", "damping: a stabilisation loop is judged in the coupled system", "torque_noise"],
+    ),
+    "tune where nothing tunes": (
+        put(True, "loop", 0, "design", 1, "tune"),
+        ["[[loop.design]]", 'method "hinf" has no tuner', '"classical"'],
+    ),
+    "gimbals of a stabilisation loop": (
+        put(["9"], "loop", 1, "gimbals"),
+        [SERVO, 'gimbals = ["9"]', "leave the key out"],
+    ),
+    "two stabilisation loops": (
+        lambda data: data["loop"].append(dict(data["loop"][1], name="more")),
+        ['[[loop]] 3 "more"', "[[loop]] 2 stabilises the root already"],
+    ),
+    "loop limit zero": (put(0, "loop", 0, "limits", "damping"), [f"{CAGING}: [loop.limits]", "damping = 0", "> 0"]),
+    "loop limit unknown": (
+        put(1, "loop", 0, "limits", "dampign"),
+        [f"{CAGING}: [loop.limits]", 'unknown key "dampign"', 'did you mean "damping"?'],
+    ),
+    "limit on faults of a job without": (
+        put(0.1, "loop", 0, "limits", "damping_faults"),
+        [f"{CAGING}: [loop.limits]", "damping_faults: the job has no plants with faults", "slow_rotor or weak_torquer"],
+    ),
+    "goal on faults of a job without": (
+        put({"disk_margin_faults": 0.1}, "loop", 0, "soft"),
+        [f"{CAGING}: [loop.soft]", "disk_margin_faults: the job has no plants with faults"],
+    ),
+    "tracking up to nowhere": (
+        put(0.1, "loop", 0, "limits", "tracking"),
+        [f"{CAGING}: [loop.limits]", 'missing key "tracking_hz": tracking means nothing without it'],
+    ),
+    "tracking nothing": (put({"tracking_hz": 5}, "loop", 0, "soft"), ["[loop.soft]", 'missing key "tracking"']),
+    "a band without a torque limit": (
+        put(5, "loop", 0, "limits", "torque_limit_hz"),
+        ['missing key "torque_limit": torque_limit_hz means nothing without it'],
+    ),
+    "goal zero": (put({"bandwidth_hz": 0}, "loop", 0, "soft"), [f"{CAGING}: [loop.soft]", "bandwidth_hz = 0", "> 0"]),
+    "goals of a stabilisation loop": (
+        put({"torque_noise": 0.1}, "loop", 1, "soft"),
+        [SERVO, "soft: no method of a stabilisation loop minimises anything", "leave the table out"],
+    ),
+    "structure unknown": (
+        put({"name": "machine", "method": "structured", "structure": "PI"}, "loop", 0, "design", 1),
+        ['structure = "PI"', 'expected "cross-axis" or'],
+    ),
+    "structure of another method": (
+        put("pid", "loop", 0, "design", 0, "structure"),
+        [HAND, 'unknown key "structure"'],
+    ),
+    "coupled limit negative": (put(-1, "coupled", "disk_margin"), ["[coupled]", "disk_margin = -1", "> 0"]),
+    "coupled limit unknown": (put(1, "coupled", "disc_margin"), ["[coupled]", 'did you mean "disk_margin"?']),
+    "manoeuvre twice": (put("turn", "manoeuvre", 1, "name"), ['[[manoeuvre]] 2 "turn"', "[[manoeuvre]] 1 already"]),
+    "mode unknown": (put("cage", "manoeuvre", 0, "mode"), [TURN, 'mode = "cage"', '"caged" or "stabilised"']),
+    "axis 4": (put(4, "manoeuvre", 0, "axis"), [TURN, "axis = 4", "expected 1, 2 or 3"]),
+    "axis as text": (put("1", "manoeuvre", 0, "axis"), [TURN, 'axis = "1"', "expected 1, 2 or 3"]),
+    "caged without rate": (drop("manoeuvre", 0, "rate"), [TURN, 'missing key "rate"', "rate, rise, hold"]),
+    "caged without rise": (drop("manoeuvre", 0, "rise"), [TURN, 'missing key "rise"']),
+    "caged without hold": (drop("manoeuvre", 0, "hold"), [TURN, 'missing key "hold"']),
+    "caged with torque": (put(0.1, "manoeuvre", 0, "torque"), [TURN, "torque = 0.1", "a stabilised manoeuvre"]),
+    "caged at no rate": (put(0, "manoeuvre", 0, "rate"), [TURN, "rate = 0", "other than 0"]),
+    "caged with no rise": (put(0, "manoeuvre", 0, "rise"), [TURN, "rise = 0", "a number > 0"]),
+    "caged too short": (put(1.9, "manoeuvre", 0, "duration"), [TURN, "duration = 1.9", "at least 2 s"]),
+    "stabilised without torque": (drop("manoeuvre", 1, "torque"), [PUSH, 'missing key "torque"', "needs torque"]),
+    "stabilised with rate": (put(1, "manoeuvre", 1, "rate"), [PUSH, "rate = 1", "a caged manoeuvre"]),
+    "duration zero": (put(0, "manoeuvre", 1, "duration"), [PUSH, "duration = 0", "a number > 0"]),
+    "manoeuvre limit negative": (
+        put(-1, "manoeuvre", 0, "limits", "angle"),
+        [f"{TURN}: [manoeuvre.limits]", "angle = -1", "a number > 0"],
+    ),
+    "manoeuvre limit unknown": (
+        put(1, "manoeuvre", 0, "limits", "angel"),
+        [f"{TURN}: [manoeuvre.limits]", 'unknown key "angel"', 'did you mean "angle"?'],
+    ),
+}
+
+SMALL_MISTAKES: dict[str, tuple[Change, list[str]]] = {
+    "in the plant": (
+        put([0, 0, 0], "plant", "gimbal", 1, "axis"),
+        ['[[plant.gimbal]] 2 "5"', "axis = [0, 0, 0]", "of length zero"],
+    ),
+    "in the plant's root": (put([1, 1, 3], "plant", "root", "inertia"), ["[plant.root]: inertia = [1, 1, 3]"]),
+    "in the plant's tree": (put("5", "plant", "gimbal", 0, "parent"), ['[[plant.gimbal]] 1 "4"', "in a circle"]),
+    "no torquer": (drop("plant", "torquer", 1), [CAGING, '"5" has no torquer in the plant']),
+    "no pick-off": (drop("plant", "pickoff", 1), [CAGING, '"4" has no pick-off in the plant']),
+    "no root torquers": (
+        add(job()["loop"][1], "loop"),
+        [SERVO, 'kind = "stabilisation"', "no root torquer M2, M3"],
+    ),
+}
+
+
+def refused_alike(data: dict[str, Any], fragments: list[str], folder: Path) -> None:
+    from_dict = refusal(read_job, data)
+    file = folder / "job.toml"
+    file.write_text(toml_file(data), encoding="utf-8")
+    from_file = refusal(read_job, file)
+    for fragment in fragments:
+        assert fragment in from_dict
+        assert fragment in from_file
+    assert "more)" not in from_dict
+    assert from_dict.startswith("job given as a dict: ")
+    assert from_file.startswith(f"{file}: ")
+
+
+@pytest.mark.parametrize(("change", "fragments"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_one_line_that_names_its_place(change: Change, fragments: list[str], tmp_path: Path) -> None:
+    data = job()
+    change(data)
+    refused_alike(data, fragments, tmp_path)
+
+
+@pytest.mark.parametrize(("change", "fragments"), SMALL_MISTAKES.values(), ids=SMALL_MISTAKES.keys())
+def test_a_mistake_in_a_job_with_its_own_plant_is_one_line(
+    change: Change, fragments: list[str], tmp_path: Path
+) -> None:
+    data = small_job()
+    change(data)
+    refused_alike(data, fragments, tmp_path)
+
+
+def test_the_first_mistake_in_the_files_order_is_named_wherever_it_was_found() -> None:
+    data = job()
+    data["sampling"]["delay"] = -1
+    data["loop"][0]["gimbals"] = ["9", "11"]
+    data["manoeuvre"][0]["axis"] = 0
+    assert "delay = -1" in refusal(read_job, data)
+    assert refusal(read_job, data).endswith(" (and 2 more)")
+    assert "axis = 0" in refusal(read_job, dict(reversed(data.items())))
+
+
+def test_a_mistake_in_a_plant_file_names_both_files(tmp_path: Path) -> None:
+    broken = plant()
+    broken["gimbal"][0]["axis"] = [0, 0, 0]
+    (tmp_path / "mine.toml").write_text(toml_file(broken), encoding="utf-8")
+    (tmp_path / "job.toml").write_text(toml_file(job() | {"plant": "mine.toml"}), encoding="utf-8")
+    message = refusal(read_job, tmp_path / "job.toml")
+    assert message.startswith(f"{tmp_path / 'job.toml'}: plant: {tmp_path / 'mine.toml'}: [[gimbal]] 1")
+
+
+@pytest.mark.parametrize("source", [None, 3, b"job.toml", [], "", object()])
+def test_a_source_that_is_no_source_is_one_line(source: object) -> None:
+    assert "expected the path of a job file or a dict" in refusal(read_job, source)
+
+
+def test_a_folder_that_is_no_folder_is_one_line() -> None:
+    assert "expected a folder" in refusal(lambda source: read_job(source, folder=3), job())  # type: ignore[arg-type]
+
+
+def test_a_job_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
+    assert refusal(read_job, tmp_path / "nowhere.toml").endswith("nowhere.toml: there is no such file")
+    assert "nowhere: there is no such file" in refusal(read_job, str(tmp_path / "nowhere"))
+    (tmp_path / "broken.toml").write_text("loop = [", encoding="utf-8")
+    assert "is not TOML" in refusal(read_job, tmp_path / "broken.toml")
+
+
+def test_what_is_read_is_the_job() -> None:
+    read = read_job(job())
+    assert (read.name, read.plant, read.seed) == ("two loops", "three_gyro_platform", 7)
+    assert read.platform.name == "three-gyro platform"
+    assert read.Omega.tolist() == [1.0, 0.5, 0.0]
+    assert (read.spread.inertia, read.spread.spin) == (0.1, 0.2)
+    assert (read.sampling.period, read.sampling.delay) == (1 / 2000, 0.0005)
+    caging, servo = read.loops
+    assert (caging.kind, caging.gimbals, caging.use) == ("caging", ("9", "10"), "hand")
+    assert (servo.kind, servo.gimbals, servo.use) == ("stabilisation", (), "servo")
+    hand, machine = caging.designs
+    assert (hand.method, hand.tune, hand.options) == ("classical", True, {"crossover_hz": 40.0, "notch_depth": 0.5})
+    assert (machine.method, machine.tune, machine.options) == ("hinf", False, {"bandwidth_hz": 40.0})
+    assert (caging.limits.bandwidth_hz, caging.limits.damping, caging.limits.disk_margin) == (40.0, 0.1, None)
+    assert servo.limits.torque_noise is None
+    assert (read.coupled.disk_margin, read.coupled.coupling_cost) == (0.5, None)
+    turn, push = read.manoeuvres
+    assert (turn.mode, turn.axis, turn.rate, turn.rise, turn.hold, turn.duration) == ("caged", 1, -1.0, 0.5, 1.0, 2.0)
+    assert (push.mode, push.axis, push.torque, push.duration) == ("stabilised", 3, 0.1, 1.0)
+    assert (turn.limits, push.limits) == ({"angle": 0.003}, {"attitude": 1.0})
+
+
+def test_the_set_of_plants_and_the_goals_are_read() -> None:
+    data = job()
+    data["operation"]["Omega_grid"] = 3
+    data["spread"]["samples"] = 16
+    data["faults"] = {"slow_rotor": 0, "weak_torquer": 0.5}
+    caging = data["loop"][0]
+    caging["limits"] |= {
+        "damping_faults": 0.01,
+        "tracking": 0.1,
+        "tracking_hz": 5,
+        "torque_limit": 1,
+        "Omega_rejection": 2,
+    }
+    caging["soft"] = {"bandwidth_hz": 60, "sensitivity_peak_spread": 2}
+    caging["design"].append({"name": "simple", "method": "structured", "structure": "cross-axis"})
+    read = read_job(data)
+    assert (read.Omega_grid, read.spread.samples) == (3, 16)
+    assert (read.faults.slow_rotor, read.faults.weak_torquer) == (0.0, 0.5)
+    limits, soft = read.loops[0].limits, read.loops[0].soft
+    assert (limits.damping_faults, limits.tracking, limits.tracking_hz) == (0.01, 0.1, 5.0)
+    assert (limits.torque_limit, limits.torque_limit_hz, limits.Omega_rejection) == (1.0, None, 2.0)
+    assert (soft.bandwidth_hz, soft.sensitivity_peak_spread, soft.damping) == (60.0, 2.0, None)
+    assert [design.structure for design in read.loops[0].designs] == [None, None, "cross-axis"]
+
+
+def test_every_limit_can_be_a_goal() -> None:
+    names = [field.name for field in dataclasses.fields(LoopLimits)]
+    data = job() | {"faults": {"slow_rotor": 0.5}}
+    data["loop"][0]["limits"] = dict.fromkeys(names, 0.5)
+    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    loop = read_job(data).loops[0]
+    assert dataclasses.asdict(loop.limits) == dict.fromkeys(names, 0.5)
+    assert dataclasses.asdict(loop.soft) == dict.fromkeys(names, 0.25)
+
+
+def test_a_job_is_written_and_read_back_whole() -> None:
+    from platform_ctrl.report.record import job_data
+
+    names = [field.name for field in dataclasses.fields(LoopLimits)]
+    data = job() | {"faults": {"slow_rotor": 0.5}}
+    data["operation"]["Omega_grid"] = 4
+    data["spread"]["samples"] = 3
+    data["loop"][0]["soft"] = dict.fromkeys(names, 0.25)
+    data["loop"][0]["design"].append({"name": "simple", "method": "structured", "structure": "pid", "order": 2})
+    read = read_job(data)
+    again = read_job(job_data(read))
+    assert job_data(again) == job_data(read)
+    assert (again.Omega_grid, again.spread.samples, again.faults.slow_rotor) == (4, 3, 0.5)
+    assert again.loops[0].soft.tracking_hz == 0.25
+    assert again.loops[0].designs[2].structure == "pid"
+
+
+def test_what_may_be_left_out_asks_for_nothing() -> None:
+    data = job()
+    for key in ("spread", "coupled", "manoeuvre"):
+        del data[key]
+    del data["operation"]["seed"]
+    del data["loop"][0]["limits"]
+    read = read_job(data)
+    assert (read.spread.inertia, read.spread.spin, read.seed, read.manoeuvres) == (0.0, 0.0, 0, ())
+    assert read.coupled.disk_margin is None
+    assert read.loops[0].limits.bandwidth_hz is None
+    assert read.loops[0].soft.bandwidth_hz is None
+    assert (read.Omega_grid, read.spread.samples, read.faults.slow_rotor, read.faults.weak_torquer) == (
+        2,
+        0,
+        None,
+        None,
+    )
+
+
+def test_the_example_is_read_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    read = read_job(EXAMPLE)
+    assert [loop.name for loop in read.loops] == ["caging 4-5-7", "caging 9-10", "stabilisation"]
+    assert {gimbal for loop in read.loops for gimbal in loop.gimbals} == set(read.platform.gimbal_names)
+    assert len(read.manoeuvres) == 6
+
+
+def test_a_plant_is_found_beside_the_job_or_in_the_folder_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = small_job() | {"plant": "plants/mine.toml"}
+    (tmp_path / "plants").mkdir()
+    (tmp_path / "plants" / "mine.toml").write_text(toml_file(plant()), encoding="utf-8")
+    (tmp_path / "job.toml").write_text(toml_file(data), encoding="utf-8")
+    assert read_job(tmp_path / "job.toml").platform.name == "two gimbals"
+    assert read_job(data, folder=tmp_path).platform.name == "two gimbals"
+    assert read_job(dict(data, plant=str(tmp_path / "plants" / "mine.toml"))).platform.name == "two gimbals"
+    assert "no such file" in refusal(read_job, data)
+    monkeypatch.chdir(tmp_path)
+    assert read_job(data).plant == "plants/mine.toml"
+
+
+def test_a_plant_in_the_job_itself_is_read_and_may_hold_arrays() -> None:
+    data = small_job()
+    data["plant"]["gimbal"][0]["axis"] = np.array([0, 2, 0])
+    read = read_job(data)
+    assert read.plant == read.platform.name == "two gimbals"
+    np.testing.assert_array_equal(read.platform.gimbals[0].axis, [0, 1, 0])
+
+
+def test_the_largest_rate_is_read_only_and_stays_so_through_pickle_and_deepcopy() -> None:
+    read = read_job(job())
+    for copied in (read, copy.deepcopy(read), pickle.loads(pickle.dumps(read))):
+        assert copied.Omega.tolist() == [1.0, 0.5, 0.0]
+        with pytest.raises(ValueError, match="read-only"):
+            copied.Omega[0] = 2.0
+        with pytest.raises(ValueError, match="read-only"):
+            copied.platform.root_inertia[0, 0] = 2.0
+
+
+def test_every_method_of_a_job_has_its_options_listed() -> None:
+    assert set(OPTIONS) == set(get_args(Method))
+
+
+@pytest.mark.parametrize("method", sorted(OPTIONS))
+def test_every_listed_option_is_read(method: str) -> None:
+    data = job()
+    loop = data["loop"][1 if method == "platform-servo" else 0]
+    loop["design"] = [{"name": "all", "method": method} | dict.fromkeys(OPTIONS[method], 0.5)]
+    loop["use"] = "all"
+    (design,) = next(spec for spec in read_job(data).loops if spec.name == loop["name"]).designs
+    assert design.options == dict.fromkeys(OPTIONS[method], 0.5)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    junk=st.lists(JUNK, min_size=1, max_size=4),
+    chance=st.randoms(use_true_random=False),
+    start=st.sampled_from([job, small_job]),
+)
+def test_whatever_is_changed_a_job_is_read_or_refused_in_one_line(
+    junk: list[Any], chance: random.Random, start: Any
+) -> None:
+    data = start()
+    for item in junk:
+        mutate(data, chance, item)
+    read = outcome(read_job, data)
+    if isinstance(read, str):
+        assert read.isprintable()
+    else:
+        assert read.sampling.period > 0
+        assert all(spec.use in [design.name for design in spec.designs] for spec in read.loops)

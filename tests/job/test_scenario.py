@@ -1,0 +1,107 @@
+"""What moves a platform in a run: tables over time and vibration, against SciPy and against their own definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from platform_ctrl import read_platform
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.scenario import Scenario, TimeTable, Vibration
+
+T = np.array([0.0, 0.2, 0.5, 1.5, 2.0])
+VALUES = np.array([[0.0, 1.0, 0.0], [0.5, 1.0, -1.0], [0.7, 1.0, 3.0], [-1.0, 1.0, 0.1], [0.0, 1.0, 0.2]])
+
+
+def table(smooth: bool) -> TimeTable:
+    return TimeTable(t=T, values=VALUES, smooth=smooth)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_table_goes_through_its_points_and_stays_at_its_ends(smooth: bool) -> None:
+    np.testing.assert_allclose(table(smooth).at(T), VALUES, atol=1e-15)
+    np.testing.assert_allclose(table(smooth).at([-5.0, 7.0]), VALUES[[0, -1]], atol=1e-15)
+    assert table(smooth).at(0.3).shape == (3,)
+    assert table(smooth).at(np.zeros((2, 4))).shape == (2, 4, 3)
+
+
+def test_straight_lines_are_those_of_numpy() -> None:
+    t = np.linspace(-0.5, 2.5, 301)
+    expected = np.stack([np.interp(t, T, column) for column in VALUES.T], axis=-1)
+    np.testing.assert_allclose(table(False).at(t), expected, atol=1e-14)
+
+
+def test_a_smooth_table_is_the_natural_cubic_spline() -> None:
+    t = np.linspace(0.0, 2.0, 301)
+    np.testing.assert_allclose(table(True).at(t), CubicSpline(T, VALUES, bc_type="natural")(t), atol=1e-13)
+    # Natural ends: no curvature there.
+    first, last = table(True).pieces[0], table(True).pieces[-1]
+    np.testing.assert_allclose(first[:, 2], 0.0, atol=1e-13)
+    np.testing.assert_allclose(2 * last[:, 2] + 6 * last[:, 3] * 0.5, 0.0, atol=1e-12)
+
+
+def test_two_points_are_a_straight_line_however_smooth() -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    ends, values = np.array([0.0, 1.0]), np.array([[0.0, 1.0, 2.0], [1.0, -1.0, 2.0]])
+    smooth, straight = (TimeTable(t=ends, values=values, smooth=yes) for yes in (True, False))
+    np.testing.assert_allclose(smooth.at(t), straight.at(t), atol=1e-14)
+
+
+def shake(frequencies: list[float], densities: list[float], lines: int) -> Vibration:
+    return Vibration(
+        kind="rate",
+        axis=1,
+        frequencies_hz=np.array(frequencies),
+        densities=np.array(densities),
+        lines=lines,
+    )
+
+
+def test_a_flat_spectrum_keeps_its_power_whatever_the_number_of_lines() -> None:
+    for lines in (1, 7, 64):
+        omega, amplitude = shake([10.0, 510.0], [2e-6, 2e-6], lines).amplitudes
+        assert omega.shape == amplitude.shape == (lines,)
+        assert 0.5 * (amplitude**2).sum() == pytest.approx(2e-6 * 500.0, rel=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(slope=st.floats(-3.0, 3.0), knee=st.floats(20.0, 200.0))
+def test_a_spectrum_of_straight_lines_keeps_its_power(slope: float, knee: float) -> None:
+    low, high, level = 10.0, 400.0, 1e-5
+    vibration = shake([low, knee, high], [level * (low / knee) ** slope, level, level * (high / knee) ** -slope], 2000)
+
+    def power(a: float, b: float, exponent: float) -> float:
+        """Integral of level (f / knee)**exponent from a to b."""
+        x = np.linspace(np.log(a / knee), np.log(b / knee), 20001)
+        return float(level * knee * np.trapezoid(np.exp((exponent + 1.0) * x), x))
+
+    _, amplitude = vibration.amplitudes
+    assert 0.5 * (amplitude**2).sum() == pytest.approx(power(low, knee, slope) + power(knee, high, -slope), rel=1e-3)
+
+
+def test_the_lines_lie_in_the_middles_of_equal_slices_of_logarithmic_frequency() -> None:
+    omega, _ = shake([10.0, 1000.0], [1.0, 1.0], 4).amplitudes
+    np.testing.assert_allclose(omega / (2 * np.pi), 10.0 * 100.0 ** (np.array([1, 3, 5, 7]) / 8), rtol=1e-12)
+
+
+def test_a_run_begins_at_rest_unless_it_is_said_otherwise() -> None:
+    platform = read_platform("three_gyro_platform")
+    scenario = Scenario(platform=platform, mode="stabilised", duration=1.0, delay=0.0, Omega=np.array([0.0, 0.1, 0.0]))
+    for name, expected in (("q", np.zeros(5)), ("rate", np.zeros(5)), ("attitude", [1, 0, 0, 0]), ("torque", [0] * 3)):
+        np.testing.assert_array_equal(getattr(scenario, name), expected)
+        assert not getattr(scenario, name).flags.writeable
+    assert scenario.Omega[1] == 0.1
+    assert scenario.spin is None
+
+
+def test_lists_become_arrays_and_what_are_no_numbers_is_refused() -> None:
+    assert TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2, 3]]).at(0.5).tolist() == [0.5, 1.0, 1.5]
+    shaking = Vibration(kind="force", axis=1, frequencies_hz=[1, 10], densities=[2, 2], lines=4)
+    assert shaking.amplitudes[1].shape == (4,)
+    with pytest.raises(ArgumentError, match=r"values: given .*; expected an array of real numbers"):
+        TimeTable(t=[0, 1], values=[[0, 0, 0], [1, 2]])
+    with pytest.raises(ArgumentError, match="q: given 'alpha4'; expected an array of real numbers"):
+        Scenario(platform=read_platform("gimballed_gyro"), mode="caged", duration=1.0, delay=0.0, q="alpha4")

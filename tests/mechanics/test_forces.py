@@ -1,0 +1,323 @@
+"""Springs, friction, cages, unbalance, erection: torques from energy and statics, slopes from differences."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.simulation import rollout
+from tree_cases import platforms, with_torquers
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+quick = settings(max_examples=30, deadline=None)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def furnished(platform, seed):
+    """The platform with one of everything on every gimbal, and specific force."""
+    rng = np.random.default_rng(seed)
+    names = platform.gimbal_names
+    bodies = (platform.root_name, *names)
+    axes = rng.normal(size=(len(names), 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return dataclasses.replace(
+        platform,
+        springs=tuple(Spring(gimbal=g, stiffness=float(rng.normal()), rest=float(rng.normal())) for g in names),
+        frictions=tuple(Friction(gimbal=g, viscous=float(rng.uniform(0, 1)), coulomb=(0.2, 0.1)) for g in names),
+        cages=tuple(Cage(gimbal=g, stiffness=3.0, damping=0.4, clearance=0.1 * k) for k, g in enumerate(names)),
+        unbalances=tuple(Unbalance(body=b, moment=rng.normal(size=3)) for b in bodies),
+        erections=tuple(
+            Erection(gimbal=g, senses=bodies[rng.integers(len(bodies))], axis=axes[k], gain=float(rng.normal()))
+            for k, g in enumerate(names)
+        ),
+        specific_force=rng.normal(size=3),
+    )
+
+
+def slope(function, at, step=1e-6):
+    columns = [(function(at + step * e) - function(at - step * e)) / (2 * step) for e in np.eye(len(at))]
+    return np.stack(columns, axis=-1)
+
+
+@quick
+@given(platforms(max_gimbals=5), seeds)
+def test_the_slopes_in_the_linear_model_are_those_of_the_torques(platform, seed):
+    platform = furnished(platform, seed)
+    rng = np.random.default_rng(seed + 1)
+    n = len(platform.gimbals)
+    q = rng.uniform(-1, 1, n)
+    wide = tuple(dataclasses.replace(one, coulomb=(0.0, 0.0)) for one in platform.frictions)
+    smooth = dataclasses.replace(platform, frictions=wide)
+    model = linearise(smooth, q=q)
+    touching = [c.clearance > 0.0 and abs(abs(q[k]) - c.clearance) < 1e-3 for k, c in enumerate(platform.cages)]
+    assume(not any(touching))  # a cage has no slope where it begins
+    by_angle = slope(lambda x: element_forces(smooth, x), q)
+    np.testing.assert_allclose(model.Q_angle, by_angle[3:], atol=2e-8)
+    np.testing.assert_allclose(model.M_angle, by_angle[:3], atol=2e-8)
+    by_rate = slope(lambda r: element_forces(smooth, q, np.concatenate([np.zeros(3), r])), np.zeros(n))
+    np.testing.assert_allclose(model.Q_rate, by_rate[3:], atol=1e-8)
+    by_force = slope(lambda f: element_forces(smooth, q, specific_force=f), platform.specific_force)
+    np.testing.assert_allclose(model.Q_force, by_force[3:], atol=1e-8)
+    np.testing.assert_allclose(model.M_force, by_force[:3], atol=1e-8)
+
+
+@quick
+@given(platforms(max_gimbals=5), seeds)
+def test_the_trim_torques_balance_the_elements(platform, seed):
+    """Q0 of the linear model, with the elements, keeps the gimbals where they are while the root turns."""
+    platform = furnished(platform, seed)
+    rng = np.random.default_rng(seed + 1)
+    n = len(platform.gimbals)
+    q, Omega = rng.uniform(-1, 1, n), rng.normal(size=3)
+    model = linearise(platform, Omega=Omega, q=q)
+    still = np.concatenate([Omega, np.zeros(n)])
+    needed = inverse_dynamics(platform, q, still, np.zeros(3 + n)) - element_forces(platform, q, still)
+    np.testing.assert_allclose(model.Q0, needed[3:], atol=1e-10 * (1 + np.abs(needed).max()))
+
+
+@quick
+@given(platforms(max_gimbals=5), seeds)
+def test_unbalance_turns_by_the_gradient_of_its_potential(platform, seed):
+    """V = f·Σ R m r: the joint torques are −∂V/∂q."""
+    rng = np.random.default_rng(seed)
+    bodies = (platform.root_name, *platform.gimbal_names)
+    moments = rng.normal(size=(len(bodies), 3))
+    f = rng.normal(size=3)
+    loaded = dataclasses.replace(
+        platform,
+        unbalances=tuple(Unbalance(body=b, moment=m) for b, m in zip(bodies, moments, strict=True)),
+        specific_force=f,
+    )
+
+    def potential(q):
+        at = kinematics(platform, q)
+        return np.array([f @ np.einsum("bij,bj->i", at.rotations, moments)])
+
+    q = rng.uniform(-3, 3, len(platform.gimbals))
+    torque = element_forces(loaded, q)
+    np.testing.assert_allclose(torque[3:], -slope(potential, q)[0], atol=1e-8)
+    at = kinematics(platform, q)
+    whole = np.einsum("bij,bj->i", at.rotations, moments)
+    np.testing.assert_allclose(torque[:3], np.cross(f, whole), atol=1e-12 * (1 + np.abs(whole).max()))
+
+
+def pendulum(**more):
+    """A plate on one axis, its centre of mass hanging below."""
+    return read_platform(
+        {
+            "schema": 1,
+            "name": "pendulum",
+            "root": {"name": "base", "inertia": [1, 1, 1], "specific_force": [0, 0, 9.81]},
+            "gimbal": [{"name": "arm", "parent": "base", "axis": [1, 0, 0], "inertia": [0.02, 0.02, 0.01]}],
+            "torquer": [{"gimbal": "arm"}],
+            **more,
+        }
+    )
+
+
+def test_a_hanging_pendulum_swings_with_the_root_of_m_g_r_over_J():
+    platform = pendulum(unbalance=[{"body": "arm", "moment": [0, 0, -0.05]}])
+    poles = state_space(linearise(platform)).poles()
+    np.testing.assert_allclose(np.abs(poles.imag), np.sqrt(0.05 * 9.81 / 0.02), rtol=1e-12)
+    assert forward_dynamics(platform, [0.1], np.zeros(4), element_forces(platform, [0.1]))[3] < 0  # it falls back
+
+
+def test_a_standing_pendulum_falls():
+    platform = pendulum(unbalance=[{"body": "arm", "moment": [0, 0, 0.05]}])
+    assert max(state_space(linearise(platform)).poles().real) == pytest.approx(np.sqrt(0.05 * 9.81 / 0.02))
+
+
+def test_horizontal_acceleration_enters_as_specific_force():
+    platform = pendulum(unbalance=[{"body": "arm", "moment": [0, 0, -0.05]}])
+    sys = state_space(linearise(platform), specific_force=True)
+    assert sys.input_labels[-3:] == ["f1", "f2", "f3"]
+    # It hangs along the apparent vertical: f2/g to first order, with f pointing up.
+    np.testing.assert_allclose(sys["q_arm", "f2"].dcgain(), -1 / 9.81, rtol=1e-12)
+    free = state_space(linearise(platform), root="free", specific_force=True)
+    assert free.input_labels == ["Qarm", "M1", "M2", "M3", "f1", "f2", "f3"]
+
+
+def test_friction_opposes_and_dry_friction_differs_by_side():
+    platform = pendulum(friction=[{"gimbal": "arm", "viscous": 0.5, "coulomb": [0.2, 0.3], "coulomb_rate": 0.01}])
+    torque = [element_forces(platform, [0.0], [0, 0, 0, rate])[3] for rate in (-1.0, 0.0, 1.0)]
+    np.testing.assert_allclose(torque, [0.7, 0.0, -0.8], rtol=1e-12)
+    assert linearise(platform).Q_rate[0, 0] == -0.5
+    # An oscillation of amplitude V loses 4 V F per cycle to dry friction of mean F, pi V² d / omega to a viscous one.
+    equivalent = linearise(platform, rate_amplitude=[2.0]).Q_rate[0, 0]
+    phase = (np.arange(20000) + 0.5) * 2 * np.pi / 20000
+    rates = 2.0 * np.cos(phase)
+    lost = np.mean([element_forces(platform, [0.0], [0, 0, 0, r])[3] * r for r in rates])
+    assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-3)
+
+
+STRIBECK = {"gimbal": "arm", "coulomb": [0.2, 0.3], "breakaway": [0.5, 0.4], "stribeck_rate": 0.3, "coulomb_rate": 1e-4}
+
+
+def arm_friction(**numbers):
+    """The friction torque as a function of rates, alone on an arm."""
+    platform = pendulum(friction=[STRIBECK | numbers])
+    return lambda rates: np.array([element_forces(platform, [0.0], [0, 0, 0, r])[3] for r in np.atleast_1d(rates)])
+
+
+def test_friction_begins_with_breakaway_and_falls_to_coulomb():
+    torque = arm_friction()
+    begin = 0.3 * 0.01
+    np.testing.assert_allclose(torque([-begin, begin]), [0.5, -0.4], rtol=2e-4)
+    np.testing.assert_allclose(torque([-30.0, 30.0, -1e300, 1e300]), [0.2, -0.3] * 2, rtol=1e-14)
+    # At the Stribeck rate 1/e of the difference is left.
+    np.testing.assert_allclose(torque([-0.3, 0.3]), [0.2 + 0.3 / np.e, -0.3 - 0.1 / np.e], rtol=1e-14)
+
+
+def test_equal_breakaway_and_coulomb_are_friction_without_a_stribeck_curve():
+    rates = np.concatenate([-np.geomspace(1e-6, 1e3, 50), np.geomspace(1e-6, 1e3, 50)])
+    plain = pendulum(friction=[{"gimbal": "arm", "coulomb": [0.2, 0.3], "coulomb_rate": 1e-4}])
+    expected = [element_forces(plain, [0.0], [0, 0, 0, r])[3] for r in rates]
+    np.testing.assert_allclose(arm_friction(breakaway=[0.2, 0.3])(rates), expected, rtol=1e-14)
+
+
+@quick
+@given(
+    *(st.floats(0, 1e3) for _ in range(4)),
+    st.floats(1e-6, 1e3),
+    st.floats(1e-6, 1e3),
+    st.floats(-1e9, 1e9),
+)
+def test_friction_always_dissipates_and_never_exceeds_breakaway(low, high, more, viscous, sharp, stribeck, rate):
+    friction = Friction(
+        gimbal="arm",
+        viscous=viscous,
+        coulomb=(low, high),
+        breakaway=(low + more, high + 2 * more),
+        coulomb_rate=sharp,
+        stribeck_rate=stribeck,
+    )
+    dry = friction.dry(rate)
+    assert dry * rate >= 0.0
+    assert abs(dry) <= friction.breakaway[int(rate >= 0.0)] * (1 + 1e-12)
+
+
+@quick
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(-3, 3).map(lambda x: 10.0**x),
+    st.floats(-3, 3).map(lambda x: 10.0**x),
+)
+@example(viscous=0.0, coulomb=1.0, more=0.0, sharp=1.0, stribeck=1.0000000000000004)
+def test_no_slope_of_friction_is_steeper_than_the_steepest(viscous, coulomb, more, sharp, stribeck):
+    friction = Friction(
+        gimbal="arm",
+        viscous=viscous,
+        coulomb=(coulomb, 0.5 * coulomb),
+        breakaway=(coulomb + more, 0.5 * coulomb),
+        coulomb_rate=sharp,
+        stribeck_rate=stribeck,
+    )
+    scale = np.geomspace(1e-6, 30.0, 600)
+    rates = np.unique(np.concatenate([-scale * sharp, -scale * stribeck, scale * sharp, scale * stribeck]))
+    # Between closer rates the difference quotient is rounding; this far apart it errs by 1e-9 of the slope at most.
+    rates = rates[np.append(True, np.diff(rates) > 1e-6 * np.abs(rates[1:]))]
+    torque = np.array([viscous * r + friction.dry(float(r)) for r in rates])
+    steepest = np.abs(np.diff(torque) / np.diff(rates)).max()
+    assert steepest <= friction.steepest_slope * (1 + 1e-6) + 1e-9
+    # The bound is not idle either: at one end of the curve it is reached.
+    if friction.steepest_slope == viscous + max(friction.breakaway) / sharp:
+        assert steepest >= 0.99 * friction.steepest_slope
+
+
+def test_breakaway_follows_a_coulomb_torque_that_is_changed():
+    plain = dataclasses.replace(Friction(gimbal="arm", coulomb=(0.2, 0.3)), coulomb=(0.1, 0.1))
+    assert plain.breakaway == (0.1, 0.1)
+    curved = Friction(gimbal="arm", coulomb=(0.2, 0.3), breakaway=(0.5, 0.4), stribeck_rate=0.3)
+    assert dataclasses.replace(curved, coulomb=(0.1, 0.6)).breakaway == (0.5, 0.6)
+
+
+@pytest.mark.parametrize("amplitude", [1e-9, 0.05, 0.3, 2.0, 50.0])
+def test_the_describing_function_takes_what_a_stribeck_curve_takes(amplitude):
+    smooth = 1e-6 * amplitude
+    platform = pendulum(friction=[STRIBECK | {"viscous": 0.5, "coulomb_rate": smooth}])
+    equivalent = linearise(platform, rate_amplitude=[amplitude]).Q_rate[0, 0]
+    phase = (np.arange(20000) + 0.5) * 2 * np.pi / 20000
+    rates = amplitude * np.cos(phase)
+    lost = np.mean([element_forces(platform, [0.0], [0, 0, 0, r])[3] * r for r in rates])
+    assert equivalent * np.mean(rates**2) == pytest.approx(lost, rel=1e-6)
+
+
+def test_a_cage_with_play_pushes_and_never_pulls():
+    cage = {"gimbal": "arm", "stiffness": 100.0, "damping": 1.0, "clearance": 0.01, "angle": 0.1}
+    platform = pendulum(cage=[cage])
+    torque = {q: element_forces(platform, [q])[3] for q in (0.095, 0.105, 0.12, 0.07)}
+    assert torque[0.095] == torque[0.105] == 0.0
+    assert torque[0.12] == pytest.approx(-1.0)
+    assert torque[0.07] == pytest.approx(2.0)
+    assert element_forces(platform, [0.12], [0, 0, 0, -5.0])[3] == 0.0  # leaving fast: contact lost, no pull
+    assert element_forces(platform, [0.12], [0, 0, 0, 5.0])[3] == pytest.approx(-6.0)
+    assert linearise(platform, q=[0.1]).stiffness[0, 0] == 0.0
+    assert linearise(platform, q=[0.12]).stiffness[0, 0] == 100.0
+
+
+def test_an_erection_stops_at_its_limit_and_has_no_slope_there():
+    device = {"gimbal": "arm", "senses": "arm", "axis": [0, 1, 0], "gain": 2.0, "limit": 0.1}
+    platform = pendulum(erection=[device])
+    assert element_forces(platform, [0.01])[3] == pytest.approx(2.0 * np.sin(0.01))
+    assert element_forces(platform, [0.5])[3] == 0.1
+    assert linearise(platform).Q_angle[0, 0] == pytest.approx(2.0)
+    assert linearise(platform, q=[0.5]).Q_angle[0, 0] == 0.0
+    assert element_forces(platform, [0.5], specific_force=[0, 0, 0])[3] == 0.0
+
+
+def test_a_spring_between_pair_members_does_not_exist_but_one_each_couples_nothing():
+    platform = read_platform("three_gyro_platform")
+    held = dataclasses.replace(platform, springs=(Spring(gimbal="9", stiffness=2.0),))
+    assert subsystems(linearise(held)) == subsystems(linearise(platform))
+    np.testing.assert_allclose(linearise(held).stiffness - linearise(platform).stiffness, np.diag([0, 0, 0, 2.0, 0]))
+
+
+def test_an_erection_across_two_gimbals_couples_them():
+    platform = read_platform("three_gyro_platform")
+    across = Erection(gimbal="4", senses="10", axis=np.array([0.0, 0.0, 1.0]), gain=1.0)
+    coupled = dataclasses.replace(platform, erections=(across,), specific_force=np.array([0.0, 9.81, 0.0]))
+    assert len(subsystems(linearise(coupled))) == 1
+
+
+def test_specific_force_and_rate_amplitude_are_judged():
+    platform = with_torquers(pendulum())
+    with pytest.raises(ArgumentError, match="specific_force: given shape"):
+        element_forces(platform, [0.0], specific_force=[1.0])
+    with pytest.raises(ArgumentError, match="rate_amplitude"):
+        linearise(platform, rate_amplitude=[0.0])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"springs": (Spring(gimbal="armm", stiffness=1.0),)},
+        {"frictions": (Friction(gimbal="armm"),)},
+        {"cages": (Cage(gimbal="armm", stiffness=1.0),)},
+        {"unbalances": (Unbalance(body="armm", moment=np.ones(3)),)},
+        {"erections": (Erection(gimbal="arm", senses="armm", axis=np.eye(3)[0], gain=1.0),)},
+    ],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_an_element_on_a_body_that_is_not_there_is_named_wherever_it_is_used(wrong):
+    platform = dataclasses.replace(pendulum(), **wrong)
+    for call in (element_forces, linearise, lambda p: rollout(p, [[0.0]], np.zeros((1, 4)), steps=1)):
+        with pytest.raises(ArgumentError, match=r"platform 'pendulum': given 'armm'.*did you mean 'arm'"):
+            call(platform)
+
+
+def test_a_second_friction_on_a_gimbal_is_refused_by_the_simulation_as_by_the_file():
+    platform = dataclasses.replace(pendulum(), frictions=(Friction(gimbal="arm"), Friction(gimbal="arm")))
+    with pytest.raises(ArgumentError, match="gimbal 'arm' has more than one friction"):
+        rollout(platform, [[0.0]], np.zeros((1, 4)), steps=1)

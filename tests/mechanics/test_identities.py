@@ -1,0 +1,175 @@
+"""What holds for every platform, every state."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
+from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import derivatives
+from platform_ctrl.plant.platform import Gimbal, Platform
+from tree_cases import platforms
+
+seeds = st.integers(0, 2**32 - 1)
+quick = settings(max_examples=40, deadline=None)
+
+
+def state_of(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    return rng.uniform(-3, 3, n), rng.normal(size=3 + n), rng.normal(size=3 + n)
+
+
+@quick
+@given(platforms(), seeds)
+def test_matrix_form_equals_the_moment_recursion(platform, seed):
+    q, u, u_dot = state_of(platform, seed)
+    m = matrices(platform, q, u)
+    ours = m.A_star @ u_dot + (m.G_A + m.G_R + m.G_root) @ u
+    recursion = inverse_dynamics(platform, q, u, u_dot)
+    np.testing.assert_allclose(ours, recursion, atol=1e-11 * (1 + np.abs(recursion).max()))
+
+
+@quick
+@given(platforms(), seeds)
+def test_gyroscopic_matrix_is_skew_and_mass_matrix_positive_definite(platform, seed):
+    q, u, _ = state_of(platform, seed)
+    m = matrices(platform, q, u)
+    np.testing.assert_array_equal(m.G_R, -m.G_R.T)
+    np.testing.assert_allclose(m.A_star, m.A_star.T)
+    assert np.linalg.eigvalsh(m.A_star)[0] > 0
+    held = np.array([r.control == "regulated" for r in platform.rotors], float)
+    np.testing.assert_allclose(m.A_star, m.A + m.B.T @ (held[:, None] * m.A_R) @ m.B, atol=1e-12)
+
+
+@quick
+@given(platforms(), seeds)
+def test_derivatives_agree_with_central_differences(platform, seed):
+    q, _, _ = state_of(platform, seed)
+    change = derivatives(platform, kinematics(platform, q))
+    h = 1e-5
+    for j in range(len(q)):
+        step = h * np.eye(len(q))[j]
+        up, down = matrices(platform, q + step), matrices(platform, q - step)
+        np.testing.assert_allclose(change.A_star[j], (up.A_star - down.A_star) / (2 * h), atol=1e-7)
+        np.testing.assert_allclose(change.B[j], (up.B - down.B) / (2 * h), atol=1e-7)
+
+
+@quick
+@given(platforms(), seeds)
+def test_torque_free_motion_changes_neither_energy_nor_momentum(platform, seed):
+    """T2 and the root rows' angular momentum in inertial axes: their rates of change are zero."""
+    q, u, _ = state_of(platform, seed)
+    u_dot = forward_dynamics(platform, q, u, np.zeros(len(u)))
+    m = matrices(platform, q, u)
+    change = derivatives(platform, kinematics(platform, q))
+    A_dot = np.einsum("jxy,j->xy", change.A_star, u[3:])
+    B_dot = np.einsum("jrx,j->rx", change.B, u[3:])
+    energy_rate = u @ m.A_star @ u_dot + 0.5 * u @ A_dot @ u
+    momentum = (m.A_star @ u + m.B.T @ m.L)[:3]
+    momentum_rate = (m.A_star @ u_dot + A_dot @ u + B_dot.T @ m.L)[:3] + np.cross(u[:3], momentum)
+    size = np.abs(u_dot).max() * np.abs(m.A_star).max() + np.abs(momentum).max()
+    assert abs(energy_rate) < 1e-10 * size * (1 + np.abs(u).max())
+    np.testing.assert_allclose(momentum_rate, 0.0, atol=1e-10 * size)
+
+
+@quick
+@given(platforms(), seeds)
+def test_forward_undoes_inverse_dynamics(platform, seed):
+    q, u, u_dot = state_of(platform, seed)
+    tau = inverse_dynamics(platform, q, u, u_dot)
+    again = inverse_dynamics(platform, q, u, forward_dynamics(platform, q, u, tau))
+    np.testing.assert_allclose(again, tau, atol=1e-9 * (1 + np.abs(tau).max()))
+
+
+@quick
+@given(platforms(), seeds)
+def test_exact_linear_form_is_the_tangent_of_the_non_linear_equations(platform, seed):
+    """At any trim angles: central differences of inverse dynamics give M, G, K, M_Omega and G_Omega."""
+    q, u, _ = state_of(platform, seed)
+    n, rate = len(q), u[:3]
+    model = linearise(platform, Omega=rate, q=q)
+    trim = np.concatenate([rate, np.zeros(n)])
+    rest = inverse_dynamics(platform, q, trim, np.zeros(3 + n))[3:]
+    np.testing.assert_allclose(model.Q0, rest, atol=1e-10 * (1 + np.abs(rest).max()))
+    h = 1e-5
+    size = 1 + np.abs(model.G).max() + np.abs(model.K).max() + np.abs(model.G_Omega).max()
+    for j in range(n):
+        e = h * np.eye(n)[j]
+        slope = inverse_dynamics(platform, q + e, trim, np.zeros(3 + n)) - inverse_dynamics(
+            platform, q - e, trim, np.zeros(3 + n)
+        )
+        np.testing.assert_allclose(model.K[:, j], slope[3:] / (2 * h), atol=1e-8 * size)
+        rates = np.concatenate([np.zeros(3), e])
+        slope = inverse_dynamics(platform, q, trim + rates, 0 * trim) - inverse_dynamics(
+            platform, q, trim - rates, 0 * trim
+        )
+        np.testing.assert_allclose(model.G[:, j], slope[3:] / (2 * h), atol=1e-8 * size)
+    for a in range(3):
+        e = h * np.eye(3 + n)[a]
+        slope = inverse_dynamics(platform, q, trim + e, 0 * trim) - inverse_dynamics(platform, q, trim - e, 0 * trim)
+        np.testing.assert_allclose(model.G_Omega[:, a], slope[3:] / (2 * h), atol=1e-8 * size)
+    np.testing.assert_allclose(model.G, -model.G.T, atol=1e-12 * size)
+    np.testing.assert_allclose(model.K, model.K.T, atol=1e-12 * size)
+
+
+def test_gimbal_lock_is_named_not_solved():
+    """Three gimbals whose first and last axes fall together, without inertia of the middle one about that axis."""
+    thin = np.diag([1e-30, 1e-30, 1e-30])
+    axes = np.eye(3)
+    platform = Platform(
+        name="locked",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(name="outer", parent="base", axis=axes[0], inertia=thin, angle="a"),
+            Gimbal(name="middle", parent="outer", axis=axes[1], inertia=thin, angle="b"),
+            Gimbal(name="inner", parent="middle", axis=axes[2], inertia=np.eye(3), angle="c"),
+        ),
+    )
+    q = np.array([0.0, np.pi / 2, 0.0])
+    with pytest.raises(MechanicsError, match="can move without moving any inertia"):
+        forward_dynamics(platform, q, np.zeros(6), np.zeros(6))
+    assert np.all(np.isfinite(forward_dynamics(platform, 0 * q, np.zeros(6), np.ones(6))))
+
+
+@pytest.mark.parametrize(("lightest", "regular"), [(1e-11, True), (1e-15, False)])
+def test_a_mass_matrix_is_singular_where_no_digit_is_left(lightest, regular):
+    """Two gimbals on one axis: the outer one's own inertia is all that tells them apart."""
+    axis = np.eye(3)[0]
+    names = ("base", "outer", "inner")
+    gimbals = tuple(
+        Gimbal(name=names[k + 1], parent=names[k], axis=axis, inertia=size * np.eye(3), angle=names[k + 1])
+        for k, size in enumerate((lightest, 1.0))
+    )
+    platform = Platform(name="coaxial", root_name="base", root_inertia=np.diag([1e3] * 3), gimbals=gimbals)
+    if regular:
+        moved = forward_dynamics(platform, np.zeros(2), np.zeros(5), [0, 0, 0, 1e-11, 0.0])
+        np.testing.assert_allclose(moved[3], 1.0, rtol=1e-2)
+    else:
+        with pytest.raises(MechanicsError, match="outer, inner can move without"):
+            forward_dynamics(platform, np.zeros(2), np.zeros(5), np.zeros(5))
+
+
+def test_a_body_without_inertia_is_named():
+    platform = Platform(
+        name="nothing",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(Gimbal(name="g", parent="base", axis=np.eye(3)[0], inertia=np.zeros((3, 3)), angle="a"),),
+    )
+    with pytest.raises(MechanicsError, match="a moves no inertia"):
+        forward_dynamics(platform, [0.0], np.zeros(4), np.zeros(4))
+
+
+def test_gimbals_in_a_ring_are_refused_not_followed_for_ever():
+    ring = tuple(
+        Gimbal(name=name, parent=parent, axis=np.eye(3)[0], inertia=np.eye(3), angle=name)
+        for name, parent in (("a", "b"), ("b", "a"))
+    )
+    platform = Platform(name="ring", root_name="base", root_inertia=np.eye(3), gimbals=ring)
+    with pytest.raises(ArgumentError, match="form a ring; expected a tree"):
+        matrices(platform)

@@ -1,0 +1,117 @@
+"""The paper's rule for any tree: A constant, BᵀA_R B and G_R to first order, G_A dropped. And what symmetry removes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.mechanics import matrices
+from platform_ctrl.mechanics.kinematics import cross_matrix
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.reading import read_platform
+from tree_cases import platforms, with_torquers
+
+STEP = 1e-5
+quick = settings(max_examples=30, deadline=None)
+
+
+def root_and_gimbal_torques(platform, q, u, u_dot):
+    """[A0 + (BᵀA_R B)(q)] u̇ + G_R(q) u, with Omega × BᵀL in the root's rows: what the paper linearises."""
+    here, rest = matrices(platform, q), matrices(platform)
+    held = np.array([rotor.control == "regulated" for rotor in platform.rotors], float)
+    axial = here.B.T @ (held[:, None] * here.A_R) @ here.B
+    out = (rest.A + axial) @ u_dot + here.G_R @ u
+    out[:3] += np.cross(u[:3], (here.B.T @ here.L)[:3])
+    return out
+
+
+def central(function, n):
+    return np.stack([(function(STEP * e) - function(-STEP * e)) / (2 * STEP) for e in np.eye(n)], axis=-1)
+
+
+@quick
+@given(platforms(max_gimbals=5), st.integers(0, 2**32 - 1))
+def test_every_matrix_follows_from_the_papers_rule(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    Omega = rng.normal(size=3)
+    model = linearise(platform, Omega=Omega, terms="paper")
+    still = np.concatenate([Omega, np.zeros(n)])
+    none, zero = np.zeros(n), np.zeros(3 + n)
+    size = 1 + np.abs(model.G).max() + np.abs(model.K).max() + np.abs(model.G_Omega).max()
+
+    def torque(q, u, u_dot):
+        return root_and_gimbal_torques(platform, q, u, u_dot)[3:]
+
+    np.testing.assert_allclose(model.Q0, torque(none, still, zero), atol=1e-10 * size)
+    np.testing.assert_allclose(model.K, central(lambda q: torque(q, still, zero), n), atol=1e-7 * size)
+    rates = central(lambda r: torque(none, still + np.concatenate([np.zeros(3), r]), zero), n)
+    np.testing.assert_allclose(model.G, rates, atol=1e-7 * size)
+    omegas = central(lambda w: torque(none, still + np.concatenate([w, none]), zero), 3)
+    np.testing.assert_allclose(model.G_Omega, omegas, atol=1e-7 * size)
+    for axis in range(3):
+        change = np.zeros(3 + n)
+        change[axis] = 1.0
+        slope = central(lambda q, change=change: torque(q, still, change) - torque(q, still, zero), n)
+        np.testing.assert_allclose(model.M_Omega_q[:, axis], slope, atol=1e-7 * size)
+
+
+@quick
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_the_free_root_follows_from_the_papers_rule(platform, seed):
+    """Motions ~ e^{st} of the free model ask for the torques that drive it, in the paper's equations."""
+    rng = np.random.default_rng(seed)
+    platform = with_torquers(platform)
+    n = len(platform.gimbals)
+    Omega = rng.normal(size=3)
+    sys = state_space(linearise(platform, Omega=Omega, terms="paper"), root="free")
+    s = float(rng.uniform(0.5, 2.0))
+    response = np.asarray(sys(s)).real
+    trim = np.concatenate([Omega, np.zeros(n)])
+    for column in range(n + 3):
+        q, omega = response[:n, column], response[n:, column]
+        size = 1e-6 / max(1.0, np.abs(response[:, column]).max())
+        motion = np.concatenate([omega, s * q])
+        up, down = (
+            root_and_gimbal_torques(platform, k * size * q, trim + k * size * motion, k * size * s * motion)
+            for k in (1, -1)
+        )
+        expected = np.zeros(3 + n)
+        expected[3 + column if column < n else column - n] = 1.0
+        scale = 1 + 100 * np.abs(response[:, column]).max()
+        np.testing.assert_allclose((up - down) / (2 * size), expected, atol=1e-7 * scale)
+
+
+@quick
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_at_rest_paper_and_exact_are_the_same(platform, seed):
+    exact, paper = (linearise(platform, terms=terms) for terms in ("exact", "paper"))
+    for name in ("M", "G", "K", "M_Omega", "G_Omega", "Q0"):
+        np.testing.assert_allclose(getattr(exact, name), getattr(paper, name), atol=1e-10)
+
+
+@pytest.mark.parametrize("terms", ["exact", "paper"])
+def test_with_equal_momenta_the_pair_does_not_feel_Omega3_and_Omega1_does_not_hold_alpha4(terms):
+    """Facts of section 4: L6 = L8."""
+    platform = read_platform("three_gyro_platform")
+    rest = linearise(platform, terms=terms)
+    assert abs(rest.G_Omega[0, 2]) < 1e-15
+    turning = linearise(platform, Omega=(1.0, 0.0, 0.0), terms="paper")
+    assert abs(turning.K[0, 0]) < 1e-15
+    np.testing.assert_allclose(np.diag(turning.K)[1:3], [0.15, -0.15])  # stable for 5, unstable for 7
+
+
+def test_gyroscopic_restraint_is_stable_when_rotor_and_platform_turn_in_the_same_sense():
+    platform = read_platform("three_gyro_platform")
+    for sign in (1.0, -1.0):
+        K = linearise(platform, Omega=(0.0, sign, 0.0), terms="paper").K
+        np.testing.assert_allclose(np.diag(K)[3:], [0.15 * sign, 0.15 * sign])
+
+
+def test_root_momentum_is_h0():
+    """(L6 − L8, L11, 0), and the skew block that stands in the root's rows."""
+    platform = read_platform("three_gyro_platform")
+    h0 = linearise(platform).root_momentum
+    np.testing.assert_allclose(h0, [0.0, 0.15, 0.0], atol=1e-15)
+    np.testing.assert_allclose(matrices(platform).G_root[:3, :3], -cross_matrix(h0))

@@ -1,0 +1,442 @@
+"""Linear in the angles, not in Omega(t): against the table of coefficients, `linearise` and the full equations."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import linprog
+
+from platform_ctrl.errors import ArgumentError, MechanicsError
+from platform_ctrl.mechanics import element_forces, inverse_dynamics, matrices
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.parameter_varying import monomial_values, parameter_varying
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance
+from platform_ctrl.plant.platform import Torquer
+from platform_ctrl.plant.reading import read_platform
+from tree_cases import platforms, with_torquers
+
+FORMS = pytest.mark.parametrize("form", ["rates", "momenta"])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(scope="module")
+def platform():
+    return read_platform("three_gyro_platform")
+
+
+def unequal(platform):
+    """The three-gyro platform with inertias and angular momenta that are all different."""
+    gimbals = tuple(
+        dataclasses.replace(g, inertia=np.diag([3.1 + 0.3 * k, 3.7 - 0.2 * k, 2.9 + 0.1 * k**2]) * 1e-4)
+        for k, g in enumerate(platform.gimbals)
+    )
+    rotors = tuple(
+        dataclasses.replace(r, angular_momentum=0.11 + 0.03 * k, axial_inertia=1.2e-4 + 1e-5 * k)
+        for k, r in enumerate(platform.rotors)
+    )
+    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
+
+
+def with_elements(platform, rng):
+    """The platform with a spring and friction on every gimbal and an unbalanced body."""
+    names = platform.gimbal_names
+    return dataclasses.replace(
+        platform,
+        springs=tuple(Spring(gimbal=name, stiffness=float(rng.normal()), rest=0.1) for name in names),
+        frictions=tuple(Friction(gimbal=name, viscous=float(rng.uniform(0, 1))) for name in names),
+        unbalances=(Unbalance(body=names[-1], moment=rng.normal(size=3)),),
+        specific_force=rng.normal(size=3),
+    )
+
+
+def table(platform):
+    """Coefficients of the exact equations, derived symbolically from the kinetic energy, by row, term and monomial."""
+    I4, I5, I7, I9, I10 = (np.diag(g.inertia) for g in platform.gimbals)
+    r6, r8, r11 = platform.rotors
+    K5 = I5 + np.array([r6.axial_inertia, r6.transverse_inertia, r6.transverse_inertia])
+    K7 = I7 + np.array([r8.axial_inertia, r8.transverse_inertia, r8.transverse_inertia])
+    K10 = I10 + np.array([r11.transverse_inertia, r11.axial_inertia, r11.transverse_inertia])
+    S, N = I4 + K5 + K7, I9 + K10
+    L6, L8, L11 = (r.angular_momentum for r in platform.rotors)
+    a4, b5, b7, a9, b10 = range(5)
+    G = {
+        (a4, b5): {"1": L6, "Omega1": K5[0] - K5[1] - K5[2]},
+        (a4, b7): {"1": L8, "Omega1": -K7[0] + K7[1] + K7[2]},
+        (a9, b10): {"1": L11, "Omega2": -K10[0] + K10[1] - K10[2]},
+    }
+    G |= {(j, i): {name: -c for name, c in entry.items()} for (i, j), entry in G.items()}
+    s, n, k5, k7, k10 = S[0] - S[2], N[0] - N[1], K5[0] - K5[1], K7[0] - K7[1], K10[1] - K10[2]
+    K = {
+        (a4, a4): {"Omega1": L6 - L8, "Omega1^2": s, "Omega3^2": -s},
+        (a4, b5): {"Omega1'": k5, "Omega2*Omega3": k5},
+        (a4, b7): {"Omega1'": -k7, "Omega2*Omega3": -k7},
+        (b5, a4): {"Omega1'": K5[2], "Omega2*Omega3": k5},
+        (b5, b5): {"Omega1": L6, "Omega1^2": k5, "Omega2^2": -k5},
+        (b7, a4): {"Omega1'": -K7[2], "Omega2*Omega3": -k7},
+        (b7, b7): {"Omega1": -L8, "Omega1^2": k7, "Omega2^2": -k7},
+        (a9, a9): {"Omega2": L11, "Omega1^2": n, "Omega2^2": -n},
+        (a9, b10): {"Omega2'": k10, "Omega1*Omega3": k10},
+        (b10, a9): {"Omega2'": K10[0], "Omega1*Omega3": k10},
+        (b10, b10): {"Omega2": L11, "Omega2^2": k10, "Omega3^2": -k10},
+    }
+    Q0 = {
+        a4: {"Omega3": L6 - L8, "Omega1*Omega3": s},
+        b5: {"Omega2": -L6, "Omega1*Omega2": -k5},
+        b7: {"Omega2": -L8, "Omega1*Omega2": k7},
+        a9: {"Omega1": L11, "Omega1*Omega2": -n},
+        b10: {"Omega3": -L11, "Omega2*Omega3": -k10},
+    }
+    M = np.diag([S[1], K5[2], K7[2], N[2], K10[0]])
+    M_Omega = np.zeros((5, 3))
+    M_Omega[range(5), [1, 2, 2, 2, 0]] = [S[1], K5[2], -K7[2], N[2], K10[0]]
+    return M, M_Omega, {"G": G, "K": K, "Q0": Q0}
+
+
+def test_coefficients_of_the_three_gyro_platform_are_those_of_the_table(platform):
+    platform = unequal(platform)
+    model = parameter_varying(platform)
+    M, M_Omega, rows = table(platform)
+    np.testing.assert_allclose(model.M, M, atol=1e-18)
+    np.testing.assert_allclose(model.M_Omega, M_Omega, atol=1e-18)
+    for kind, expected in rows.items():
+        polynomial = getattr(model, kind)
+        assert set(polynomial.monomials) == {name for entry in expected.values() for name in entry}
+        for name in polynomial.monomials:
+            dense = np.zeros(polynomial.coefficients.shape[1:])
+            for place, entry in expected.items():
+                dense[place] = entry.get(name, 0.0)
+            np.testing.assert_allclose(polynomial[name], dense, rtol=1e-12, atol=1e-18, err_msg=f"{kind} {name}")
+
+
+def test_with_the_papers_rule_27_is_left(platform):
+    platform = unequal(platform)
+    model = parameter_varying(platform, terms="paper")
+    C6, C8, C11 = (r.axial_inertia for r in platform.rotors)
+    assert set(model.G.monomials) == {"1"}
+    assert set(model.K.monomials) == {"Omega1", "Omega2", "Omega1'", "Omega2'"}
+    assert set(model.Q0.monomials) == {"Omega1", "Omega2", "Omega3"}
+    changes = np.zeros((5, 5))
+    changes[0, 1], changes[0, 2] = C6, -C8
+    np.testing.assert_allclose(model.K["Omega1'"], changes, atol=1e-18)
+    changes = np.zeros((5, 5))
+    changes[3, 4] = C11
+    np.testing.assert_allclose(model.K["Omega2'"], changes, atol=1e-18)
+    _, _, rows = table(platform)
+    for kind in ("G", "K", "Q0"):
+        for name in ("1", "Omega1", "Omega2", "Omega3") if kind != "G" else ("1",):
+            for place, entry in rows[kind].items():
+                assert getattr(model, kind)[name][place] == pytest.approx(entry.get(name, 0.0), rel=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(platforms(max_gimbals=4), SEEDS, st.sampled_from(["exact", "paper"]))
+def test_at_constant_rate_it_is_the_linear_model_at_that_rate(platform, seed, terms):
+    rng = np.random.default_rng(seed)
+    platform = with_elements(platform, rng)
+    q, Omega = rng.uniform(-1, 1, len(platform.gimbals)), rng.normal(size=3) * 3
+    frozen = parameter_varying(platform, q=q, terms=terms).at(Omega)
+    model = linearise(platform, Omega, terms, q)
+    size = 1.0 + np.abs(model.K).max() + np.abs(model.G).max() + np.abs(model.Q0).max()
+    np.testing.assert_allclose(frozen.M, model.M)
+    np.testing.assert_allclose(frozen.G, model.damping, atol=1e-12 * size)
+    np.testing.assert_allclose(frozen.K, model.stiffness, atol=1e-12 * size)
+    np.testing.assert_allclose(frozen.forcing, model.Q0, atol=1e-12 * size)
+
+
+def test_specific_force_and_rate_amplitude_are_those_of_the_linear_model(platform):
+    platform = dataclasses.replace(
+        with_elements(platform, np.random.default_rng(1)),
+        frictions=(Friction(gimbal="9", viscous=0.1, coulomb=(0.02, 0.04)),),
+    )
+    Omega, f, amplitude = (0.3, -0.2, 0.5), (3.0, -9.0, 1.0), np.linspace(0.1, 0.5, 5)
+    frozen = parameter_varying(platform, specific_force=f, rate_amplitude=amplitude).at(Omega)
+    model = linearise(platform, Omega, specific_force=f, rate_amplitude=amplitude)
+    for got, expected in ((frozen.K, model.stiffness), (frozen.G, model.damping), (frozen.forcing, model.Q0)):
+        np.testing.assert_allclose(got, expected, atol=1e-12 * (1 + np.abs(expected).max()))
+    own = linearise(platform, Omega)
+    assert np.abs(own.stiffness - model.stiffness).max() > 1.0
+    assert model.damping[3, 3] - own.damping[3, 3] == pytest.approx(4 / np.pi * 0.03 / amplitude[3])
+
+
+def test_a_quarter_turn_exchanges_monomials_and_leaves_no_rounding(platform):
+    """With gimbal 4 a quarter turned the rotors point along axis 3, and cos 90° is 6e-17."""
+    turned = parameter_varying(platform, gimbals=("5", "7"), q=(np.pi / 2, 0, 0, 0, 0))
+    straight = parameter_varying(platform, gimbals=("5", "7"))
+    exchange = str.maketrans("13", "31")
+    for kind in ("G", "K", "Q0"):
+        monomials = {
+            "*".join(sorted(name.translate(exchange).split("*"))) for name in getattr(straight, kind).monomials
+        }
+        assert set(getattr(turned, kind).monomials) == monomials
+    assert abs(turned.K["Omega3"][0, 0]) == pytest.approx(0.15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(platforms(max_gimbals=4), SEEDS)
+def test_it_is_the_first_order_part_of_the_moment_balance(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    platform = with_elements(platform, rng)
+    q0, Omega, Omega_dot = rng.uniform(-1, 1, n), rng.normal(size=3), rng.normal(size=3)
+    deviation, rates, accelerations = rng.normal(size=(3, n))
+    step = 1e-4
+
+    def torque(size):
+        velocity = np.concatenate([Omega, size * rates])
+        forces = inverse_dynamics(
+            platform, q0 + size * deviation, velocity, np.concatenate([Omega_dot, size * accelerations])
+        )
+        return (forces - element_forces(platform, q0 + size * deviation, velocity))[3:]
+
+    rows = parameter_varying(platform, q=q0).at(Omega, Omega_dot)
+    linear = rows.M @ accelerations + rows.G @ rates + rows.K @ deviation
+    size = 1.0 + np.abs(torque(0.0)).max() + np.abs(linear).max()
+    np.testing.assert_allclose(rows.forcing, torque(0.0), atol=1e-11 * size)
+    np.testing.assert_allclose(linear, (torque(step) - torque(-step)) / (2 * step), atol=1e-5 * size)
+
+
+@FORMS
+def test_poles_at_a_constant_rate_are_those_of_the_linear_model(platform, form):
+    Omega = (3.0, -2.0, 1.0)
+    frozen = parameter_varying(platform, form=form).state_space(Omega)
+    expected = state_space(linearise(platform, Omega)).poles()
+    np.testing.assert_allclose(
+        np.sort(np.abs(frozen.poles().imag)), np.sort(np.abs(expected.imag)), rtol=1e-8, atol=1e-6
+    )
+    assert frozen.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
+    assert frozen.input_labels[:5] == ["Q4", "Q5", "Q7", "Q9", "Q10"]
+
+
+def manoeuvre(t):
+    return np.array([2.0 * np.sin(3 * t), 1.0 + np.cos(2 * t), 1.5 * np.sin(t) ** 2])
+
+
+def manoeuvre_change(t):
+    return np.array([6.0 * np.cos(3 * t), -2.0 * np.sin(2 * t), 3.0 * np.sin(t) * np.cos(t)])
+
+
+def small_three_body(rng_seed=3):
+    """A random platform whose gyroscopes are slow enough to integrate in no time."""
+    rng = np.random.default_rng(rng_seed)
+    platform = read_platform("three_gyro_platform")
+    gimbals = tuple(dataclasses.replace(g, inertia=np.diag(rng.uniform(0.8, 1.2, 3))) for g in platform.gimbals)
+    rotors = tuple(
+        dataclasses.replace(
+            r, angular_momentum=float(rng.uniform(4, 6)), axial_inertia=0.9, transverse_inertia=0.6, control=control
+        )
+        for r, control in zip(platform.rotors, ("regulated", "free", "regulated"), strict=True)
+    )
+    return dataclasses.replace(platform, gimbals=gimbals, rotors=rotors)
+
+
+@FORMS
+def test_along_a_manoeuvre_the_error_is_of_second_order_in_the_angles(form):
+    platform = small_three_body()
+    n = len(platform.gimbals)
+    model = parameter_varying(platform, form=form)
+    times = np.linspace(0.0, 1.0, 9)
+    start = np.array([1.0, -0.5, 0.7, 0.4, -0.8])
+
+    def caging(t):
+        return model.at(manoeuvre(t), manoeuvre_change(t)).forcing
+
+    def exact(t, x):
+        q, velocity = x[:n], np.concatenate([manoeuvre(t), x[n:]])
+        bias = inverse_dynamics(platform, q, velocity, np.concatenate([manoeuvre_change(t), np.zeros(n)]))[3:]
+        inertia = matrices(platform, q).A_star[3:, 3:]
+        return np.concatenate([x[n:], np.linalg.solve(inertia, caging(t) - bias)])
+
+    def linear(t, x):
+        change = manoeuvre_change if form == "rates" else None
+        return model.rhs(t, x, manoeuvre, change, caging)
+
+    errors = []
+    for size in (0.02, 0.01):
+        keep = {"t_span": (0.0, 1.0), "t_eval": times, "rtol": 1e-7, "atol": 1e-9}
+        full = solve_ivp(exact, y0=np.concatenate([size * start, np.zeros(n)]), **keep).y[:n]
+        first = solve_ivp(linear, y0=model.state(size * start, np.zeros(n), manoeuvre(0.0)), **keep).y[:n]
+        errors.append(np.abs(full - first).max())
+    assert errors[0] < 0.2 * 0.02
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_both_forms_move_alike_and_the_momenta_need_no_acceleration():
+    platform = small_three_body()
+    q, rates = np.array([0.3, -0.1, 0.2, 0.1, 0.0]), np.array([0.0, 0.5, 0.0, -0.3, 0.1])
+    runs = []
+    for form, change in (("rates", manoeuvre_change), ("momenta", None)):
+        model = parameter_varying(platform, form=form)
+        run = solve_ivp(
+            model.rhs, (0, 1), model.state(q, rates, manoeuvre(0)), args=(manoeuvre, change), rtol=1e-8, atol=1e-10
+        )
+        runs.append(run.y[:5, -1])
+        assert any(name.endswith("'") for name in model.affine().parameters) == (form == "rates")
+    np.testing.assert_allclose(runs[0], runs[1], atol=1e-7)
+
+
+def test_held_gimbals_leave_the_rows_of_the_others(platform):
+    q = np.array([0.2, 0.0, 0.0, 0.0, 0.0])
+    model = parameter_varying(platform, gimbals=("7", "5"), q=q)
+    assert model.gimbals == ("5", "7")
+    assert model.affine().states == ("beta5", "beta7", "p_beta5", "p_beta7")
+    assert model.affine().inputs == ("Q5", "Q7", "d_p_beta5", "d_p_beta7")
+    Omega, Omega_dot, pair = np.array([1.0, 2.0, -1.0]), np.array([0.5, 3.0, 1.0]), np.array([1e-5, -2e-5])
+    rows = model.at(Omega, Omega_dot)
+    for size in (0.0, 1.0):
+        angles = q + size * np.array([0, *pair, 0, 0])
+        velocity = np.concatenate([Omega, np.zeros(5)])
+        full = inverse_dynamics(platform, angles, velocity, np.concatenate([Omega_dot, np.zeros(5)]))[[4, 5]]
+        np.testing.assert_allclose(rows.forcing + size * rows.K @ pair, full, atol=1e-12)
+
+
+@FORMS
+def test_every_manoeuvre_stays_within_the_vertices(platform, form):
+    model = parameter_varying(unequal(platform), gimbals=("9", "10"), form=form)
+    affine = model.affine()
+    most, fastest = np.array([1.0, 2.0, 0.5]), np.array([3.0, 10.0, 0.0])
+    vertices = model.vertices(most, fastest)
+    corners = np.array([vertex.parameters for vertex in vertices])
+    assert len(vertices) == 2 ** len(affine.parameters)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        rho = monomial_values(affine.parameters, rng.uniform(-most, most), rng.uniform(-fastest, fastest))
+        assert np.all((corners.min(axis=0) <= rho) & (rho <= corners.max(axis=0)))
+    Omega, change = rng.uniform(-most, most), rng.uniform(-fastest, fastest)
+    frozen = model.state_space(Omega, change).A
+    flat = np.array([vertex.system.A.ravel() for vertex in vertices]).T
+    scale = np.abs(flat).max(axis=1) + 1e-300
+    found = linprog(
+        np.zeros(len(vertices)),
+        A_eq=np.vstack([flat / scale[:, None], np.ones(len(vertices))]),
+        b_eq=np.append(frozen.ravel() / scale, 1.0),
+    )
+    assert found.success
+    np.testing.assert_allclose(flat @ found.x / scale, frozen.ravel() / scale, atol=1e-6)
+
+
+def test_squares_are_not_negative_at_vertices_and_a_rate_that_is_zero_halves_their_number(platform):
+    model = parameter_varying(platform, gimbals=("9", "10"), form="momenta")
+    names = model.affine().parameters
+    assert names == ("Omega2", "Omega1^2", "Omega1*Omega3", "Omega2^2", "Omega3^2")
+    assert {v.parameters[names.index("Omega2^2")] for v in model.vertices((1, 2, 1))} == {0.0, 4.0}
+    assert {v.parameters[names.index("Omega1*Omega3")] for v in model.vertices((3, 2, 1))} == {-3.0, 3.0}
+    assert len(model.vertices((1, 1, 1))) == 32
+    assert len(model.vertices((1, 1, 0))) == 8
+    assert len(model.vertices((0, 0, 0))) == 1
+
+
+def test_a_grid_holds_the_frozen_systems(platform):
+    model = parameter_varying(platform, gimbals=("9", "10"))
+    points = model.grid(3, (1.0, 2.0, 0.0))
+    rates = [tuple(point.Omega.tolist()) for point in points]
+    assert rates == list(itertools.product((-1.0, 0.0, 1.0), (-2.0, 0.0, 2.0), (0.0,)))
+    for point in points:
+        np.testing.assert_array_equal(point.system.A, model.state_space(point.Omega).A)
+    assert len(model.grid((1, 3, 1, 1, 5, 1), (1, 1, 1), (1, 1, 1))) == 15
+    assert len(model.grid((1, 3, 1), (1, 1, 1), (1, 1, 1))) == 3
+
+
+@pytest.mark.parametrize(
+    "points", [np.int64(3), np.array(3), np.array([3, 3, 1]), [3, np.int32(3), 1], (3, 3, 1, 1, 1, 1)]
+)
+def test_whole_numbers_of_any_type_count_points(platform, points):
+    model = parameter_varying(platform, gimbals=("9", "10"))
+    expected = model.grid(3, (1.0, 2.0, 0.0))
+    for got, point in zip(model.grid(points, (1.0, 2.0, 0.0)), expected, strict=True):
+        np.testing.assert_array_equal(got.Omega, point.Omega)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        2.5,
+        None,
+        True,
+        np.True_,
+        0,
+        -1,
+        "3",
+        (3, 3),
+        (3, True, 3),
+        (3, 2.0, 3),
+        np.ones((3, 3), int),
+        np.ones(3),
+        [[3]] * 3,
+    ],
+)
+def test_what_counts_no_points_is_one_line(platform, points):
+    with pytest.raises(
+        ArgumentError, match=r"points: given .*; expected a whole number >= 1, or three, or six"
+    ) as told:
+        parameter_varying(platform, gimbals=("9", "10")).grid(points, (1.0, 1.0, 1.0))
+    assert "\n" not in str(told.value)
+
+
+def test_two_torquers_on_one_gimbal_are_two_inputs(platform):
+    platform = dataclasses.replace(platform, torquers=(*platform.torquers, Torquer(name="spare", gimbal="9")))
+    affine = parameter_varying(platform, gimbals=("9",)).affine()
+    assert affine.inputs == ("Q9", "spare", "d_p_alpha9")
+    np.testing.assert_array_equal(affine.B, [[0, 0, 0], [1, 1, 1]])
+
+
+@settings(max_examples=10, deadline=None)
+@given(platforms(max_gimbals=3), SEEDS)
+def test_the_state_space_forms_are_the_second_order_rows(platform, seed):
+    rng = np.random.default_rng(seed)
+    platform = with_elements(with_torquers(platform), rng)
+    n = len(platform.gimbals)
+    q, rates, Q = rng.normal(size=(3, n))
+    Omega = rng.normal(size=3)
+    for form in ("rates", "momenta"):
+        model = parameter_varying(platform, form=form)
+        rows, x = model.at(Omega), model.state(q, rates, Omega)
+        derivative = model.rhs(0.0, x, Omega, None, Q)
+        np.testing.assert_allclose(derivative[:n], rates, atol=1e-9)
+        # At a constant rate: d(state)/dt = state(q̇, q̈) without the constant part.
+        accelerations = np.linalg.solve(rows.M, Q - rows.forcing - rows.G @ rates - rows.K @ q)
+        change = model.state(rates, accelerations, Omega) - model.state(np.zeros(n), np.zeros(n), Omega)
+        np.testing.assert_allclose(derivative, change, rtol=1e-8, atol=1e-8 * (1 + np.abs(change).max()))
+
+
+def test_mistakes_are_one_line(platform):
+    model = parameter_varying(platform)
+    with pytest.raises(ArgumentError, match="did you mean '10'"):
+        parameter_varying(platform, gimbals=("Q10",))
+    with pytest.raises(ArgumentError, match="form: given 'p'"):
+        parameter_varying(platform, form="p")
+    with pytest.raises(ArgumentError, match="expected a sequence of names"):
+        parameter_varying(platform, gimbals="9")
+    with pytest.raises(ArgumentError, match="gimbals: given 9; expected a sequence of names"):
+        parameter_varying(platform, gimbals=9)
+    with pytest.raises(ArgumentError, match=r"gimbals: given 9 among the names; expected a sequence of names"):
+        parameter_varying(platform, gimbals=(9, "10"))
+    with pytest.raises(ArgumentError, match=r"gimbals: given array\(.*; expected a sequence of names"):
+        parameter_varying(platform, gimbals=np.array([["9", "10"]]))
+    with pytest.raises(ArgumentError, match="expected at least one"):
+        parameter_varying(platform, gimbals=())
+    with pytest.raises(ArgumentError, match="has none; expected at least one"):
+        parameter_varying(dataclasses.replace(platform, gimbals=(), rotors=(), torquers=()))
+    with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
+        model.K["Omega4"]
+    with pytest.raises(ArgumentError, match="monomial: given 'Omega4'"):
+        monomial_values(("Omega4",))
+    with pytest.raises(ArgumentError, match="form='momenta'"):
+        model.rhs(0.0, np.zeros(10), manoeuvre)
+    with pytest.raises(ArgumentError, match=">= 0"):
+        model.vertices((-1, 1, 1))
+    with pytest.raises(ArgumentError, match="points: given 0"):
+        model.grid(0, (1, 1, 1))
+    with pytest.raises(ArgumentError, match="27000 in all"):
+        model.grid(30, (1, 1, 1))
+
+
+def test_a_gimbal_that_moves_no_inertia_is_named(platform):
+    gimbals = tuple(dataclasses.replace(g, inertia=np.zeros((3, 3))) if g.name == "9" else g for g in platform.gimbals)
+    still = dataclasses.replace(platform, gimbals=gimbals[:4], rotors=(), torquers=())
+    with pytest.raises(MechanicsError, match="alpha9"):
+        parameter_varying(still, gimbals=("9",)).affine()

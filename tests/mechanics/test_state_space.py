@@ -1,0 +1,308 @@
+"""State-space models: signals, physics of section 4 of the paper, and agreement with the second-order equations."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mechanics.test_forces import furnished
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space, subsystems
+from platform_ctrl.plant.force_elements import Unbalance
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.reading import read_platform
+from tree_cases import platforms, with_torquers
+
+L, J4, J5, J9, J10 = 0.15, 8e-4, 2e-4, 5e-4, 2e-4
+
+
+@pytest.fixture(scope="module")
+def platform():
+    return read_platform("three_gyro_platform")
+
+
+def test_signal_names_and_order(platform):
+    sys = state_space(linearise(platform))
+    assert sys.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10", "Omega1", "Omega2", "Omega3"]
+    assert sys.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10"]
+    free = state_space(linearise(platform), root="free")
+    assert free.input_labels == ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
+    assert free.output_labels == ["alpha4", "beta5", "beta7", "alpha9", "beta10", "Omega1", "Omega2", "Omega3"]
+    assert sys[["alpha9"], ["Omega1"]].ninputs == 1
+
+
+@pytest.mark.parametrize("Omega", [(0, 0, 0), (1, 0, 0), (0.3, -0.8, 0.5)])
+@pytest.mark.parametrize("terms", ["exact", "paper"])
+def test_the_gimbals_fall_apart_into_4_5_7_and_9_10(platform, Omega, terms):
+    assert subsystems(linearise(platform, Omega=Omega, terms=terms)) == (("4", "5", "7"), ("9", "10"))
+
+
+def right_angled(seed, n=4):
+    """A tree of balanced gimbals and rotors with all axes along 1, 2 or 3: many of its equations are not coupled."""
+    rng = np.random.default_rng(seed)
+    axes, names = np.eye(3), ["base"] + [f"g{k}" for k in range(n)]
+    plate = rng.uniform(1.0, 1.5, (n, 3))
+    return Platform(
+        name="right angles",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(
+                name=names[1 + k],
+                parent=names[rng.integers(0, 1 + k)],
+                axis=axes[rng.integers(3)],
+                inertia=np.diag(plate[k]),
+                angle=f"q{k}",
+            )
+            for k in range(n)
+        ),
+        rotors=(
+            Rotor(
+                name="wheel",
+                carrier=names[n],
+                axis=axes[rng.integers(3)],
+                axial_inertia=0.3,
+                transverse_inertia=0.2,
+                angular_momentum=float(rng.choice([0.0, 2.0])),
+            ),
+        ),
+    )
+
+
+def coupled_by_differences(platform, Omega):
+    """Groups of gimbals by central differences of the equations of motion (11) at a constant Omega."""
+    n, step = len(platform.gimbals), 1e-4
+
+    def torques(at):
+        q, rates, accelerations = at.reshape(3, n)
+        rates, accelerations = np.r_[Omega, rates], np.r_[np.zeros(3), accelerations]
+        return inverse_dynamics(platform, q, rates, accelerations)[3:]
+
+    slope = np.array([torques(step * e) - torques(-step * e) for e in np.eye(3 * n)]) / (2.0 * step)
+    either = (np.abs(slope).reshape(3, n, n) > 1e-6).any(axis=0)
+    either = np.linalg.matrix_power(np.eye(n) + either + either.T, n) > 0
+    return sorted({tuple(platform.gimbal_names[k] for k in np.flatnonzero(row)) for row in either})
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("Omega", [(0, 0, 0), (0.7, 0, 0), (0, -0.4, 0.9), (0.7, -0.4, 0.9)])
+def test_subsystems_are_those_of_the_equations_of_motion_at_a_constant_rate(seed, Omega):
+    platform = right_angled(seed)
+    assert sorted(subsystems(linearise(platform, Omega=Omega))) == coupled_by_differences(platform, Omega)
+
+
+def test_yaw_and_pitch_of_a_balanced_two_axis_gimbal_are_coupled_by_a_rate_across_both_alone():
+    two = Platform(
+        name="two axes",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(name="yaw", parent="base", axis=np.eye(3)[2], inertia=np.diag([0.05, 0.06, 0.07]), angle="psi"),
+            Gimbal(name="pitch", parent="yaw", axis=np.eye(3)[1], inertia=np.diag([0.02, 0.03, 0.04]), angle="theta"),
+        ),
+    )
+    apart, together = (("yaw",), ("pitch",)), (("yaw", "pitch"),)
+    for Omega, expected in (((0, 0, 0), apart), ((0, 0.5, 0), apart), ((0, 0, 0.5), apart), ((0.5, 0, 0), together)):
+        model = linearise(two, Omega=Omega)
+        assert subsystems(model) == expected
+        # What Omega' multiplies is there all the same: for manoeuvres.
+        assert np.abs(model.M_Omega_q[0, :, 1]).max() > 0.01
+    still = state_space(linearise(two), gimbals=["yaw"])
+    assert still.nstates == 2
+    with pytest.raises(ArgumentError, match=r"yaw and pitch are coupled at Omega1 = 0\.5 rad/s"):
+        state_space(model, gimbals=["yaw"])
+
+
+def test_a_rotor_along_the_inner_axis_does_not_couple_it_to_the_outer_however_fast():
+    """A free rotor's L pushes about no axis that is its own; what rounding leaves of it is no coupling."""
+    axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    across = np.array([3.0, 0.0, -1.0]) / np.sqrt(10.0)
+    plate = np.outer(axis, axis) + np.eye(3)
+    bodies = [("outer", "base", across), ("inner", "outer", axis)]
+    platform = Platform(
+        name="ring in ring",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(name=name, parent=parent, axis=along, inertia=1e-4 * plate, angle=f"q_{name}")
+            for name, parent, along in bodies
+        ),
+        rotors=(
+            Rotor(
+                name="wheel",
+                carrier="inner",
+                axis=axis,
+                axial_inertia=1e-3,
+                transverse_inertia=6e-4,
+                angular_momentum=1e3,
+                control="free",
+            ),
+        ),
+    )
+    assert subsystems(linearise(platform, terms="paper")) == (("outer",), ("inner",))
+
+
+@pytest.mark.parametrize(
+    ("along", "given_here"), [((0.7, 0.5, 0.3), True), ((0.7, 0.5, 0.3), False), ((0, 0, 1), False)]
+)
+def test_rounding_of_unbalance_couples_nothing(along, given_here):
+    """A mass moment along the inner axis makes no stiffness across the axes, however large, but for rounding."""
+    turn, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(3, 3)))
+    f = 9.81 * np.array(along) @ turn  # (0, 0, 1): at right angles to both axes
+    platform = Platform(
+        name="gimbals",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(name=name, parent=parent, axis=turn[k], inertia=1e-4 * np.eye(3), angle=f"q_{name}")
+            for k, (name, parent) in enumerate([("outer", "base"), ("inner", "outer")])
+        ),
+        unbalances=(Unbalance(body="inner", moment=1e3 * turn[1]),),
+        specific_force=np.zeros(3) if given_here else f,
+    )
+    model = linearise(platform, terms="paper", specific_force=f)
+    assert subsystems(model) == (("outer",), ("inner",))
+    askew = dataclasses.replace(
+        platform, unbalances=(Unbalance(body="inner", moment=1e3 * turn[1] + 1e-8 * (turn[0] + turn[2])),)
+    )
+    assert subsystems(linearise(askew, terms="paper", specific_force=f + turn[1])) == (("outer", "inner"),)
+
+
+def test_nutation_frequencies(platform):
+    model = linearise(platform)
+    fast = np.abs(state_space(model, gimbals=("9", "10")).poles()).max()
+    assert fast == pytest.approx(L / np.sqrt(J9 * J10), rel=1e-9)
+    fast = np.abs(state_space(model, gimbals=("4", "5", "7")).poles()).max()
+    assert fast == pytest.approx(np.sqrt(2) * L / np.sqrt(J4 * J5), rel=1e-9)
+
+
+def test_free_gyros_keep_their_direction_on_a_slowly_turning_platform(platform):
+    """α4 = −θ2, α9 = −θ3, β10 = −θ1, β5 = −θ3, β7 = +θ3: the transfer functions Omega → angle at low frequency."""
+    sys = state_space(linearise(platform))
+    s = 1e-3j
+    response = np.asarray(sys(s))[:, 5:] * s
+    expected = np.array([[0, -1, 0], [0, 0, -1], [0, 0, 1], [0, 0, -1], [-1, 0, 0]])
+    np.testing.assert_allclose(response, expected, atol=1e-5)
+
+
+def test_caged_gyros_measure_the_rate(platform):
+    """Steady torques that hold the angles at zero: Q9 = L Omega1, Q10 = −L Omega3, Q5 + Q7 = −2 L Omega2."""
+    model = linearise(platform)
+    torque = model.G_Omega
+    np.testing.assert_allclose(torque[3], [L, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(torque[4], [0, 0, -L], atol=1e-15)
+    np.testing.assert_allclose(torque[1] + torque[2], [0, -2 * L, 0], atol=1e-15)
+    np.testing.assert_allclose(torque[0], 0, atol=1e-15)
+
+
+def test_two_axis_gyro_conserves_its_momentum_component(platform):
+    """J9 α̇9 + L11 β10 is constant on a fixed platform while Q9 = 0: a left null vector of A."""
+    sys = state_space(linearise(platform), gimbals=("9", "10"))
+    conserved = np.array([0, L, 1, 0])  # states α9, β10, p9 = J9 α̇9, p10
+    np.testing.assert_allclose(conserved @ sys.A, 0, atol=1e-12)
+    assert np.abs(conserved @ sys.B[:, sys.input_labels.index("Q10")]) == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1), st.sampled_from(["exact", "paper"]))
+def test_momentum_states_solve_the_second_order_equations(platform, seed, terms):
+    """q(s) from the state space satisfies (M s² + G s + K) q = Q − (M_Omega s + G_Omega) ω at any s."""
+    rng = np.random.default_rng(seed)
+    platform = with_torquers(platform)
+    model = linearise(platform, Omega=rng.normal(size=3), terms=terms)
+    sys = state_space(model)
+    s = complex(rng.normal(), 3 * rng.normal()) * 2
+    response = np.asarray(sys(s))
+    n = len(platform.gimbals)
+    left = (model.M * s**2 + model.G * s + model.K) @ response
+    right = np.hstack([np.eye(n), -(model.M_Omega * s + model.G_Omega)])
+    np.testing.assert_allclose(left, right, atol=1e-8 * (1 + np.abs(right).max()))
+
+
+@settings(max_examples=30, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_free_root_model_is_the_tangent_of_the_non_linear_equations(platform, seed):
+    """Given q(t), ω(t) ~ e^{st}, the torques that inverse dynamics asks for are those that the model answers to."""
+    rng = np.random.default_rng(seed)
+    platform = with_torquers(platform)
+    n = len(platform.gimbals)
+    Omega = rng.normal(size=3)
+    sys = state_space(linearise(platform, Omega=Omega), root="free")
+    s = float(rng.uniform(0.5, 2.0))  # a real exponential, so that the motion is real
+    response = np.asarray(sys(s)).real
+    trim = np.concatenate([Omega, np.zeros(n)])
+    h = 1e-6
+    for column in range(n + 3):
+        q, omega = response[:n, column], response[n:, column]
+        size = h / max(1.0, np.abs(response[:, column]).max())
+        motion = np.concatenate([omega, s * q])
+        torque = [
+            inverse_dynamics(platform, sign * size * q, trim + sign * size * motion, sign * size * s * motion)
+            for sign in (1, -1)
+        ]
+        slope = (torque[0] - torque[1]) / (2 * size)
+        expected = np.zeros(3 + n)
+        expected[3 + column if column < n else column - n] = 1.0
+        scale = 1 + np.abs(response[:, column]).max() * 100
+        np.testing.assert_allclose(slope, expected, atol=1e-7 * scale)
+
+
+@settings(max_examples=25, deadline=None)
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_a_free_root_with_force_elements_moves_as_the_non_linear_equations_about_the_trim(platform, seed):
+    """Angles, rates and specific force that the model gives for each input solve the differentiated equations."""
+    rng = np.random.default_rng(seed)
+    platform = furnished(with_torquers(platform), seed)
+    # Dry friction and the edges of cages have no slope.
+    platform = dataclasses.replace(
+        platform,
+        frictions=tuple(dataclasses.replace(one, coulomb=(0.0, 0.0)) for one in platform.frictions),
+        cages=tuple(dataclasses.replace(one, clearance=0.0) for one in platform.cages),
+    )
+    n = len(platform.gimbals)
+    q, Omega, f = rng.uniform(-1, 1, n), rng.normal(size=3), platform.specific_force
+    trim = np.concatenate([Omega, np.zeros(n)])
+    held = inverse_dynamics(platform, q, trim, np.zeros(3 + n)) - element_forces(platform, q, trim)
+
+    def acceleration(x):
+        angles, velocity, drive, force = np.split(x, np.cumsum([n, 3 + n, 3 + n]))
+        forces = element_forces(platform, angles, velocity, force)
+        return forward_dynamics(platform, angles, velocity, held + drive + forces)
+
+    at = np.concatenate([q, trim, np.zeros(3 + n), f])
+    np.testing.assert_allclose(acceleration(at), 0.0, atol=1e-8)
+    h = 1e-6
+    slope = np.stack(
+        [(acceleration(at + h * e) - acceleration(at - h * e)) / (2 * h) for e in np.eye(len(at))], axis=-1
+    )
+    sys = state_space(linearise(platform, Omega=Omega, q=q), root="free", specific_force=True)
+    s = complex(rng.uniform(0.5, 2.0), rng.normal() * 3)
+    response = np.asarray(sys(s))
+    angles, rates = response[:n], response[n:]
+    # The model's inputs are Q, M, f; those of the equations M, Q, f.
+    inputs = np.eye(n + 6)[[*range(n, n + 3), *range(n), *range(n + 3, n + 6)]]
+    motion = np.vstack([angles, rates, s * angles, inputs])
+    scale = 1 + (np.abs(slope) @ np.abs(motion)).max()
+    np.testing.assert_allclose(slope @ motion, s * np.vstack([rates, s * angles]), atol=1e-7 * scale)
+
+
+def test_wrong_questions_get_one_line(platform):
+    model = linearise(platform)
+    with pytest.raises(ArgumentError, match="coupled"):
+        state_space(model, gimbals=("9",))
+    with pytest.raises(ArgumentError, match="did you mean"):
+        state_space(model, gimbals=("9", "100"))
+    with pytest.raises(ArgumentError, match="expected a sequence"):
+        state_space(model, gimbals="9")
+    with pytest.raises(ArgumentError, match="expected 'prescribed' or 'free'"):
+        state_space(model, root="fixed")
+    with pytest.raises(ArgumentError, match="leave it out"):
+        state_space(model, root="free", gimbals=("9", "10"))
+    with pytest.raises(ArgumentError, match="expected 'exact' or 'paper'"):
+        linearise(platform, terms="both")
+    with pytest.raises(ArgumentError, match=r"shape \(2,\); expected \(3,\)"):
+        linearise(platform, Omega=(0, 1))

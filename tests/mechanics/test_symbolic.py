@@ -1,0 +1,568 @@
+"""The equations in symbols: the paper's matrices term by term, and any tree against the numeric route."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+from typing import get_args
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import three_gyro_paper
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics import matrices
+from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.mechanics.linearisation import Terms, linearise
+from platform_ctrl.mechanics.matrices import derivatives
+from platform_ctrl.mechanics.state_space import subsystems
+from platform_ctrl.mechanics.symbolic import TERMS, equations
+from platform_ctrl.plant.platform import Platform, Rotor
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.source import shipped_models
+from three_gyro_paper import C6, C8, C11, J4, J5, J7, J9, J10, L6, L8, L11
+from tree_cases import platforms
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+quick = settings(max_examples=8, deadline=None)
+GYROS = read_platform("three_gyro_platform")
+
+S = sympy.Symbol
+
+
+def assert_same(found, expected):
+    difference = sympy.Matrix(found) - sympy.Matrix(expected)
+    assert sympy.simplify(difference) == sympy.zeros(*difference.shape)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return equations(GYROS, "sympy")
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return equations(GYROS, "sympy", terms="exact")
+
+
+# The three-gyro platform
+
+
+def test_velocities_are_20_and_momenta_22(paper):
+    assert_same(paper.velocity, three_gyro_paper.VELOCITY)
+    assert_same(paper.L, three_gyro_paper.MOMENTA)
+    assert_close(paper.evaluate(paper.L)[:, 0], matrices(GYROS).L)
+
+
+def test_directions_are_21_with_the_sign_of_row_2_corrected(paper):
+    assert_same(paper.B0, three_gyro_paper.B0)
+    assert_same(paper.B_A, three_gyro_paper.B_A)
+
+
+def test_mass_matrix_is_23_with_eight_rows(paper):
+    assert_same(paper.A, three_gyro_paper.A)
+
+
+def test_additional_mass_matrix_24_is_the_one_that_the_scan_lost(paper):
+    assert_same(paper.BtA_RB, three_gyro_paper.BTA_RB)
+    assert_same(paper.A_star, three_gyro_paper.A + three_gyro_paper.BTA_RB)
+
+
+def test_coriolis_matrix_25_is_the_one_that_the_scan_lost(paper):
+    assert_same(paper.G_A, three_gyro_paper.G_A)
+
+
+def test_gyroscopic_matrix_is_26_and_the_root_block_stands_apart(paper):
+    assert_same(paper.G_R, three_gyro_paper.G_R)
+    at_rest = paper.G_root.subs(dict.fromkeys(paper.q, 0))
+    assert_same(at_rest[:3, :3], [[0, 0, -L11], [0, 0, L6 - L8], [L11, L8 - L6, 0]])
+    assert at_rest[3:, :] == sympy.zeros(5, 8)
+
+
+def test_gimbal_equations_are_27_as_the_paper_means_them(paper):
+    for equation, (left, right) in zip(paper.partially_linear, three_gyro_paper.ROWS.values(), strict=True):
+        assert sympy.expand(equation.lhs - left) == 0
+        assert sympy.expand(equation.rhs - right) == 0
+
+
+def test_small_oscillations_19_are_27_without_products(paper):
+    zero = dict.fromkeys([*paper.q, *paper.Omega_dot], 0)
+    for equation, (left, right) in zip(paper.linear, three_gyro_paper.ROWS.values(), strict=True):
+        assert sympy.expand(equation.lhs - left.subs(zero)) == 0
+        assert sympy.expand(equation.rhs - right) == 0
+
+
+def test_precession_15_is_27_without_inertia(paper):
+    massless = dict.fromkeys([J4, J5, J7, J9, J10, C6, C8, C11], 0)
+    for equation, (left, right) in zip(paper.precession, three_gyro_paper.ROWS.values(), strict=True):
+        assert sympy.expand(equation.lhs - left.subs(massless)) == 0
+        assert sympy.expand(equation.rhs - right.subs(massless)) == 0
+
+
+def test_precession_is_refused_for_the_odd_subsystem_alone(paper):
+    assert paper.groups == (("4", "5", "7"), ("9", "10"))
+    [note] = paper.notes
+    assert note.startswith("G_R of 4, 5, 7 is singular")
+    assert "(15) does not determine the rates" in note
+
+
+def test_exact_equations_hold_every_term_for_any_rate(exact):
+    for gimbal, terms in three_gyro_paper.EXACT_ROWS.items():
+        found = {variable: coefficient for coefficient, variable in exact.row_terms(gimbal)}
+        assert set(found) == set(terms), gimbal
+        for variable, coefficient in terms.items():
+            assert sympy.expand(found[variable] - coefficient) == 0, (gimbal, variable)
+
+
+def test_symbols_carry_the_platforms_numbers(paper):
+    values = {s.name: s.value for s in paper.symbols}
+    m = matrices(GYROS)
+    assert [values[f"J{k}"] for k in (4, 5, 7, 9, 10)] == pytest.approx(np.diag(m.A)[3:].tolist())
+    assert [values["J1"], values["J12"], values["J23"]] == pytest.approx([m.A[0, 0], m.A[0, 1], m.A[1, 2]])
+    assert (values["L6"], values["C6"], values["alpha4"]) == (0.15, 1.2e-4, None)
+    assert all(s.meaning and s.unit for s in paper.symbols)
+    # Only what appears somewhere is listed: with A constant, no transverse moments.
+    assert "J5_1" not in values
+
+
+def test_without_truncation_the_directions_are_those_of_the_tree():
+    found = equations(GYROS, "sympy", order=None)
+    sin, cos = sympy.sin, sympy.cos
+    a4, b5, b7, a9, b10 = three_gyro_paper.ANGLES
+    assert_same(
+        found.B,
+        [
+            [cos(a4) * cos(b5), sin(b5), -sin(a4) * cos(b5), sin(b5), 0, 0, 0, 0],
+            [-cos(a4) * cos(b7), sin(b7), sin(a4) * cos(b7), sin(b7), 0, 0, 0, 0],
+            [-sin(a9) * cos(b10), cos(a9) * cos(b10), sin(b10), 0, 0, 0, sin(b10), 0],
+        ],
+    )
+
+
+# Any tree against the numeric route
+
+
+def assert_close(found, expected, size=None):
+    scale = max(np.abs(expected).max(initial=0.0), size or 0.0, np.finfo(float).tiny)
+    assert np.abs(np.asarray(found) - expected).max(initial=0.0) <= 1e-12 * scale
+
+
+@quick
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1))
+def test_zero_and_first_order_are_those_of_the_numeric_route(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    velocity = rng.normal(size=3 + n)
+    found = equations(platform, "sympy", terms="exact")
+    at, change = matrices(platform, velocity=velocity), derivatives(platform, kinematics(platform, np.zeros(n)))
+    for name in ("A", "A_star", "B", "G_A", "G_R", "G_root"):
+        assert_close(found.evaluate(getattr(found, name), velocity=velocity), getattr(at, name))
+    held = np.array([r.control == "regulated" for r in platform.rotors], float)[:, None] * at.A_R
+    dBtAB = np.einsum("jrx,rs,sy->jxy", change.B, held, at.B)
+    size_A, size_B = np.abs(change.A_star).max(initial=0.0), np.abs(change.B).max(initial=0.0)
+    for j, step in enumerate(np.eye(n)):
+        up, down = ({name: found.evaluate(getattr(found, name), q=sign * step) for name in ("A_star", "B", "BtA_RB")}
+                    for sign in (1, -1))  # fmt: skip
+        assert_close((up["A_star"] - down["A_star"]) / 2, change.A_star[j], size_A)
+        assert_close((up["BtA_RB"] - down["BtA_RB"]) / 2, dBtAB[j] + dBtAB[j].T, size_A)
+        assert_close((up["B"] - down["B"]) / 2, change.B[j], size_B)
+    # B, and so G_R, is of first degree in sine and cosine of each angle: half the difference at ±90° is the slope at 0.
+    for step in np.eye(n):
+        up, down = (matrices(platform, sign * np.pi / 2 * step).G_R for sign in (1, -1))
+        assert_close(found.evaluate(found.G_R, q=step) - at.G_R, (up - down) / 2, np.abs(at.L).max(initial=0.0))
+
+
+@quick
+@given(platforms(max_gimbals=4), st.integers(0, 2**32 - 1), st.sampled_from(["paper", "exact"]))
+def test_coefficients_of_27_are_those_of_the_linear_model(platform, seed, terms):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    Omega, change = rng.normal(size=3), rng.normal(size=3)
+    model = linearise(platform, Omega=Omega, terms=terms)
+    found = equations(platform, "sympy", terms=terms)
+    motion = [found.accelerations, found.rates, found.q]
+    point = {"velocity": np.r_[Omega, np.zeros(n)], "velocity_dot": np.r_[change, np.zeros(n)]}
+    coefficients = np.zeros((3, n, n))
+    constant = np.zeros(n)
+    for row, gimbal in enumerate(platform.gimbal_names):
+        for coefficient, variable in found.row_terms(gimbal):
+            number = found.evaluate(coefficient, **point)
+            if variable == 1:
+                constant[row] = number
+            else:
+                [(kind, k)] = [(i, list(v).index(variable)) for i, v in enumerate(motion) if variable in list(v)]
+                coefficients[kind, row, k] = number
+    # What cancels counts too: while the root turns about a gimbal's axis, rounding alone is left of the stiffness.
+    turn, momentum, inertia = np.abs(Omega).max(), np.abs(matrices(platform).L).max(initial=0.0), np.abs(model.M).max()
+    size = np.abs(model.G).max() + np.abs(model.K).max()
+    size += turn * (momentum + turn * inertia) + np.abs(change).max() * inertia
+    assert_close(coefficients[0], model.M)
+    assert_close(coefficients[1], model.G, size)
+    assert_close(coefficients[2], model.K + np.einsum("iaj,a->ij", model.M_Omega_q, change), size)
+    assert_close(constant, model.Q0 + model.M_Omega @ change, size)
+
+
+@quick
+@given(platforms(max_gimbals=2, max_rotors=2), st.integers(0, 2**32 - 1))
+def test_without_truncation_the_matrices_are_exact_everywhere(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    found = equations(platform, "sympy", order=None)
+    for _ in range(2):
+        q, velocity = rng.uniform(-3, 3, n), rng.normal(size=3 + n)
+        at = matrices(platform, q, velocity)
+        for name in ("A", "A_star", "B", "G_A", "G_R", "G_root"):
+            assert_close(found.evaluate(getattr(found, name), q, velocity), getattr(at, name))
+
+
+@quick
+@example(GYROS, 1)
+@example(GYROS, None)
+@given(platforms(max_gimbals=3), st.sampled_from([0, 1, None]))
+def test_17_B0_is_B_at_zero_angles_and_B_A_vanishes_there(platform, order):
+    found = equations(platform, "sympy", order=order)
+    assert not found.B0.free_symbols
+    at = matrices(platform).B
+    assert_close(found.evaluate(found.B0), at)
+    assert_close(found.evaluate(found.B_A), np.zeros_like(at), 1.0)
+
+
+def test_every_order_leaves_an_error_of_the_next():
+    rng = np.random.default_rng(5)
+    direction, velocity = rng.normal(size=5), rng.normal(size=8)
+    for order in range(4):
+        found = equations(GYROS, "sympy", order=order, terms="exact")
+        for name in ("A", "BtA_RB", "G_A", "G_R", "G_root", "B"):
+            errors = []
+            for size in (0.02, 0.01):
+                at = matrices(GYROS, size * direction, velocity)
+                truth = at.B.T @ at.A_R @ at.B if name == "BtA_RB" else getattr(at, name)
+                errors.append(np.abs(found.evaluate(getattr(found, name), size * direction, velocity) - truth).max())
+            assert errors[1] < 0.6 * errors[0] * 0.5 ** (order + (name == "B")), (order, name)
+
+
+@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("terms", TERMS)
+def test_subsystems_are_those_of_the_state_space_model(name, terms):
+    """About a rate without a zero: in symbols no component of Omega vanishes."""
+    platform = read_platform(name)
+    model = linearise(platform, Omega=[0.7, -0.4, 0.9], terms=terms)
+    assert equations(platform, "sympy", terms=terms).groups == subsystems(model)
+
+
+# Force elements
+
+ELEMENTS = {
+    "schema": 1,
+    "name": "with everything",
+    "root": {"name": "base", "inertia": [3, 3.1, 3.2], "specific_force": [0.4, -0.3, 9.7]},
+    "gimbal": [
+        {"name": "1", "parent": "base", "axis": [1, 0, 0], "inertia": [1, 1.1, 1.2], "angle": "beta"},
+        {"name": "outer % ring", "parent": "1", "axis": [0, 1, 0], "inertia": [1, 1.2, 1.1], "angle": "lambda"},
+        {"name": "12", "parent": "outer % ring", "axis": [1, 1, 0], "inertia": [1, 1.1, 1], "angle": "E"},
+        {"name": "2_1", "parent": "base", "axis": [0, 0, 1], "inertia": [1, 1.1, 1], "angle": "roll rate"},
+        {"name": "2", "parent": "base", "axis": [1, 0, 0], "inertia": [[1, 0.1, 0], [0.1, 1.2, 0], [0, 0, 1.1]]},
+    ],
+    "rotor": [
+        {
+            "name": name,
+            "carrier": body,
+            "axis": axis,
+            "axial_inertia": 0.1,
+            "transverse_inertia": 0.07,
+            "spin": spin,
+            "control": control,
+        }
+        for name, body, axis, spin, control in (
+            ("1", "12", [0, 0, 1], 80.0, "regulated"),
+            ("Free one", "2", [0, 1, 0], 50.0, "free"),
+            ("at rest", "base", [0, 0, 1], 0.0, "regulated"),
+        )
+    ],
+    "spring": [{"gimbal": "1", "stiffness": 2.0, "rest": 0.1}, {"gimbal": "1", "stiffness": -0.5}],
+    "friction": [
+        {"gimbal": "2", "viscous": 0.1, "coulomb": 0.2},
+        {"gimbal": "12", "viscous": 0.3, "breakaway": 0.1, "stribeck_rate": 0.05},
+    ],
+    "cage": [
+        {"gimbal": "12", "stiffness": 5.0, "damping": 0.2, "angle": 0.01},
+        {"gimbal": "2", "stiffness": 5.0, "clearance": 0.1},
+        {"gimbal": "2_1", "stiffness": 7.0, "clearance": 0.1, "angle": -0.3},
+    ],
+    "unbalance": [{"body": "12", "moment": [0.0, 0.1, 0.2]}, {"body": "outer % ring", "moment": [0.03, 0, 0.02]}],
+    "erection": [
+        {"gimbal": "1", "senses": "12", "axis": [0, 1, 0.1], "gain": 0.3},
+        {"gimbal": "2", "senses": "base", "axis": [0, 0, 1], "gain": 0.3, "limit": 0.1},
+    ],
+}
+
+
+@pytest.mark.parametrize("terms", ["paper", "exact"])
+def test_force_elements_enter_27_as_they_enter_the_linear_model(terms):
+    platform = read_platform(ELEMENTS)
+    Omega = np.array([0.3, -0.5, 0.7])
+    model = linearise(platform, Omega=Omega, terms=terms)
+    found = equations(platform, "sympy", terms=terms)
+    point = {"velocity": np.r_[Omega, np.zeros(5)]}
+    for row, (gimbal, torque) in enumerate(zip(platform.gimbal_names, model.Q0, strict=True)):
+        numbers = {str(v): float(found.evaluate(c, **point)) for c, v in found.row_terms(gimbal)}
+        for k in range(5):
+            assert numbers.get(str(found.rates[k]), 0.0) == pytest.approx(model.damping[row, k], abs=1e-13)
+            assert numbers.get(str(found.q[k]), 0.0) == pytest.approx(model.stiffness[row, k], abs=1e-13)
+        assert numbers.get("1", 0.0) == pytest.approx(torque, abs=1e-13)
+
+
+def test_what_is_left_out_of_the_equations_is_said():
+    notes = equations(read_platform(ELEMENTS), "sympy").notes
+    assert notes[:4] == (
+        "dry friction of gimbal 2 is left out: it has no slope at rest",
+        "dry friction of gimbal 12 is left out: it has no slope at rest",
+        "cage of gimbal 2 is left out: within its clearance it does not act",
+        "erection of gimbal 2 is at its limit at zero angles",
+    )
+    assert any(note.startswith("G_R of 1, outer % ring, 12 is singular") and "damping" in note for note in notes)
+
+
+def test_a_spring_that_is_relaxed_elsewhere_pulls_at_zero_angle():
+    found = equations(read_platform(ELEMENTS), "sympy")
+    coefficients = {variable: c for c, variable in found.row_terms("1", "linear")}
+    beta = found.q[0]
+    assert {S("k1"), S("k1_2")} <= coefficients[beta].free_symbols
+    assert sympy.expand(coefficients[1]).coeff(S("k1")) == -S("rest1")
+
+
+# Names
+
+
+def test_names_are_valid_unique_and_left_free_by_python_and_sympy():
+    found = equations(read_platform(ELEMENTS), "sympy", terms="exact")
+    names = [s.name for s in found.symbols]
+    assert len(set(names)) == len(names) == len({s.text for s in found.symbols})
+    for name in names:
+        assert name.isidentifier()
+        assert sympy.sympify(name) == S(name)
+    assert [str(x) for x in found.q] == ["beta_", "lambda_", "E_", "roll_rate", "q_2"]
+    by_name = {s.name: s for s in found.symbols}
+    # Gimbal 1's own inertia gives way to that of the whole about axis 1; gimbal 12's to the whole's product.
+    assert by_name["J1"].meaning.endswith("whole platform")
+    assert (by_name["J1_"].text, by_name["J1_"].latex) == ("J(1)", "J_{(1)}")
+    assert by_name["beta_"].text == "β"
+    assert by_name["lambda_dot"].latex == r"\dot{\lambda}"
+    assert by_name["p_Free_one"].kind == "momentum"
+    assert "C_Free_one" not in by_name
+
+
+def test_names_that_fall_together_are_kept_apart():
+    root = {"name": "base", "inertia": [1, 1, 1]}
+    gimbals = [
+        {"name": name, "parent": "base", "axis": [1, 0, 0], "inertia": [1, 1, 1], "angle": angle}
+        for name, angle in (("a b", "α1"), ("a_b", "alpha1"), ("a-b", "alpha1_dot"), ("∂", "∂"), ("x", "Q_a_b"))
+    ]
+    platform = read_platform({"schema": 1, "name": "twins", "root": root, "gimbal": gimbals})
+    found = equations(platform, "sympy")
+    names = [s.name for s in found.symbols]
+    assert len(set(names)) == len(names) == len({s.text for s in found.symbols})
+    assert all(name.isidentifier() for name in names)
+
+
+# Text, LaTeX, JSON
+
+
+def test_text_shows_27_as_it_is_printed_in_books():
+    lines = equations(GYROS).splitlines()
+    assert "    4:   J4 α̈4 + L6 β̇5 + L8 β̇7 + (L6 − L8) Ω1 α4 + C6 Ω̇1 β5 − C8 Ω̇1 β7 = Q4 − J4 Ω̇2 − (L6 − L8) Ω3" in lines
+    assert "    10:  J10 β̈10 − L11 α̇9 + L11 Ω2 β10 = Q10 − J10 Ω̇1 + L11 Ω3" in lines
+    heads = [line.split()[0] for line in lines if re.match(r"\(\d+\)", line)]
+    assert heads == ["(20)", "(22)", "(11)", "(21)", "(21)", "(23)", "(24)", "(25)", "(26)", "(27)", "(19)", "(15)"]
+
+
+def test_columns_of_a_matrix_stand_below_each_other():
+    text = equations(GYROS)
+    rows = text[text.index("(23)") : text.index("(24)")].splitlines()[2:11]
+    plain = [re.sub("[\u0307\u0308]", "", row) for row in rows]
+    assert len({len(row.rstrip("| ")) - len(row.rstrip("| ").split("|")[-1]) for row in plain[1:]}) == 1
+    assert plain[0].index("α4") == plain[2].index("J4")
+
+
+def test_large_matrices_are_listed_entry_by_entry():
+    gimbals = [
+        {"name": str(k), "parent": str(k - 1) if k else "base", "axis": np.eye(3)[k % 3], "inertia": [1, 1, 1]}
+        for k in range(7)
+    ]
+    root = {"name": "base", "inertia": [1, 1, 1]}
+    text = equations(read_platform({"schema": 1, "name": "chain", "root": root, "gimbal": gimbals}))
+    assert "entries that are not zero, on and above the diagonal, symmetric:" in text
+    assert max(map(len, text.splitlines())) < 140
+
+
+@pytest.mark.parametrize("order", [1, None])
+@pytest.mark.parametrize("plant", [GYROS, read_platform(ELEMENTS)], ids=["gyros", "elements"])
+def test_latex_is_balanced_and_holds_latex_alone(plant, order):
+    found = equations(plant, "latex", order=order)
+    assert found.isascii()
+    body = "\n".join(line for line in found.splitlines() if not line.startswith("%"))
+    stripped = re.sub(r"\\[\\{}%&#_$]", "", body)
+    depth = 0
+    for character in stripped:
+        depth += (character == "{") - (character == "}")
+        assert depth >= 0
+    assert depth == 0
+    opened, closed = (re.findall(rf"\\{word}{{(.*?)}}", body) for word in ("begin", "end"))
+    assert sorted(opened) == sorted(closed)
+    for block in re.findall(r"\\begin{align\*}(.*?)\\end{align\*}", body, re.DOTALL):
+        assert "\n\n" not in block
+        assert not block.rstrip().endswith(r"\\")
+    assert "%" not in re.sub(r"\\%", "", body)
+
+
+@pytest.mark.parametrize("terms", ["paper", "exact"])
+@pytest.mark.parametrize("plant", [GYROS, read_platform(ELEMENTS)], ids=["gyros", "elements"])
+def test_sympy_reads_the_record_back(plant, terms):
+    found = equations(plant, "sympy", order=2, terms=terms)
+    record = json.loads(json.dumps(equations(plant, "json", order=2, terms=terms)))
+    assert (record["schema"], record["order"], record["terms"]) == (1, 2, terms)
+    rng = np.random.default_rng(1)
+    n = len(plant.gimbals)
+    point = {"q": rng.normal(size=n), "velocity": rng.normal(size=3 + n), "velocity_dot": rng.normal(size=3 + n)}
+    for key, rows in record["matrices"].items():
+        read, written = sympy.Matrix(sympy.sympify(rows)), getattr(found, key)
+        if terms == "paper" and plant is GYROS:
+            assert read == written or (read - written).expand() == sympy.zeros(*read.shape)
+        assert_close(found.evaluate(read, **point), found.evaluate(written, **point))
+    torques = {s.name: 0.25 for s in found.symbols if s.kind == "torque"}
+    for key, rows in record["equations"].items():
+        for row, equation in zip(rows, getattr(found, key), strict=True):
+            for side, expression in (("left", equation.lhs), ("right", equation.rhs)):
+                read = found.evaluate(sympy.sympify(row[side]), **point, values=torques)
+                assert read == pytest.approx(float(found.evaluate(expression, **point, values=torques)), rel=1e-11)
+    assert {s["name"] for s in record["symbols"]} == {s.name for s in found.symbols}
+
+
+def test_equations_go_on_in_sympy():
+    found = equations(GYROS, "sympy")
+    rows = found.A_star[3:, 3:].subs(found.numbers()).subs(dict.fromkeys(found.q, 0))
+    np.testing.assert_allclose(np.array(rows, dtype=float), matrices(GYROS).A_star[3:, 3:], atol=1e-18)
+
+
+# Degenerate platforms
+
+
+def bare(platform, **changes):
+    return dataclasses.replace(platform, **changes)
+
+
+@pytest.mark.parametrize("form", ["text", "latex", "json", "sympy"])
+@pytest.mark.parametrize("order", [0, 1, None])
+def test_a_platform_may_lack_gimbals_or_rotors_or_both(form, order):
+    on_root = Rotor(name="w", carrier="platform", axis=np.array([0.0, 0, 1]), axial_inertia=0.1, transverse_inertia=0.1,
+                    angular_momentum=0.0)  # fmt: skip
+    none = bare(GYROS, gimbals=(), rotors=(), torquers=(), pickoffs=())
+    for platform in (none, bare(none, rotors=(on_root,)), bare(GYROS, rotors=())):
+        assert equations(platform, form, order=order)
+
+
+def test_a_rotor_on_the_root_stands_in_its_block_alone():
+    root = np.diag([1.0, 2.0, 2.5])
+    wheel = Rotor(name="w", carrier="base", axis=np.array([0.0, 0.6, 0.8]), axial_inertia=0.1, transverse_inertia=0.08,
+                  angular_momentum=3.0)  # fmt: skip
+    found = equations(Platform(name="wheel", root_name="base", root_inertia=root, gimbals=(), rotors=(wheel,)), "sympy")
+    assert found.G_R.is_zero_matrix
+    np.testing.assert_allclose(found.evaluate(found.G_root), [[0, 2.4, -1.8], [-2.4, 0, 0], [1.8, 0, 0]])
+    assert found.evaluate(found.BtA_RB)[1, 2] == pytest.approx(0.048)
+
+
+def test_rotors_that_stand_still_keep_their_symbols():
+    still = bare(GYROS, rotors=tuple(dataclasses.replace(r, angular_momentum=0.0) for r in GYROS.rotors))
+    found = equations(still, "sympy")
+    assert found.G_R == equations(GYROS, "sympy").G_R
+    assert "rank 0" in found.notes[0]
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_every_shipped_platform_has_its_equations(name):
+    text = equations(read_platform(name))
+    assert "(27)" in text
+    assert "nan" not in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"form": "html"}, "form: given 'html'"),
+        ({"terms": "all"}, "terms: given 'all'"),
+        ({"terms": ["exact"]}, "terms: given ['exact']"),
+        ({"order": 4}, "order: given 4"),
+        ({"order": np.int64(-1)}, "order: given np.int64(-1)"),
+        ({"order": True}, "order: given True"),
+        ({"order": np.True_}, "order: given np.True_"),
+        ({"order": 1.0}, "order: given 1.0"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(options, message):
+    with pytest.raises(ArgumentError, match=re.escape(message)) as caught:
+        equations(GYROS, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_any_integer_is_an_order():
+    found = equations(GYROS, "json", order=np.int64(2))
+    assert json.loads(json.dumps(found)) == equations(GYROS, "json", order=2)
+
+
+def test_terms_are_those_of_the_linear_model():
+    assert set(TERMS) == set(get_args(Terms))
+
+
+def test_exact_form_of_a_deep_tree_is_refused():
+    gimbals = [
+        {"name": str(k), "parent": str(k - 1) if k else "base", "axis": [1, 0, 0], "inertia": [1, 1, 1]}
+        for k in range(4)
+    ]
+    platform = read_platform(
+        {"schema": 1, "name": "deep", "root": {"name": "base", "inertia": [1, 1, 1]}, "gimbal": gimbals}
+    )
+    with pytest.raises(ArgumentError, match="order: given None for 4 gimbals, 4 deep; expected at most"):
+        equations(platform, order=None)
+
+
+def test_rows_and_points_that_do_not_exist_are_refused(paper):
+    for call in (
+        lambda: paper.row_terms("6"),
+        lambda: paper.row_terms("4", "(27)"),
+        lambda: paper.evaluate(paper.forces),
+        lambda: paper.evaluate(paper.q, q=[0.0]),
+    ):
+        with pytest.raises(ArgumentError):
+            call()
+
+
+def test_sympy_is_loaded_only_when_equations_are_asked_for():
+    code = "import platform_ctrl.mechanics.symbolic, sys; print('sympy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_letters_beyond_ascii_are_commands_or_text_in_latex():
+    """Greek as commands, accents inside text mode: mathematics knows neither."""
+    platform = read_platform(
+        {
+            "schema": 1,
+            "name": "letters",
+            "root": {"name": "r", "inertia": [1, 1, 1]},
+            "gimbal": [
+                {"name": "\u03b1\u03b2", "parent": "r", "axis": [0, 0, 1], "inertia": [1, 1, 1], "angle": "\u03b14"},
+                {"name": "\u00e9t\u00e9", "parent": "r", "axis": [0, 1, 0], "inertia": [1, 1, 1], "angle": "\u03c6"},
+            ],
+        }
+    )
+    body = equations(platform, "latex").split("% (23)", 1)[1]
+    assert r"\alpha_{4}" in body
+    assert r"\text{$\alpha$$\beta$}" in body
+    assert "\\text{\u00e9t\u00e9}" in body
+    mathematics = re.sub(r"\\text\{[^}]*\}|%.*|\\par\\noindent.*", "", body)
+    assert mathematics.isascii()

@@ -1,0 +1,447 @@
+"""The shipped models say where every number comes from, and those of the paper's devices do what theory says."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from math import atan, cos, degrees, pi, radians, sin, sqrt, tan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import platform_ctrl as pc
+from platform_ctrl.errors import MechanicsError
+from platform_ctrl.mechanics import with_free_rotors
+from platform_ctrl.plant.source import platform_source, shipped_models
+
+ROOT = Path(__file__).resolve().parents[2]
+MODELS = sorted(file.stem for file in (ROOT / "models").glob("*.toml"))
+MODEL = pytest.mark.parametrize("name", MODELS)
+
+
+# ---------------------------------------------------------------------------------------------------- every model
+
+
+def statements(text: str) -> list[list[tuple[str, str]]]:
+    """Lines (code, comment) of every ``key = value``, several for an array that goes on."""
+    found, open_brackets = [], 0
+    for line in text.splitlines():
+        code = re.match(r"""(?:[^#"]|"[^"]*")*""", line)[0]  # type: ignore[index]
+        comment = line[len(code) :]
+        if open_brackets:
+            found[-1].append((code, comment))
+        elif re.match(r"\s*[\w.-]+\s*=", code):
+            found.append([(code, comment)])
+        else:
+            continue
+        bare = re.sub(r'"[^"]*"', "", code)
+        open_brackets += bare.count("[") - bare.count("]")
+    return found
+
+
+def holds_number(code: str) -> bool:
+    return bool(re.search(r"\d", re.sub(r'"[^"]*"', "", re.sub(r"^\s*[\w.-]+\s*=", "", code))))
+
+
+def unmarked(text: str) -> list[str]:
+    """Statements with a number that do not say P or A: on their last line, or on every line with a number."""
+    out = []
+    for lines in statements(text):
+        numbers = [comment for code, comment in lines if holds_number(code)]
+        if not numbers or re.match(r"schema\s*=", lines[0][0]):
+            continue
+        marked = [bool(re.match(r"#\s*(P|A|P [A-Z\d]+)(:\s*\S|\s*$)", comment)) for comment in (*numbers, lines[-1][1])]
+        if not (marked[-1] or all(marked[:-1])):
+            out.append(lines[0][0].strip())
+    return out
+
+
+@MODEL
+def test_every_number_of_a_model_says_whether_it_is_published_or_assumed(name: str) -> None:
+    assert unmarked(platform_source(name)) == []
+
+
+def test_a_number_without_a_mark_is_found() -> None:
+    text = 'schema = 1\nname = "4"\na = 1 # P: book\nb = 2\nc = [\n 1,\n] # A\nd = [\n 1, # A: so\n 2,\n]\ne = 3 # Pa\n'
+    assert unmarked(text) == ["b = 2", "d = [", "e = 3"]
+
+
+def declared_sources(text: str) -> dict[str, str]:
+    """Short names and texts of the sources in the head, in their order."""
+    block = re.search(r"^# Sources of what is marked P.*\n((?:#   .*\n)+)", text, re.MULTILINE)
+    lines = re.findall(r"#(   +)(.*)\n", block[1]) if block else []
+    sources: dict[str, str] = {}
+    for indent, line in lines:
+        if len(indent) == 3:
+            name, _, said = line.partition(": ")
+            sources[name] = said
+        else:
+            sources[name] += " " + line
+    return sources
+
+
+def marked_sources(text: str) -> list[str]:
+    """The short name in every mark P, empty where it names none."""
+    comments = [comment for lines in statements(text) for _, comment in lines]
+    return [found[1].strip() for comment in comments if (found := re.match(r"#\s*P\b([A-Z\d ]*)(?=:|\s*$)", comment))]
+
+
+@MODEL
+def test_everything_published_names_its_source(name: str) -> None:
+    text = platform_source(name)
+    declared, marked = declared_sources(text), marked_sources(text)
+    if not marked:
+        assert not declared
+        return
+    used = {source or next(iter(declared)) for source in marked}
+    assert used == set(declared)
+    for source, said in declared.items():
+        assert re.fullmatch(r"[A-Z\d]+", source)
+        assert len(said.split()) >= 5, f"{source} is not told apart: {said}"
+    assert tomllib.loads(text)["source"]
+    assert name in shipped_models()
+
+
+def test_sources_are_read_from_the_head_and_from_the_marks() -> None:
+    text = "# A gyro.\n# Sources of what is marked P:\n#   BOOK: a book,\n#     1976\n#   LAB: a lab\n"
+    text += "# Sums:\n#   J: 3\n\nschema = 1\n"
+    text += "a = 1 # P: page 3\nb = 2 # P LAB: so\nc = 3 # A: Pa\nd = 4 # P\n"
+    assert declared_sources(text) == {"BOOK": "a book, 1976", "LAB": "a lab"}
+    assert marked_sources(text) == ["", "LAB", ""]
+
+
+@MODEL
+def test_a_model_reads_and_goes_all_the_way_to_a_state_space(name: str) -> None:
+    platform = pc.read_platform(name)
+    n = len(platform.gimbals)
+    m = pc.matrices(platform)
+    assert np.all(np.linalg.eigvalsh(m.A_star) > 0.0)
+    assert np.allclose(m.G_R, -m.G_R.T)
+    model = pc.linearise(platform, Omega=(0.1, -0.2, 0.3))
+    assert sorted(sum(pc.subsystems(model), ())) == sorted(platform.gimbal_names)
+    for root, states in (("prescribed", 2 * n), ("free", 2 * n + 3)):
+        system = pc.state_space(model, root=root)  # type: ignore[arg-type]
+        assert system.nstates == states
+        assert np.all(np.isfinite(system.A))
+    assert platform.torquers
+    assert platform.pickoffs
+
+
+# ---------------------------------------------------------------------------------------------------- what they share
+
+
+def held(platform: pc.Platform) -> pc.Platform:
+    """The device in a vehicle so heavy that nothing changes the vehicle's rates."""
+    return dataclasses.replace(platform, root_inertia=1e5 * np.eye(3))
+
+
+def poles(model: pc.LinearModel) -> np.ndarray:
+    return pc.analysis.poles(pc.state_space(model))
+
+
+@pytest.mark.parametrize("name", ["gimballed_gyro", "rate_gyro", "gyro_horizon", "suspended_platform"])
+def test_the_frequencies_in_the_head_of_a_model_are_those_of_its_poles(name: str) -> None:
+    text = platform_source(name)
+    quoted = [float(x) for x in re.findall(r"([\d.]+) rad/s\b", text[: text.index("schema")])]
+    assert quoted
+    found = np.abs(poles(pc.linearise(pc.read_platform(name))))
+    for frequency in quoted:
+        assert np.abs(found / frequency - 1.0).min() < 1e-3
+
+
+# ---------------------------------------------------------------------------------------------------- gimballed gyro
+
+
+def ideal_gyro() -> pc.Platform:
+    return dataclasses.replace(pc.read_platform("gimballed_gyro"), frictions=(), unbalances=())
+
+
+@pytest.mark.parametrize("beta", [-60.0, 0.0, 30.0])
+def test_nutation_slows_down_as_the_spin_axis_nears_the_outer_axis(beta: float) -> None:
+    # J_outer(beta) = 4e-4 + (1.5e-4 + C) sin2 + 3.8e-4 cos2: the regulated rotor adds C = 3e-4.
+    b = radians(beta)
+    J_outer = 4.0e-4 + 4.5e-4 * sin(b) ** 2 + 3.8e-4 * cos(b) ** 2
+    found = np.abs(poles(pc.linearise(ideal_gyro(), q=(0.0, b)))).max()
+    assert found == pytest.approx(0.6 * cos(b) / sqrt(J_outer * 3.8e-4), rel=1e-9)
+
+
+def nutating(gyro: pc.Platform, beta: float, kick: float) -> tuple[float, float]:
+    """Mean drift of the outer gimbal over whole nutations, rad/s, and amplitude of the inner one."""
+    steps, every = 8000, 4
+    out = pc.simulation.rollout(held(gyro), [[0.0, beta]], [[0, 0, 0, 0, kick]], 2e-5, steps, every=every)
+    t, (alpha, inner) = out.t, out.q_history[0].T
+    around = inner - 0.5 * (inner.max() + inner.min())
+    up = np.flatnonzero((around[:-1] < 0.0) & (around[1:] >= 0.0))
+    zero = t[up] - around[up] * (t[up + 1] - t[up]) / (around[up + 1] - around[up])
+    first, last = np.interp(zero[[0, -1]], t, alpha)
+    return (last - first) / (zero[-1] - zero[0]), 0.5 * (inner.max() - inner.min())
+
+
+@pytest.mark.parametrize("control", ["regulated", "free"])
+@pytest.mark.parametrize("beta", [radians(-20.0), radians(45.0)])
+def test_a_nutating_kardankreisel_drifts_with_the_square_of_the_amplitude(beta: float, control: str) -> None:
+    gyro = ideal_gyro() if control == "regulated" else with_free_rotors(ideal_gyro())
+    J_spin = 1.5e-4 + (3.0e-4 if control == "regulated" else 0.0)
+    J = 4.0e-4 + J_spin * sin(beta) ** 2 + 3.8e-4 * cos(beta) ** 2
+    for kick in (8.0, 16.0):
+        drift, b = nutating(gyro, beta, kick)
+        assert drift == pytest.approx(0.6 * sin(beta) * b**2 * (4.0e-4 + J_spin) / (2.0 * J**2), rel=3e-3)
+
+
+def test_the_kardankreisel_does_not_drift_about_the_normal_position() -> None:
+    drift, b = nutating(ideal_gyro(), 0.0, 16.0)
+    assert abs(drift) < 1e-3 * 0.6 * b**2 / 7.8e-4
+
+
+def test_friction_of_the_outer_bearing_makes_the_inner_gimbal_drift() -> None:
+    gyro = dataclasses.replace(pc.read_platform("gimballed_gyro"), unbalances=())
+    # The vehicle yaws, the gyro stays: the bearing drags at the outer gimbal all the time.
+    out = pc.simulation.rollout(held(gyro), [[0.0, 0.0]], [[0, 0, 0.2, -0.2, 0.0]], 1e-4, 20000, every=10000)
+    alpha, beta = out.q_history[0].T
+    assert alpha[-1] == pytest.approx(-0.4, rel=1e-3)
+    torque = 1e-5 + 2e-6 * 0.2
+    assert beta[-1] - beta[1] == pytest.approx(-torque / 0.6, rel=1e-2)
+
+
+# ---------------------------------------------------------------------------------------------------- rate gyro
+
+
+@pytest.mark.parametrize("Omega", [(0.0, 0.6, 0.0), (2.0, -0.5, 0.0), (-4.0, 0.4, 0.0)])
+def test_a_rate_gyro_comes_to_rest_where_spring_and_gyroscopic_torque_balance(Omega: tuple[float, ...]) -> None:
+    gyro = dataclasses.replace(pc.read_platform("rate_gyro"), unbalances=())
+    theta = pc.simulation.rollout(held(gyro), [[0.0]], [[*Omega, 0.0]], 2e-5, 15000).q[0, 0]
+    L = 4.0e-6 * 2513.0
+    assert 0.14 * theta == pytest.approx(L * (Omega[1] * cos(theta) - Omega[0] * sin(theta)), rel=1e-3)
+
+
+def test_a_rate_gyro_topples_when_the_vehicle_rolls_too_fast_against_its_spin() -> None:
+    gyro = pc.read_platform("rate_gyro")
+    limit = -0.14 / (4.0e-6 * 2513.0)
+    for factor, stable in ((0.98, True), (1.02, False)):
+        assert bool(poles(pc.linearise(gyro, (factor * limit, 0.0, 0.0))).real.max() < 0.0) is stable
+
+
+def test_an_acceleration_along_the_input_axis_looks_like_a_rate() -> None:
+    system = pc.state_space(pc.linearise(pc.read_platform("rate_gyro")), specific_force=True)
+    rate_per_g = system["theta", "f2"].dcgain() / system["theta", "Omega2"].dcgain()
+    assert np.real(rate_per_g) == pytest.approx(-1e-7 / (4.0e-6 * 2513.0), rel=1e-9)
+    # Along the spin axis and along the output axis it does nothing.
+    assert system["theta", "f1"].dcgain() == pytest.approx(0.0, abs=1e-12)
+    assert system["theta", "f3"].dcgain() == pytest.approx(0.0, abs=1e-12)
+
+
+# ---------------------------------------------------------------------------------------------------- gyro horizon
+
+
+def flown(horizon: pc.Platform, q: tuple[float, float], Omega: tuple[float, ...], duration: float) -> tuple:
+    """Time and angles, every second."""
+    out = pc.simulation.rollout(held(horizon), [q], [[*Omega, 0.0, 0.0]], 1e-3, round(duration * 1e3), every=1000)
+    return out.t, out.q_history[0].T
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_horizon_rights_itself_in_roll_and_in_pitch(sign: float) -> None:
+    horizon = pc.read_platform("gyro_horizon")
+    kappa, start = 3.142e-3 / (2.0e-4 * 1571.0), sign * radians(20.0)
+    t, (roll, _) = flown(horizon, (start, 0.0), (0.0, 0.0, 0.0), 150.0)
+    assert np.tan(roll / 2.0) == pytest.approx(tan(start / 2.0) * np.exp(-kappa * t), abs=2e-3 * abs(start))
+    t, (_, pitch) = flown(horizon, (0.0, start), (0.0, 0.0, 0.0), 150.0)
+    assert np.sin(pitch) == pytest.approx(sin(start) * np.exp(-kappa * t), abs=2e-3 * abs(start))
+
+
+def test_beyond_the_limit_a_horizon_rights_itself_at_a_constant_rate() -> None:
+    rate = 1.571e-3 / (2.0e-4 * 1571.0)
+    _, (roll, _) = flown(pc.read_platform("gyro_horizon"), (radians(60.0), 0.0), (0.0, 0.0, 0.0), 90.0)
+    assert np.diff(roll) == pytest.approx(-rate, rel=5e-3)
+
+
+@pytest.mark.parametrize(("turn", "speed"), [(3.0, 60.0), (-3.0, 60.0), (6.0, 25.0)])
+def test_the_error_of_a_horizon_in_a_coordinated_turn(turn: float, speed: float) -> None:
+    horizon, g = pc.read_platform("gyro_horizon"), 9.81
+    omega = radians(turn)
+    bank = atan(omega * speed / g)
+    banked = dataclasses.replace(horizon, specific_force=np.array([0.0, 0.0, -g / cos(bank)]))
+    t, (roll, pitch) = flown(banked, (-bank, 0.0), (0.0, omega * sin(bank), omega * cos(bank)), 150.0)
+    tilt = -np.sin(pitch) + 1j * np.sin(roll + bank) * np.cos(pitch)
+    K = 3.142e-3 / (2.0e-4 * 1571.0) * cos(bank)
+    expected = 1j * K * tan(bank) / (K + 1j * omega) * (1.0 - np.exp(-(K + 1j * omega) * t))
+    assert np.abs(tilt - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_erection_feeds_the_nutation_and_friction_has_to_take_it_out() -> None:
+    horizon = pc.read_platform("gyro_horizon")
+    kappa, half = 3.142e-3 / (2.0e-4 * 1571.0), 0.5 * (1.0 / 6.5e-4 + 1.0 / 3.5e-4)
+    for viscous in (0.0, 0.9 * kappa / half, 1.1 * kappa / half):
+        bearings = tuple(dataclasses.replace(f, viscous=viscous) for f in horizon.frictions)
+        found = poles(pc.linearise(dataclasses.replace(horizon, frictions=bearings)))
+        growth = found[np.abs(found).argmax()].real
+        assert growth == pytest.approx(kappa - viscous * half, abs=1e-5)
+
+
+# ---------------------------------------------------------------------------------------------------- satellite
+
+
+def satellite(h: float, inertia: tuple[float, ...] = (800, 1000, 1150), locked: bool = False) -> pc.Platform:
+    platform = pc.read_platform("momentum_wheel_satellite")
+    wheel = dataclasses.replace(platform.rotors[0], angular_momentum=h)
+    platform = dataclasses.replace(platform, rotors=(wheel,), root_inertia=np.diag(np.array(inertia, dtype=float)))
+    if not locked:
+        return platform
+    stiff = tuple(dataclasses.replace(spring, stiffness=1e6) for spring in platform.springs)
+    return dataclasses.replace(platform, springs=stiff, frictions=())
+
+
+def growth_of(platform: pc.Platform, Omega0: float) -> float:
+    found = pc.analysis.poles(pc.state_space(pc.linearise(platform, (0.0, Omega0, 0.0)), root="free"))
+    return float(np.delete(found, np.abs(found).argmin()).real.max())
+
+
+def momenta(platform: pc.Platform) -> np.ndarray:
+    """J1, J2, J3 of all bodies together."""
+    return np.diag(pc.linearise(platform).root_inertia)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    h=st.floats(-30.0, 30.0),
+    Omega0=st.floats(0.02, 0.1),
+    inertia=st.sampled_from([(800, 1000, 1150), (1150, 800, 1000), (800, 1150, 1000)]),
+)
+def test_a_wheel_in_locked_gimbals_stabilises_where_the_two_factors_agree(
+    h: float, Omega0: float, inertia: tuple[float, ...]
+) -> None:
+    platform = satellite(h, inertia, locked=True)
+    J1, J2, J3 = momenta(platform)
+    product = (h + (J2 - J1) * Omega0) * (h + (J2 - J3) * Omega0)
+    rate = growth_of(platform, Omega0)
+    if product > 1e-2:
+        assert rate < 1e-6
+    elif product < -1e-2:
+        assert rate == pytest.approx(sqrt(-product / (J1 * J3)), rel=1e-2)
+
+
+@settings(max_examples=40, deadline=None)
+@given(h=st.floats(-30.0, 30.0), Omega0=st.floats(0.02, 0.1), inertia=st.permutations((800, 1000, 1150)))
+def test_damped_gimbals_leave_it_stable_only_where_its_energy_is_least(
+    h: float, Omega0: float, inertia: list[float]
+) -> None:
+    platform = satellite(h, tuple(inertia))
+    J1, J2, J3 = momenta(platform)
+    k, H = 8.0, J2 * Omega0 + h
+    # Energy at constant momentum H over the tilt of the satellite and of the wheel, about axes 1 and 3.
+    energy = [[[H * H / J - Omega0 * H, -H * h / J], [-H * h / J, h * h / J + h * Omega0 + k]] for J in (J1, J3)]
+    least = np.linalg.eigvalsh(np.array(energy))[:, 0]
+    assume(np.abs(least).min() > 1e-2)
+    assume(abs(h) > 0.1)  # without momentum the wheel hardly moves its gimbals, and the dampers take no energy
+    assert bool(growth_of(platform, Omega0) < 0.0) is bool(np.all(least > 0.0))
+
+
+@pytest.mark.parametrize("k", [8.0, 1.0])
+def test_a_wheel_in_soft_gimbals_is_worth_less(k: float) -> None:
+    def soft(h: float) -> pc.Platform:
+        platform = satellite(h)
+        springs = tuple(dataclasses.replace(spring, stiffness=k) for spring in platform.springs)
+        return dataclasses.replace(platform, springs=springs)
+
+    _, J2, J3 = momenta(soft(20.0))
+    worth = (J3 - J2) * 0.05
+    needed = worth / (1.0 - worth * 0.05 / k)  # h k / (k + h Omega0) = worth
+    assert growth_of(soft(needed - 0.02), 0.05) > 0.0
+    assert growth_of(soft(needed + 0.02), 0.05) < 0.0
+
+
+@pytest.mark.parametrize(("h", "factor"), [(20.0, (0.0, 1.5)), (0.0, (20.0, np.inf))])
+def test_the_non_linear_satellite_keeps_its_axis_with_the_wheel_and_loses_it_without(
+    h: float, factor: tuple[float, float]
+) -> None:
+    platform = satellite(h)
+    steps = round(500.0 / 2e-3)
+    start = [[1e-4, 0.05, 0.0, 0.0, 0.0]]
+    out = pc.simulation.rollout(platform, [[0.0, 0.0]], start, 2e-3, steps, every=steps // 200)
+    across = np.abs(out.velocity_history[0][:, [0, 2]]).max() / 1e-4
+    assert factor[0] < across < factor[1]
+
+
+def test_the_nutation_quoted_in_the_satellite_is_that_of_its_free_motion() -> None:
+    platform = satellite(20.0, locked=True)
+    J1, _, J3 = momenta(platform)
+    found = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(platform), root="free")))
+    assert np.sort(found)[1] == pytest.approx(20.0 / sqrt(J1 * J3), rel=1e-4)
+    assert "0.02085 rad/s (period 301 s)" in platform_source("momentum_wheel_satellite")
+    assert 20.0 / sqrt(J1 * J3) == pytest.approx(0.02085, rel=1e-3)
+    assert 2.0 * pi / np.sort(found)[1] == pytest.approx(301.0, rel=2e-3)
+
+
+# ---------------------------------------------------------------------------------------------------- suspension
+
+
+def at_pitch(angle: float) -> np.ndarray:
+    q = np.zeros(8)
+    q[1] = radians(angle)
+    return q
+
+
+def test_the_gyros_in_the_suspension_are_those_of_the_platform_alone() -> None:
+    alone = pc.linearise(pc.read_platform("three_gyro_platform"))
+    suspended = pc.linearise(pc.read_platform("suspended_platform"))
+    for matrix in ("M", "G", "K"):
+        assert getattr(suspended, matrix)[3:, 3:] == pytest.approx(getattr(alone, matrix), abs=1e-15)
+    # At zero angles the suspension's rates are the platform's.
+    assert suspended.M[3:, :3] == pytest.approx(alone.M_Omega, abs=1e-15)
+    assert suspended.G[3:, :3] == pytest.approx(alone.G_Omega, abs=1e-15)
+    assert np.linalg.matrix_rank(alone.G_Omega) == 3
+
+
+def massless(platform: pc.Platform) -> pc.Platform:
+    frames = tuple(
+        dataclasses.replace(g, inertia=np.zeros((3, 3))) if g.name in ("roll", "pitch") else g for g in platform.gimbals
+    )
+    return dataclasses.replace(platform, gimbals=frames)
+
+
+@pytest.mark.parametrize("angle", [0.0, 45.0, 85.0, 89.9])
+def test_the_bearing_rates_that_isolate_the_platform_grow_like_one_over_the_cosine_of_pitch(angle: float) -> None:
+    model = pc.linearise(massless(pc.read_platform("suspended_platform")), q=at_pitch(angle))
+    rates = -np.linalg.solve(model.M, model.M_Omega[:, 2])
+    expected = [tan(radians(angle)), 0.0, -1.0 / cos(radians(angle))]
+    assert rates[:3] == pytest.approx(expected, abs=1e-6 / cos(radians(angle)))
+
+
+def test_gimbal_lock_is_an_error_that_names_the_two_axes() -> None:
+    platform = massless(pc.read_platform("suspended_platform"))
+    q = at_pitch(90.0)
+    with pytest.raises(MechanicsError, match=r"roll, azimuth can move without moving any inertia \(gimbal lock\)"):
+        pc.state_space(pc.linearise(platform, q=q))
+    with pytest.raises(MechanicsError, match="gimbal lock"):
+        pc.forward_dynamics(platform, q, np.zeros(11), np.zeros(11))
+    assert np.all(np.isfinite(pc.forward_dynamics(platform, at_pitch(89.0), np.zeros(11), np.ones(11))))
+
+
+def test_frames_of_finite_inertia_keep_the_mass_matrix_regular_and_turn_the_platform_instead() -> None:
+    platform = pc.read_platform("suspended_platform")
+    q = at_pitch(90.0)
+    assert np.linalg.cond(pc.matrices(platform, q).A_star[3:6, 3:6]) < 20.0
+    model = pc.linearise(platform, q=q)
+    rates = -np.linalg.solve(model.M, model.M_Omega[:, 2])
+    # No bearing of the suspension can take up a yaw of the vehicle: the whole platform goes along.
+    assert rates[:3] == pytest.approx(0.0, abs=0.03)  # but for its products of inertia
+
+
+@pytest.mark.parametrize(("joint", "axis", "gyro", "sign"), [("roll", 0, "10", -1), ("pitch", 1, "4", -1)])
+def test_dry_friction_of_a_suspension_bearing_turns_the_platform_and_the_gyros_show_it(
+    joint: str, axis: int, gyro: str, sign: int
+) -> None:
+    platform = pc.read_platform("suspended_platform")
+    rate, time = 0.3, 0.2
+    start = np.zeros(11)
+    start[axis], start[3 + axis] = rate, -rate
+    out = pc.simulation.rollout(platform, np.zeros((1, 8)), [start], 1e-4, round(time / 1e-4))
+    turned = rate * time + out.q[0, platform.gimbal_names.index(joint)]
+    J = pc.linearise(platform).M[axis, axis]
+    assert turned == pytest.approx(0.5 * (0.02 + 2e-3 * rate) / J * time**2, rel=1e-2)
+    assert out.q[0, platform.gimbal_names.index(gyro)] == pytest.approx(sign * turned, rel=1e-2)
+    assert degrees(turned) < 0.5  # within the gyros' stops

@@ -1,0 +1,213 @@
+"""Degenerate platforms get an answer, not numbers: nothing to turn, nothing that spins, nothing that resists."""
+
+import dataclasses
+import tomllib
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl.errors import InputError, MechanicsError, PlatformCtrlError
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.plant.source import platform_source
+from platform_ctrl.simulation import rollout
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+X, Y, Z = np.eye(3)
+
+
+def chain(axes, inertias, rotors=()):
+    """Gimbals g0, g1, ... each in the one before."""
+    names = ["base", *(f"g{k}" for k in range(len(axes)))]
+    return Platform(
+        name="chain",
+        root_name="base",
+        root_inertia=np.eye(3),
+        gimbals=tuple(
+            Gimbal(name=names[k + 1], parent=names[k], axis=axis, inertia=inertia, angle=f"q{k}")
+            for k, (axis, inertia) in enumerate(zip(axes, inertias, strict=True))
+        ),
+        rotors=rotors,
+    )
+
+
+def wheel(carrier, momentum, axis=Z, control="regulated"):
+    return Rotor(
+        name="wheel",
+        carrier=carrier,
+        axis=axis,
+        axial_inertia=0.2,
+        transverse_inertia=0.1,
+        angular_momentum=momentum,
+        control=control,
+    )
+
+
+LOCKED = chain([X, Y, Z], [np.zeros((3, 3)), np.zeros((3, 3)), np.eye(3)])
+LOCK = [0.0, np.pi / 2, 0.0]
+
+
+def test_a_locked_suspension_names_what_moves_without_inertia():
+    """Massless roll and pitch frames: at 90 degrees of pitch roll and yaw axes fall together."""
+    with pytest.raises(MechanicsError, match="q0, q2 can move without moving any inertia"):
+        pc.forward_dynamics(LOCKED, LOCK, np.zeros(6), np.zeros(6))
+    model = pc.linearise(LOCKED, q=LOCK)
+    for call in (lambda: pc.state_space(model), lambda: pc.state_space(model, root="free")):
+        with pytest.raises(MechanicsError, match=r"gimbal lock\); expected other angles"):
+            call()
+    out = rollout(LOCKED, [LOCK], np.ones((1, 6)), steps=1)
+    assert not np.isfinite(out.velocity).any()
+
+
+def test_beside_the_lock_the_same_platform_has_equations():
+    assert np.isfinite(pc.forward_dynamics(LOCKED, [0.0, 1.4, 0.0], np.zeros(6), np.ones(6))).all()
+    assert pc.state_space(pc.linearise(LOCKED, q=[0.0, 1.4, 0.0])).nstates == 6
+
+
+def test_a_massless_frame_is_refused_in_a_file_with_a_cure_and_needs_what_it_carries_in_python():
+    data = {
+        "schema": 1,
+        "name": "massless",
+        "root": {"name": "base", "inertia": [1, 1, 1]},
+        "gimbal": [{"name": "frame", "parent": "base", "axis": [1, 0, 0], "inertia": [0, 0, 0]}],
+    }
+    with pytest.raises(InputError, match=r"inertia = \[0, 0, 0\]: not positive definite \(for a frame without mass"):
+        pc.read_platform(data)
+    carrying = chain([X, Y], [np.zeros((3, 3)), np.eye(3)])
+    assert pc.state_space(pc.linearise(carrying)).nstates == 4
+    empty = chain([X], [np.zeros((3, 3))])
+    with pytest.raises(MechanicsError, match="q0 moves no inertia"):
+        pc.state_space(pc.linearise(empty))
+
+
+def test_a_rotor_that_stands_still_is_a_body_and_no_gyro():
+    platform = chain([X, Y], [0.1 * np.eye(3)] * 2, (wheel("g1", 0.0),))
+    model = pc.linearise(platform)
+    assert not model.G.any()
+    np.testing.assert_allclose(pc.state_space(model).poles(), 0.0, atol=1e-12)
+    assert pc.rotor_momenta(platform, velocity=[0, 0, 1, 0, 0]).p == pytest.approx(0.2)
+    slow = pc.precession(model)
+    assert not slow.admissible
+    assert "no rotor gives it any momentum" in slow.reasons[0]
+    with pytest.raises(MechanicsError, match="no rotor gives it any momentum"):
+        slow.state_space()
+
+
+def test_a_loop_around_a_rotor_that_stands_still_is_one_around_two_inertias():
+    """No pair, no nutation to go by: each gimbal is controlled for itself, and the report is drawn."""
+    plant = tomllib.loads(platform_source("three_gyro_platform"))
+    plant["rotor"][2]["angular_momentum"] = 0.0
+    loop = {"name": "still", "kind": "caging", "gimbals": ["9", "10"], "use": "one"}
+    loop["design"] = [{"name": "one", "method": "classical", "inertial_crossover_hz": 40.0}]
+    job = pc.read_job(
+        {
+            "schema": 1,
+            "name": "a gyro at rest",
+            "plant": plant,
+            "operation": {"Omega": [0.1, 0.1, 0.1]},
+            "sampling": {"rate_hz": 2000, "delay": 0.0005},
+            "loop": [loop],
+        }
+    )
+    result = pc.verification.checked(job, pc.design.loops(job))
+    assert result.passed
+    assert not result.loops[0].closed.controller.C[0] @ result.loops[0].closed.controller.B[:, 1]
+    assert "free rotation, no gyro and no restraint acts" in pc.report.page(result)
+
+
+@pytest.mark.parametrize("rotors", [(), (wheel("base", 3.0),)])
+def test_without_gimbals_the_root_is_a_rigid_gyrostat(rotors):
+    platform = dataclasses.replace(chain([], []), rotors=rotors)
+    h = sum(r.angular_momentum for r in rotors)
+    m = pc.matrices(platform, [], [0.0, 0.1, 0.0])
+    assert m.A_star.shape == (3, 3)
+    velocity = [0.3, 0.1, -0.2]
+    torque = pc.inverse_dynamics(platform, [], velocity, [0, 0, 0])
+    H = m.A_star @ velocity + np.array([0, 0, h])
+    np.testing.assert_allclose(torque, np.cross(velocity, H), atol=1e-14)
+    assert pc.subsystems(pc.linearise(platform)) == ()
+    free = pc.state_space(pc.linearise(platform), root="free")
+    assert (free.nstates, free.ninputs, free.noutputs) == (3, 3, 3)
+    nutation = h * len(rotors) / m.A_star[0, 0]
+    np.testing.assert_allclose(np.abs(free.poles()).max(), nutation, atol=1e-12)
+    assert pc.precession(pc.linearise(platform)).summary() == "no gimbals: nothing precesses"
+    assert pc.terms(platform, (1, 1, 1), []).terms == ()
+    assert "G_root" in pc.equations(platform)
+    carried = pc.state_space(pc.linearise(platform))
+    assert (carried.nstates, carried.noutputs) == (0, 0)
+    out = rollout(platform, np.zeros((2, 0)), np.tile(velocity, (2, 1)), steps=10)
+    spin = out.velocity @ m.A_star + np.array([0, 0, h])
+    np.testing.assert_allclose(np.linalg.norm(spin, axis=1), np.linalg.norm(H), rtol=1e-12)
+
+
+def test_twenty_gimbals_are_twenty_gimbals():
+    rng = np.random.default_rng(20)
+    axes = rng.normal(size=(20, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    platform = chain(list(axes), [np.diag([1.0, 1.1, 1.2])] * 20, (wheel("g19", 5.0),))
+    q, u = rng.uniform(-1, 1, 20), rng.normal(size=23)
+    torque = pc.inverse_dynamics(platform, q, u, np.zeros(23))
+    np.testing.assert_allclose(pc.forward_dynamics(platform, q, u, torque), 0.0, atol=1e-8 * np.abs(torque).max())
+    model = pc.linearise(platform, Omega=u[:3], q=q)
+    assert pc.state_space(model).nstates == 40
+    assert len(pc.terms(platform, (1, 1, 1), np.full(20, 0.1)).of("g19")) > 20
+    assert len(pc.precession(model).parts) == 1
+    out = rollout(platform, q[None], u[None], step=1e-4, steps=5)
+    assert np.isfinite(out.velocity).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_none_are_refused_everywhere(bad):
+    platform = chain([X], [np.eye(3)])
+    for call in (
+        lambda: pc.matrices(platform, [bad]),
+        lambda: pc.element_forces(platform, [bad]),
+        lambda: pc.rotor_momenta(platform, [bad]),
+        lambda: pc.linearise(platform, q=[bad]),
+        lambda: pc.linearise(platform, specific_force=[0, 0, bad]),
+    ):
+        with pytest.raises(PlatformCtrlError, match="not finite"):
+            call()
+
+
+@pytest.mark.parametrize("given", ["three_gyro_platform", None, 3, {"schema": 1}], ids=repr)
+def test_what_is_no_platform_is_refused_with_the_way_to_one(given):
+    for call in (
+        pc.matrices,
+        pc.element_forces,
+        pc.rotor_momenta,
+        pc.with_free_rotors,
+        pc.with_rotors_as_gimbals,
+        pc.linearise,
+        pc.equations,
+        pc.parameter_varying,
+        lambda p: pc.terms(p, (0, 0, 1), [1.0]),
+        lambda p: pc.inverse_dynamics(p, [], [], []),
+        lambda p: rollout(p, [[]], [[]]),
+    ):
+        with pytest.raises(PlatformCtrlError, match=r"platform: given .*; expected a Platform, for example"):
+            call(given)
+
+
+@pytest.mark.parametrize("given", [None, 3, LOCKED], ids=["none", "number", "platform"])
+def test_what_is_no_model_is_refused_with_the_way_to_one(given):
+    for call in (pc.state_space, pc.subsystems, pc.precession):
+        with pytest.raises(PlatformCtrlError, match=r"model: given .*; expected a LinearModel, from linearise"):
+            call(given)
+
+
+def test_names_that_derived_signals_need_are_not_dropped_without_a_word():
+    """States are named after angles: p_ for momenta; f1 to f3 are inputs where specific force is one."""
+    twins = chain([X, Y], [np.eye(3)] * 2)
+    first, second = twins.gimbals
+    gimbals = (dataclasses.replace(first, angle="x"), dataclasses.replace(second, angle="p_x"))
+    with pytest.raises(PlatformCtrlError, match="states: 'p_x' would name two of them"):
+        pc.state_space(pc.linearise(dataclasses.replace(twins, gimbals=gimbals)))
+    forced = dataclasses.replace(twins, torquers=(pc.Torquer(name="f1", gimbal="g0"),))
+    assert pc.state_space(pc.linearise(forced)).input_labels[0] == "f1"
+    with pytest.raises(PlatformCtrlError, match="inputs: 'f1' would name two of them"):
+        pc.state_space(pc.linearise(forced), specific_force=True)
+    driven = dataclasses.replace(twins, torquers=(pc.Torquer(name="d_q0", gimbal="g0"),))
+    with pytest.raises(PlatformCtrlError, match="inputs: 'd_q0' would name two of them"):
+        pc.parameter_varying(driven, form="momenta").state_space((0, 0, 0), (0, 0, 0))

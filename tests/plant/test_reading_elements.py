@@ -1,0 +1,178 @@
+"""Force elements and servo rotors of a plant file: read, refused in one line, and written back to the last bit."""
+
+import copy
+import tomllib
+
+import numpy as np
+import pytest
+
+from platform_ctrl.errors import InputError
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.report.record import plant_data, toml
+
+PLANT = {
+    "schema": 1,
+    "name": "everything",
+    "root": {"name": "base", "inertia": [1.0, 1.0, 1.0], "specific_force": [0.1, 0.0, 9.81]},
+    "gimbal": [
+        {
+            "name": "outer",
+            "parent": "base",
+            "axis": [1, 0, 0],
+            "inertia": [1e-3, 1e-3, 1e-3],
+            "stops": [-0.2, 0.3],
+            "restitution": 0.4,
+        },
+        {"name": "inner", "parent": "outer", "axis": [0, 1, 0], "inertia": [1e-3, 1e-3, 1e-3]},
+    ],
+    "rotor": [
+        {
+            "name": "wheel",
+            "carrier": "inner",
+            "axis": [0, 0, 1],
+            "axial_inertia": 2e-4,
+            "transverse_inertia": 1.1e-4,
+            "spin": 900.0,
+            "control": "servo",
+            "speed_gain": 0.02,
+            "speed_integral": 0.3,
+            "torque_limit": 0.05,
+        }
+    ],
+    "torquer": [{"gimbal": "outer", "limit": 0.2, "rate_limit": 30.0}, {"root_axis": 2}],
+    "rate_sensor": [
+        {"root_axis": 3, "noise_rms": 1e-5, "noise_bandwidth_hz": 200.0, "quantisation": 1e-7},
+        {"gimbal": "inner"},
+    ],
+    "spring": [{"gimbal": "outer", "stiffness": -0.2, "rest": 0.01}, {"gimbal": "outer", "stiffness": 0.7}],
+    "friction": [
+        {"gimbal": "inner", "viscous": 0.1, "coulomb": [0.01, 0.02], "breakaway": [0.01, 0.05], "stribeck_rate": 0.2},
+        {"gimbal": "outer", "coulomb": 0.03},
+    ],
+    "cage": [{"gimbal": "inner", "stiffness": 50.0, "damping": 0.1, "clearance": 0.002, "angle": 0.05}],
+    "unbalance": [{"body": "base", "moment": [0.0, 0.0, -0.3]}, {"body": "inner", "moment": [1e-5, 0, 0]}],
+    "erection": [{"gimbal": "outer", "senses": "inner", "axis": [0, 2, 0], "gain": 1e-3, "limit": 5e-4}],
+}
+
+
+def test_everything_is_read():
+    platform = read_platform(PLANT)
+    np.testing.assert_array_equal(platform.specific_force, [0.1, 0.0, 9.81])
+    assert [(s.gimbal, s.stiffness, s.rest) for s in platform.springs] == [("outer", -0.2, 0.01), ("outer", 0.7, 0.0)]
+    assert [f.coulomb for f in platform.frictions] == [(0.01, 0.02), (0.03, 0.03)]
+    assert [f.breakaway for f in platform.frictions] == [(0.01, 0.05), (0.03, 0.03)]
+    assert [f.stribeck_rate for f in platform.frictions] == [0.2, np.inf]
+    assert [g.restitution for g in platform.gimbals] == [0.4, 0.0]
+    assert [t.rate_limit for t in platform.torquers] == [30.0, None]
+    assert platform.cages[0].clearance == 0.002
+    assert [u.body for u in platform.unbalances] == ["base", "inner"]
+    np.testing.assert_array_equal(platform.erections[0].axis, [0, 1, 0])
+    wheel = platform.rotors[0]
+    assert (wheel.control, wheel.speed_gain, wheel.speed_integral, wheel.torque_limit) == ("servo", 0.02, 0.3, 0.05)
+
+
+def test_a_rate_sensor_bears_the_name_of_what_it_measures():
+    about, between = read_platform(PLANT).rate_sensors
+    assert (about.name, about.root_axis, about.gimbal) == ("Omega3", 3, None)
+    assert (between.name, between.root_axis, between.gimbal) == ("q_inner_rate", None, "inner")
+    assert (about.noise_rms, about.noise_bandwidth_hz, about.quantisation) == (1e-5, 200.0, 1e-7)
+    assert (between.noise_rms, between.noise_bandwidth_hz, between.quantisation) == (0.0, 1000.0, 0.0)
+    # Half the sampling frequency is as wide as the noise: a sample has all of it.
+    assert about.sampled_noise(1 / 400) == pytest.approx(1e-5)
+    assert [s.name for s in read_platform(changed("gimbal", 1, "angle", to="beta")).rate_sensors][1] == "beta_rate"
+
+
+def test_the_record_of_a_plant_reads_back_to_the_last_bit():
+    platform = read_platform(PLANT)
+    again = read_platform(tomllib.loads(toml(plant_data(platform))))
+    assert plant_data(again) == plant_data(platform)
+    assert again.cages[0].angle == 0.05
+    assert [s.name for s in again.rate_sensors] == ["Omega3", "q_inner_rate"]
+    assert [(f.breakaway, f.stribeck_rate) for f in again.frictions] == [((0.01, 0.05), 0.2), ((0.03, 0.03), np.inf)]
+    assert again.rotors[0].torque_limit == 0.05
+
+
+def changed(*path, to):
+    data = copy.deepcopy(PLANT)
+    table = data
+    for step in path[:-1]:
+        table = table[step]
+    table[path[-1]] = to
+    return data
+
+
+def dropped(*path):
+    data = copy.deepcopy(PLANT)
+    table = data
+    for step in path[:-1]:
+        table = table[step]
+    del table[path[-1]]
+    return data
+
+
+WRONG = {
+    "no such gimbal": (changed("spring", 0, "gimbal", to="outr"), '[[spring]] 1 (gimbal "outr")', 'mean "outer"?'),
+    "spring on the root": (changed("spring", 0, "gimbal", to="base"), "does not exist", "a gimbal"),
+    "stiffness zero": (changed("spring", 0, "stiffness", to=0), "stiffness = 0", "a number other than 0"),
+    "two frictions": (changed("friction", 1, "gimbal", to="inner"), "has a friction already", "expected one"),
+    "negative viscous": (changed("friction", 0, "viscous", to=-1), "viscous = -1", "a number >= 0"),
+    "negative coulomb": (changed("friction", 0, "coulomb", to=[0.1, -0.1]), "negative", "N m, or two"),
+    "three coulombs": (changed("friction", 0, "coulomb", to=[1, 2, 3]), "has 3 elements", "or two"),
+    "no rate": (changed("friction", 0, "coulomb_rate", to=0), "coulomb_rate = 0", "a number > 0"),
+    "breakaway alone": (dropped("friction", 0, "stribeck_rate"), "breakaway = [0.01, 0.05]", '"stribeck_rate" with it'),
+    "stribeck rate alone": (dropped("friction", 0, "breakaway"), "stribeck_rate = 0.2", '"breakaway" with it'),
+    "breakaway below": (changed("friction", 0, "breakaway", to=0.015), "less than coulomb, [0.01, 0.02]", "at least"),
+    "breakaway no torque": (changed("friction", 0, "breakaway", to=-1), "breakaway = -1: negative", "N m, or two"),
+    "stribeck rate zero": (changed("friction", 0, "stribeck_rate", to=0), "stribeck_rate = 0", "a number > 0"),
+    "restitution too large": (changed("gimbal", 0, "restitution", to=1.1), "restitution = 1.1", "from 0 to 1"),
+    "restitution of no stop": (dropped("gimbal", 0, "stops"), "restitution = 0.4", '"stops" or "stops_deg" with it'),
+    "rate limit zero": (changed("torquer", 0, "rate_limit", to=0), "rate_limit = 0", "a number > 0"),
+    "sensor of nothing": (dropped("rate_sensor", 1, "gimbal"), "[[rate_sensor]] 2", "neither is given", '"root_axis"'),
+    "sensor of two": (changed("rate_sensor", 0, "gimbal", to="inner"), "both are given", '"gimbal" or "root_axis"'),
+    "sensor of no gimbal": (changed("rate_sensor", 1, "gimbal", to="innr"), 'gimbal = "innr"', 'mean "inner"?'),
+    "sensor of the root": (changed("rate_sensor", 1, "gimbal", to="base"), "root_axis measures the root"),
+    "sensor of axis 4": (changed("rate_sensor", 0, "root_axis", to=4), "root_axis = 4", "1, 2 or 3"),
+    "sensor twice": (
+        changed("rate_sensor", to=[{"root_axis": 1}, {"root_axis": 1}]),
+        "root_axis = 1: has a rate sensor already, [[rate_sensor]] 1",
+        "one about an axis",
+    ),
+    "gimbal sensor twice": (
+        changed("rate_sensor", to=[{"gimbal": "inner"}, {"gimbal": "inner"}]),
+        'gimbal = "inner": has a rate sensor already, [[rate_sensor]] 1',
+        "one on a gimbal",
+    ),
+    "rate named as an angle": (
+        changed("gimbal", 0, "angle", to="q_inner_rate"),
+        'the default name "q_inner_rate" names the angle of [[gimbal]] 1 already',
+        "a signal name of its own",
+    ),
+    "sensor with a name": (changed("rate_sensor", 0, "name", to="gyro"), 'unknown key "name"'),
+    "cage without stiffness": (dropped("cage", 0, "stiffness"), 'missing key "stiffness"', "a number > 0"),
+    "unbalance of nobody": (changed("unbalance", 1, "body", to="x"), '(body "x")', "the root or a gimbal"),
+    "moment too short": (changed("unbalance", 0, "moment", to=[1, 2]), "has 2 elements", "three numbers"),
+    "senses nothing": (changed("erection", 0, "senses", to="innr"), 'senses = "innr"', 'mean "inner"?'),
+    "axis zero": (changed("erection", 0, "axis", to=[0, 0, 0]), "of length zero", "three numbers"),
+    "gain zero": (changed("erection", 0, "gain", to=0), "gain = 0", "other than 0"),
+    "unknown key": (changed("cage", 0, "damp", to=1), 'unknown key "damp"', 'mean "damping"?'),
+    "force too short": (changed("root", "specific_force", to=[9.81]), "[root]", "three numbers"),
+    "servo without gain": (dropped("rotor", 0, "speed_gain"), 'control = "servo"', '"speed_gain"'),
+    "loop without servo": (changed("rotor", 0, "control", to="free"), "speed_gain = 0.02", 'control = "servo"'),
+    "gain negative": (changed("rotor", 0, "speed_gain", to=-1), "speed_gain = -1", "a number > 0"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_mistake_is_one_line_that_names_place_and_cure(case):
+    data, *words = WRONG[case]
+    with pytest.raises(InputError) as caught:
+        read_platform(data)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+def test_a_job_file_in_place_of_a_plant_is_recognised():
+    with pytest.raises(InputError, match=r'is a job file; expected a plant: its own is "three_gyro_platform"'):
+        read_platform("examples/three_gyro_platform.toml")

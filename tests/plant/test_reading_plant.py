@@ -1,0 +1,617 @@
+"""Plant files: what is read, and that every mistake is one line that names its place."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import os
+import pickle
+import random
+import sys
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl.campaign.identity import digest
+from platform_ctrl.errors import InputError
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.plant.source import platform_source, shipped_models
+
+Change = Callable[[dict[str, Any]], object]
+
+
+def plant() -> dict[str, Any]:
+    """Return a small valid plant: gimbal 5 in gimbal 4, a rotor in 5."""
+    return {
+        "schema": 1,
+        "name": "two gimbals",
+        "source": "invented",
+        "root": {"name": "platform", "inertia": [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]]},
+        "gimbal": [
+            {"name": "4", "parent": "platform", "axis": [0, 2, 0], "inertia": [3, 4, 5], "angle": "alpha4"},
+            {"name": "5", "parent": "4", "axis": [0, 0, -1], "inertia": [1, 1, 1], "stops": [-0.1, 0.2]},
+        ],
+        "rotor": [
+            {
+                "name": "6",
+                "carrier": "5",
+                "axis": [1, 0, 0],
+                "axial_inertia": 0.5,
+                "transverse_inertia": 0.3,
+                "spin": 100.0,
+            },
+        ],
+        "torquer": [{"gimbal": "4", "limit": 0.5, "lag": 0.001}, {"gimbal": "5"}, {"root_axis": 1}],
+        "pickoff": [{"gimbal": "5", "noise_rms": 1e-6}, {"gimbal": "4"}],
+    }
+
+
+def toml(item: object) -> str:
+    """Write plain data as TOML; tables within the file become inline tables."""
+    if isinstance(item, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {toml(entry)}" for key, entry in item.items()) + "}"
+    if isinstance(item, list):
+        return "[" + ", ".join(map(toml, item)) + "]"
+    return json.dumps(item) if isinstance(item, str | bool) else repr(item)
+
+
+def toml_file(data: dict[str, Any]) -> str:
+    return "".join(f"{json.dumps(key)} = {toml(entry)}\n" for key, entry in data.items())
+
+
+def enter(data: Any, path: tuple[str | int, ...]) -> Any:
+    for step in path:
+        data = data[step]
+    return data
+
+
+def put(value: object, *path: str | int) -> Change:
+    return lambda data: enter(data, path[:-1]).__setitem__(path[-1], copy.deepcopy(value))
+
+
+def drop(*path: str | int) -> Change:
+    return lambda data: enter(data, path[:-1]).__delitem__(path[-1])
+
+
+def add(entry: object, *path: str | int) -> Change:
+    return lambda data: enter(data, path).append(copy.deepcopy(entry))
+
+
+def both(*changes: Change) -> Change:
+    return lambda data: [change(data) for change in changes]
+
+
+def refusal(read: Callable[[Any], object], source: object) -> str:
+    """Return the message, which is one line whatever was refused."""
+    with pytest.raises(InputError) as caught:
+        read(source)
+    message = str(caught.value)
+    assert message.isprintable()
+    return message
+
+
+def outcome(read: Callable[[Any], Any], source: object) -> Any:
+    """Return what is read, or the message of the refusal; any other exception is a failure."""
+    try:
+        return read(source)
+    except InputError as error:
+        return str(error)
+
+
+GIMBAL_4 = '[[gimbal]] 1 "4"'
+GIMBAL_5 = '[[gimbal]] 2 "5"'
+ROTOR = '[[rotor]] 1 "6"'
+NEW_TORQUER = "[[torquer]] 4"
+
+MISTAKES: dict[str, tuple[Change, list[str]]] = {
+    # keys and tables
+    "schema missing": (drop("schema"), ['missing key "schema"', "expected 1"]),
+    "schema 2": (put(2, "schema"), ["schema = 2", "expected 1"]),
+    "schema as text": (put("1", "schema"), ['schema = "1"', "expected 1"]),
+    "schema true": (put(True, "schema"), ["schema = true", "expected 1"]),
+    "name missing": (drop("name"), ['missing key "name"']),
+    "name empty": (put("", "name"), ['name = ""', "empty"]),
+    "name blank": (put(" ", "gimbal", 1, "name"), ["[[gimbal]] 2", "empty"]),
+    "name of two lines": (put("a\nb", "gimbal", 1, "name"), ["[[gimbal]] 2", "cannot be printed"]),
+    "name a number": (put(5, "gimbal", 1, "name"), ["[[gimbal]] 2 5", "name = 5", "expected a name"]),
+    "source a number": (put(5, "source"), ["source = 5", "expected a text"]),
+    "unknown key": (put(1, "gimbal", 1, "stop"), [GIMBAL_5, 'unknown key "stop"', 'did you mean "stops"?']),
+    "unknown key far off": (put(1, "root", "zzzzzz"), ["[root]", 'unknown key "zzzzzz"', 'known: "name", "inertia"']),
+    "unknown key in capitals": (put(1, "gimbal", 1, "STOPS"), [GIMBAL_5, 'did you mean "stops"?']),
+    "unknown table": (put([{"name": "x"}], "gimball"), ['unknown table "gimball"', 'did you mean "gimbal"?']),
+    "unknown plain table": (put({"x": 1}, "rooot"), ['unknown table "rooot"', 'did you mean "root"?']),
+    "misspelt key": (
+        both(put([1, 0, 0], "gimbal", 1, "axes"), drop("gimbal", 1, "axis")),
+        [GIMBAL_5, 'unknown key "axes"', 'did you mean "axis"?'],
+    ),
+    "root missing": (drop("root"), ["missing table [root]"]),
+    "root a number": (put(3, "root"), ["root = 3", "expected a table"]),
+    "root an array": (put([{"name": "p"}], "root"), ["root = an array of tables", "expected a table"]),
+    "gimbal a table": (put({"name": "4"}, "gimbal"), ["gimbal = a table", "expected an array of tables", "[[gimbal]]"]),
+    "gimbal a number": (add(7, "gimbal"), ["[[gimbal]] 3", "gimbal = 7", "expected a table"]),
+    "gimbal without parent": (drop("gimbal", 1, "parent"), [GIMBAL_5, 'missing key "parent"', "expected a name"]),
+    "gimbal without axis": (drop("gimbal", 1, "axis"), [GIMBAL_5, 'missing key "axis"', "vector of three numbers"]),
+    "gimbal without inertia": (drop("gimbal", 1, "inertia"), [GIMBAL_5, 'missing key "inertia"', "kg m2"]),
+    "rotor without C": (drop("rotor", 0, "axial_inertia"), [ROTOR, 'missing key "axial_inertia"', "a number > 0"]),
+    # numbers
+    "number as text": (put("0.5", "torquer", 0, "limit"), ['[[torquer]] 1 (gimbal "4")', 'limit = "0.5"', "a number"]),
+    "number a boolean": (put(True, "torquer", 0, "limit"), ["limit = true", "expected a number > 0"]),
+    "number a list": (put([1.0], "torquer", 0, "limit"), ["limit = [1.0]", "expected a number > 0"]),
+    "number a table": (put({"a": 1}, "torquer", 0, "limit"), ["limit = a table", "expected a number > 0"]),
+    "not finite": (put(math.nan, "torquer", 0, "limit"), ["limit = nan", "not finite"]),
+    "infinite": (put(math.inf, "rotor", 0, "spin"), [ROTOR, "spin = inf", "not finite"]),
+    "huge integer": (put(10**400, "rotor", 0, "spin"), [ROTOR, "spin = an integer of", "too large"]),
+    "limit zero": (put(0, "torquer", 0, "limit"), ["limit = 0", "expected a number > 0"]),
+    "limit negative": (put(-1.5, "torquer", 0, "limit"), ["limit = -1.5", "expected a number > 0"]),
+    "lag negative": (put(-1e-3, "torquer", 0, "lag"), ["lag = -0.001", "expected a number >= 0"]),
+    "noise negative": (put(-1e-6, "pickoff", 0, "noise_rms"), ['[[pickoff]] 1 (gimbal "5")', "noise_rms = -1e-06"]),
+    "bandwidth zero": (put(0, "pickoff", 0, "noise_bandwidth_hz"), ["noise_bandwidth_hz = 0", "a number > 0"]),
+    "quantisation negative": (put(-1, "pickoff", 0, "quantisation"), ["quantisation = -1", "a number >= 0"]),
+    # vectors and matrices
+    "axis a number": (put(1, "gimbal", 1, "axis"), [GIMBAL_5, "axis = 1", "expected a vector of three numbers"]),
+    "axis of two": (put([1, 0], "gimbal", 1, "axis"), ["axis = [1, 0]", "has 2 elements", "three numbers"]),
+    "axis zero": (put([0, 0.0, 0], "gimbal", 1, "axis"), [GIMBAL_5, "axis = [0, 0.0, 0]", "of length zero"]),
+    "axis of words": (put([0, "1", 0], "gimbal", 1, "axis"), ["axis", 'element 2, "1", is not a number']),
+    "axis with a boolean": (put([0, True, 0], "rotor", 0, "axis"), [ROTOR, "element 2, true, is not a number"]),
+    "axis not finite": (put([0, 0, math.inf], "rotor", 0, "axis"), [ROTOR, "element 3, inf, is not finite"]),
+    "axis nested": (put([[0, 1, 0]], "gimbal", 1, "axis"), [GIMBAL_5, "axis = [[0, 1, 0]]", "has 1 element;"]),
+    "inertia a number": (put(2.0, "root", "inertia"), ["[root]", "inertia = 2.0", "symmetric 3 x 3 matrix"]),
+    "inertia of two": (put([1, 2], "gimbal", 0, "inertia"), [GIMBAL_4, "inertia = [1, 2]", "has 2 elements"]),
+    "inertia of two rows": (put([[1, 0, 0], [0, 1, 0]], "root", "inertia"), ["[root]", "has 2 rows", "3 x 3"]),
+    "inertia ragged": (put([[1, 0, 0], [0, 1], [0, 0, 1]], "root", "inertia"), ["[root]", "row 2 has 2 elements"]),
+    "inertia mixed": (put([1, [0, 1, 0], 1], "root", "inertia"), ["[root]", "element 2, [0, 1, 0], is not a number"]),
+    "inertia zero": (put([0, 0, 0], "root", "inertia"), ["[root]", "not positive definite"]),
+    "inertia not symmetric": (
+        put([[2, 0.1, 0], [0.2, 2, 0], [0, 0, 2]], "root", "inertia"),
+        ["[root]", "not symmetric, element (1, 2) differs from (2, 1)"],
+    ),
+    "inertia negative": (put([1, -1, 1], "gimbal", 0, "inertia"), [GIMBAL_4, "not positive definite", "moment is -1"]),
+    "inertia indefinite": (
+        put([[1, 2, 0], [2, 1, 0], [0, 0, 1]], "root", "inertia"),
+        ["[root]", "not positive definite, its smallest principal moment is -1"],
+    ),
+    "inertia singular": (
+        put([[1, 1, 0], [1, 1, 0], [0, 0, 2]], "root", "inertia"),
+        ["[root]", "not positive definite"],
+    ),
+    "inertia of no body": (put([1, 2, 3.1], "gimbal", 0, "inertia"), [GIMBAL_4, "3.1 exceeds the sum", "1 + 2"]),
+    "matrix of no body": (
+        put([[2, 1, 0], [1, 2, 0], [0, 0, 4.5]], "root", "inertia"),
+        ["[root]", "4.5 exceeds the sum of the others, 1 + 3"],
+    ),
+    # rotors
+    "C not positive": (put(0, "rotor", 0, "axial_inertia"), [ROTOR, "axial_inertia = 0", "a number > 0"]),
+    "A not positive": (put(-0.3, "rotor", 0, "transverse_inertia"), [ROTOR, "transverse_inertia = -0.3", "> 0"]),
+    "C above 2 A": (
+        put(0.24, "rotor", 0, "transverse_inertia"),
+        [ROTOR, "transverse_inertia = 0.24", "axial_inertia = 0.5", "at least half"],
+    ),
+    "spin and momentum": (put(1.0, "rotor", 0, "angular_momentum"), [ROTOR, "both are given", '"angular_momentum"']),
+    "no spin": (drop("rotor", 0, "spin"), [ROTOR, "neither is given", 'either "spin" or "angular_momentum"']),
+    "larger than anything": (put(2e50, "rotor", 0, "spin"), [ROTOR, "spin = 2e+50: larger than 1e+50; expected a"]),
+    "next to nothing": (put(-1e-51, "rotor", 0, "spin"), [ROTOR, "spin = -1e-51: smaller than 1e-50 and not 0"]),
+    "control unknown": (
+        put("regulatd", "rotor", 0, "control"),
+        [ROTOR, 'control = "regulatd"', '"regulated" or "free"'],
+    ),
+    # names and the tree
+    "parent unknown": (
+        put("platfrom", "gimbal", 0, "parent"),
+        [GIMBAL_4, 'parent = "platfrom"', "does not exist", 'did you mean "platform"?'],
+    ),
+    "parent far off": (put("%%%", "gimbal", 1, "parent"), [GIMBAL_5, 'known: "platform", "4", "5"']),
+    "parent a rotor": (put("6", "gimbal", 1, "parent"), [GIMBAL_5, 'parent = "6"', "the root or a gimbal"]),
+    "carrier unknown": (put("gimbal 5", "rotor", 0, "carrier"), [ROTOR, 'carrier = "gimbal 5"', "does not exist"]),
+    "cycle": (put("5", "gimbal", 0, "parent"), [GIMBAL_4, 'parent = "5"', '"4" -> "5" -> "4"', "ends at the root"]),
+    "own parent": (put("5", "gimbal", 1, "parent"), [GIMBAL_5, 'parent = "5"', '"5" -> "5"']),
+    "gimbal twice": (
+        add({"name": "4", "parent": "5", "axis": [1, 0, 0], "inertia": [1, 1, 1]}, "gimbal"),
+        ['[[gimbal]] 3 "4"', "is the name of [[gimbal]] 1 already"],
+    ),
+    "gimbal named like the root": (
+        add({"name": "platform", "parent": "5", "axis": [1, 0, 0], "inertia": [1, 1, 1]}, "gimbal"),
+        ['[[gimbal]] 3 "platform"', "is the name of the root already"],
+    ),
+    "rotor twice": (
+        lambda data: data["rotor"].append(dict(data["rotor"][0])),
+        ['[[rotor]] 2 "6"', "is the name of [[rotor]] 1 already"],
+    ),
+    # stops
+    "stops of one": (put([0.1], "gimbal", 1, "stops"), [GIMBAL_5, "stops = [0.1]", "has 1 element;"]),
+    "stops reversed": (put([0.1, -0.1], "gimbal", 1, "stops"), [GIMBAL_5, "lower is not below", "[lower, upper]"]),
+    "stops equal": (put([0, 0], "gimbal", 1, "stops"), [GIMBAL_5, "lower is not below the upper"]),
+    "stops without zero": (put([0.1, 0.2], "gimbal", 1, "stops"), [GIMBAL_5, "0 is not between them"]),
+    "stops in degrees without zero": (put([-2, -1], "gimbal", 0, "stops_deg"), [GIMBAL_4, "stops_deg = [-2, -1]"]),
+    "stops twice": (put([-1, 1], "gimbal", 1, "stops_deg"), [GIMBAL_5, "both are given", '"stops" or "stops_deg"']),
+    # torquers and pick-offs
+    "torquer on nothing": (
+        put("44", "torquer", 0, "gimbal"),
+        ['[[torquer]] 1 (gimbal "44")', 'gimbal = "44"', "does not exist", 'did you mean "4"?'],
+    ),
+    "torquer on the root": (put("platform", "torquer", 0, "gimbal"), ["does not exist", "root_axis turns the root"]),
+    "torquer with both": (put(2, "torquer", 0, "root_axis"), ["[[torquer]] 1", "both are given", '"root_axis"']),
+    "torquer with neither": (add({"name": "Q"}, "torquer"), [f'{NEW_TORQUER} "Q"', "neither is given"]),
+    "root axis 0": (put(0, "torquer", 2, "root_axis"), ["[[torquer]] 3 (root_axis 0)", "expected 1, 2 or 3"]),
+    "root axis 4": (put(4, "torquer", 2, "root_axis"), ["root_axis = 4", "expected 1, 2 or 3"]),
+    "root axis 1.0": (put(1.0, "torquer", 2, "root_axis"), ["root_axis = 1.0", "expected 1, 2 or 3"]),
+    "root axis true": (put(True, "torquer", 2, "root_axis"), ["root_axis = true", "expected 1, 2 or 3"]),
+    "pick-off on nothing": (put("55", "pickoff", 0, "gimbal"), ["[[pickoff]] 1", 'gimbal = "55"', "does not exist"]),
+    "pick-off without gimbal": (drop("pickoff", 0, "gimbal"), ["[[pickoff]] 1", 'missing key "gimbal"']),
+    "two pick-offs": (add({"gimbal": "5"}, "pickoff"), ["[[pickoff]] 3", "already, [[pickoff]] 1", "expected one"]),
+    # signals
+    "angle twice": (put("alpha4", "gimbal", 1, "angle"), [GIMBAL_5, 'angle = "alpha4"', "angle of [[gimbal]] 1"]),
+    "angle like a default": (put("q_5", "gimbal", 0, "angle"), [GIMBAL_5, 'default name "q_5"', "[[gimbal]] 1"]),
+    "angle named Omega1": (put("Omega1", "gimbal", 1, "angle"), [GIMBAL_5, 'angle = "Omega1"', "a platform rate"]),
+    "angle named M2": (put("M2", "gimbal", 1, "angle"), [GIMBAL_5, "a torque about a root axis"]),
+    "torquer twice": (add({"gimbal": "4"}, "torquer"), [NEW_TORQUER, 'default name "Q4"', "torque of [[torquer]] 1"]),
+    "torquer named like an angle": (
+        put("alpha4", "torquer", 0, "name"),
+        ['[[torquer]] 1 "alpha4"', "names the angle of [[gimbal]] 1 already"],
+    ),
+    "torquer named Omega3": (put("Omega3", "torquer", 0, "name"), ["names a platform rate already"]),
+    "gimbal torquer named M1": (put("M1", "torquer", 0, "name"), ["names a torque about a root axis already"]),
+    "root torquer named after another axis": (put("M3", "torquer", 2, "name"), ["a torque about a root axis already"]),
+    "root torquer twice": (add({"root_axis": 1}, "torquer"), [NEW_TORQUER, 'default name "M1"', "[[torquer]] 3"]),
+}
+
+
+@pytest.mark.parametrize(("change", "fragments"), MISTAKES.values(), ids=MISTAKES.keys())
+def test_a_mistake_is_one_line_that_names_its_place(change: Change, fragments: list[str], tmp_path: Path) -> None:
+    data = plant()
+    change(data)
+    from_dict = refusal(read_platform, data)
+    file = tmp_path / "plant.toml"
+    file.write_text(toml_file(data), encoding="utf-8")
+    from_file = refusal(read_platform, file)
+    for fragment in fragments:
+        assert fragment in from_dict
+    assert "more)" not in from_dict
+    assert from_dict.startswith("plant given as a dict: ")
+    assert from_file == from_dict.replace("plant given as a dict", str(file))
+
+
+ENDLESS: list[Any] = []
+ENDLESS.extend([ENDLESS] * 10)
+ENDLESS_TABLE: dict[str, Any] = {"name": "4"}
+ENDLESS_TABLE["axis"] = ENDLESS_TABLE
+
+PYTHON_MISTAKES: dict[str, tuple[Change, list[str]]] = {
+    "None": (put(None, "gimbal", 1, "angle"), [GIMBAL_5, "angle = None", "leave the key out"]),
+    "None in a vector": (put([0, None, 1], "gimbal", 1, "axis"), [GIMBAL_5, "element 2, None, is not a number"]),
+    "None for a table": (put(None, "root"), ["root = None"]),
+    "None in an array of tables": (put([None], "rotor"), ["[[rotor]] 1", "expected a table"]),
+    "complex": (put(1j, "rotor", 0, "spin"), [ROTOR, "spin = 1j", "expected a number"]),
+    "complex array": (put(np.array([1j, 0, 0]), "rotor", 0, "axis"), [ROTOR, "element 1, 1j, is not a number"]),
+    "array of booleans": (put(np.eye(3, dtype=bool)[0], "rotor", 0, "axis"), [ROTOR, "true, is not a number"]),
+    "array of words": (put(np.array(["a", "b", "c"]), "rotor", 0, "axis"), [ROTOR, 'element 1, "a", is not']),
+    "array with NaN": (put(np.array([0, np.nan, 1]), "rotor", 0, "axis"), [ROTOR, "element 2, nan, is not finite"]),
+    "array of four": (put(np.ones(4), "rotor", 0, "axis"), [ROTOR, "has 4 elements"]),
+    "array of three dimensions": (put(np.ones((3, 3, 3)), "root", "inertia"), ["[root]", "row 1 element 1"]),
+    "array of dimension zero": (put(np.array(2.0), "rotor", 0, "axis"), [ROTOR, "axis = 2.0", "expected a vector"]),
+    "NumPy boolean": (put(np.True_, "rotor", 0, "spin"), [ROTOR, "expected a number"]),
+    "decimal": (put(Decimal("0.1"), "rotor", 0, "spin"), [ROTOR, "an object of type Decimal", "expected a number"]),
+    "integer too long to print": (put(10**10000, "gimbal", 1, "name"), ["name = an integer of 33220 bits"]),
+    "integer too long for a float": (put([0, 10**10000, 0], "rotor", 0, "axis"), [ROTOR, "is too large"]),
+    "set": (put({1.0, 2.0}, "gimbal", 1, "stops"), [GIMBAL_5, "an object of type set", "[lower, upper]"]),
+    "bytes": (put(b"5", "gimbal", 1, "name"), ["[[gimbal]] 2", "an object of type bytes", "expected a name"]),
+    "a class": (put(int, "rotor", 0, "spin"), [ROTOR, "an object of type type", "expected a number"]),
+    "key not a word": (put(1, "gimbal", 1, 3), [GIMBAL_5, "the key 3", "printable text"]),
+    "key of two lines": (put(1, "a\nb"), [r'the key "a\nb"', "printable text"]),
+    "name with half a character": (put("\ud800", "gimbal", 1, "name"), ["[[gimbal]] 2", r"\ud800", "printed"]),
+    "key with half a character": (put(1, "gimbal", 1, "\ud800"), [GIMBAL_5, r"\ud800"]),
+    "list that holds itself": (put(ENDLESS, "rotor", 0, "axis"), [ROTOR, "nested deeper than"]),
+    "table that holds itself": (put([ENDLESS_TABLE], "gimbal"), ['[[gimbal]] 1 "4"']),
+    "long text": (put("x" * 10**6, "gimbal", 1, "parent"), [GIMBAL_5, " ...", "does not exist"]),
+}
+
+
+@pytest.mark.parametrize(("change", "fragments"), PYTHON_MISTAKES.values(), ids=PYTHON_MISTAKES.keys())
+def test_a_python_object_of_the_wrong_kind_is_one_short_line(change: Change, fragments: list[str]) -> None:
+    data = plant()
+    change(data)
+    message = refusal(read_platform, data)
+    assert len(message) < 400
+    for fragment in fragments:
+        assert fragment in message
+
+
+TOML_MISTAKES = {
+    "syntax": (b"schema = 1\nname = \n", ["is not TOML", "line 2, column 8"]),
+    "key twice": (b"schema = 1\nschema = 1\n", ["is not TOML", "line 2"]),
+    "unfinished": (b'name = "abc', ["is not TOML"]),
+    "long integer": (b"schema = " + b"1" * 5000, ["is not TOML", "too many digits"]),
+    "deep nesting": (b"schema = " + b"[" * 100_000, ["is not TOML", "nested too deeply"]),
+    "not UTF-8": (b'name = "\xff"', ["is not UTF-8 text", "byte 8"]),
+    "a date": (b"schema = 1\nname = 2020-01-01\n[root]\n", ["name = an object of type date", "(and 2 more)"]),
+    "empty": (b"", ['missing key "schema"', "(and 2 more)"]),
+}
+
+
+@pytest.mark.parametrize(("content", "fragments"), TOML_MISTAKES.values(), ids=TOML_MISTAKES.keys())
+def test_a_broken_file_is_one_line(content: bytes, fragments: list[str], tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_bytes(content)
+    message = refusal(read_platform, file)
+    assert message.startswith(f"{file}: ")
+    for fragment in fragments:
+        assert fragment in message
+
+
+def test_a_file_that_cannot_be_opened_is_one_line(tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere.toml"
+    assert refusal(read_platform, missing) == f"{missing}: there is no such file"
+    assert refusal(read_platform, str(missing)) == f"{missing}: there is no such file"
+    assert "is a directory" in refusal(read_platform, tmp_path) or os.name == "nt"
+    assert "cannot be read" in refusal(read_platform, "a\0b.toml")
+    assert "cannot be read" in refusal(read_platform, "x" * 10_000 + ".toml")
+    assert "\\n" in refusal(read_platform, "a\nb.toml")
+    file = tmp_path / "file.toml"
+    file.write_text("")
+    assert refusal(read_platform, file / "plant.toml").startswith(str(file))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_file_that_links_to_itself_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    assert "cannot be read" in refusal(read_platform, tmp_path / "loop.toml")
+
+
+@pytest.mark.parametrize("source", [None, 3, b"three_gyro_platform", [], "", object(), 1j])
+def test_a_source_that_is_no_source_is_one_line(source: object) -> None:
+    assert "expected the name of a shipped model, a path or a dict" in refusal(read_platform, source)
+
+
+def test_an_unknown_shipped_name_gets_the_nearest_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    message = refusal(read_platform, "three_gyro_platfrom")
+    assert 'no shipped model "three_gyro_platfrom"' in message
+    assert 'did you mean "three_gyro_platform"?' in message
+    assert "known: " in refusal(read_platform, "zzz")
+    assert '"three_gyro_platform"' in refusal(read_platform, "zzz")
+    for odd in ("x" * 10_000, "a\0b", "a\nb", " ", "\ud800"):
+        assert "there is no shipped model" in refusal(read_platform, odd)
+    assert "expected the name of a shipped model" in refusal(platform_source, ["three_gyro_platform"])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "zzz").write_text(toml_file(plant()), encoding="utf-8")
+    assert 'a file of that name is read as "./zzz"' in refusal(read_platform, "zzz")
+    assert read_platform("./zzz").name == "two gimbals"
+    assert read_platform(Path("zzz")).name == "two gimbals"
+
+
+def test_of_several_mistakes_the_first_in_the_files_order_is_named_and_the_others_counted() -> None:
+    data = plant()
+    put(-1, "torquer", 0, "limit")(data)
+    put("nobody", "rotor", 0, "carrier")(data)
+    put([0, 0, 0], "gimbal", 1, "axis")(data)
+    put("platfrom", "gimbal", 0, "parent")(data)
+    for path, fragment, more in (
+        (("gimbal", 0, "parent"), 'parent = "platfrom"', " (and 3 more)"),
+        (("gimbal", 1, "axis"), "of length zero", " (and 2 more)"),
+        (("rotor", 0, "carrier"), 'carrier = "nobody"', " (and 1 more)"),
+        (("torquer", 0, "limit"), "limit = -1", ""),
+    ):
+        message = refusal(read_platform, data)
+        assert fragment in message
+        assert message.endswith(more)
+        assert ("more)" in message) == bool(more)
+        put(enter(plant(), path) if path != ("rotor", 0, "carrier") else "5", *path)(data)
+    read_platform(data)
+
+
+def test_the_files_order_counts_and_not_ours() -> None:
+    data = plant()
+    data["rotor"][0]["axis"] = [0, 0, 0]
+    data["gimbal"][0]["axis"] = [0, 0, 0]
+    assert "[[gimbal]] 1" in refusal(read_platform, data)
+    assert "[[rotor]] 1" in refusal(read_platform, dict(reversed(data.items())))
+
+
+def test_a_name_that_cannot_be_read_does_not_make_its_references_wrong() -> None:
+    data = plant()
+    data["gimbal"].reverse()
+    data["gimbal"][1]["name"] = 4
+    message = refusal(read_platform, data)
+    assert "name = 4" in message
+    assert "more)" not in message
+
+
+def test_a_gimbal_that_hangs_on_a_cycle_is_not_blamed_for_it() -> None:
+    data = plant()
+    data["gimbal"].insert(0, dict(data["gimbal"][1], name="0", parent="4"))
+    data["gimbal"][1]["parent"] = "5"
+    message = refusal(read_platform, data)
+    assert '[[gimbal]] 2 "4"' in message
+    assert "more)" not in message
+
+
+def test_what_is_read_is_in_si_units_and_normalised() -> None:
+    data = plant()
+    data["gimbal"][0]["stops_deg"] = [-90, 180]
+    data["gimbal"][0]["axis"] = [0, 3e300, 4e300]
+    data["rotor"].append(dict(data["rotor"][0], name="7", carrier="platform", control="free"))
+    platform = read_platform(data)
+    assert (platform.name, platform.source, platform.root_name) == ("two gimbals", "invented", "platform")
+    assert platform.gimbal_names == ("4", "5")
+    assert platform.angle_names == ("alpha4", "q_5")
+    assert platform.parents.tolist() == [-1, 0]
+    assert platform.carriers.tolist() == [1, -1]
+    assert platform.gimbals[0].stops == pytest.approx((-math.pi / 2, math.pi))
+    assert platform.gimbals[1].stops == (-0.1, 0.2)
+    np.testing.assert_allclose(platform.gimbals[0].axis, [0, 0.6, 0.8], rtol=1e-15)
+    np.testing.assert_array_equal(platform.gimbals[1].axis, [0, 0, -1])
+    np.testing.assert_array_equal(platform.gimbals[0].inertia, np.diag([3, 4, 5]))
+    np.testing.assert_array_equal(platform.root_inertia, data["root"]["inertia"])
+    assert [rotor.angular_momentum for rotor in platform.rotors] == [50.0, 50.0]
+    assert [rotor.control for rotor in platform.rotors] == ["regulated", "free"]
+    assert [torquer.name for torquer in platform.torquers] == ["Q4", "Q5", "M1"]
+    assert [torquer.limit for torquer in platform.torquers] == [0.5, None, None]
+    assert [torquer.lag for torquer in platform.torquers] == [0.001, 0.0, 0.0]
+    assert [torquer.root_axis for torquer in platform.torquers] == [None, None, 1]
+    assert [pickoff.name for pickoff in platform.pickoffs] == ["q_5", "alpha4"]
+    assert [pickoff.noise_rms for pickoff in platform.pickoffs] == [1e-6, 0.0]
+
+
+def test_rounding_of_printed_numbers_is_forgiven() -> None:
+    data = plant()
+    data["rotor"][0] |= {"axial_inertia": 2.0, "transverse_inertia": 1.0 - 1e-12}
+    data["gimbal"][0]["inertia"] = [1.0, 2.0, 3.0 + 1e-10]
+    data["root"]["inertia"] = [[1, 0.1 + 1e-12, 0], [0.1, 1, 0], [0, 0, 1]]
+    inertia = read_platform(data).root_inertia
+    np.testing.assert_array_equal(inertia, inertia.T)
+
+
+def test_only_a_root_is_a_platform_too() -> None:
+    platform = read_platform({"schema": 1, "name": "rigid", "root": {"name": "case", "inertia": (1, 1, 1)}})
+    assert platform.gimbals == platform.rotors == platform.torquers == platform.pickoffs == ()
+
+
+def test_tuples_arrays_and_numpy_numbers_read_like_lists_and_numbers() -> None:
+    data = plant()
+    data["root"]["inertia"] = np.array(data["root"]["inertia"])
+    data["gimbal"] = tuple(data["gimbal"])
+    data["gimbal"][0]["axis"] = np.array([0, 2, 0])
+    data["gimbal"][1]["stops"] = (np.float32(-0.5), np.int64(1))
+    data["torquer"][2]["root_axis"] = np.int8(1)
+    data["rotor"][0]["name"] = np.str_("6")
+    platform = read_platform(data)
+    np.testing.assert_array_equal(platform.gimbals[0].axis, [0, 1, 0])
+    assert platform.gimbals[1].stops == (-0.5, 1.0)
+    assert platform.torquers[2].name == "M1"
+
+
+def test_reading_leaves_the_dict_alone() -> None:
+    data = plant()
+    read_platform(data)
+    assert data == plant()
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_read_over(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + toml_file(plant()).replace("\n", "\r\n").encode())
+    assert read_platform(file).name == "two gimbals"
+
+
+def arrays_of(platform: Any) -> list[np.ndarray]:
+    bodies = [*platform.gimbals, *platform.rotors]
+    return [platform.root_inertia, *(b.axis for b in bodies), *(g.inertia for g in platform.gimbals)]
+
+
+def test_arrays_are_read_only_and_stay_so_through_pickle_and_deepcopy() -> None:
+    platform = read_platform(plant())
+    for copied in (platform, copy.deepcopy(platform), pickle.loads(pickle.dumps(platform))):
+        for array, original in zip(arrays_of(copied), arrays_of(platform), strict=True):
+            np.testing.assert_array_equal(array, original)
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
+        assert copied.gimbal_names == platform.gimbal_names
+
+
+def test_every_shipped_model_is_read_by_name_and_from_a_copy_of_its_text(tmp_path: Path) -> None:
+    assert "three_gyro_platform" in shipped_models()
+    for name in shipped_models():
+        copied = tmp_path / f"{name}.toml"
+        copied.write_text(platform_source(name), encoding="utf-8")
+        platform = read_platform(name)
+        assert platform.source
+        assert digest(read_platform(copied)) == digest(platform)
+
+
+def test_the_three_gyro_platform_has_the_sums_and_nutations_of_its_comments() -> None:
+    platform = read_platform("three_gyro_platform")
+    assert platform.gimbal_names == ("4", "5", "7", "9", "10")
+    assert platform.angle_names == ("alpha4", "beta5", "beta7", "alpha9", "beta10")
+    assert [t.name for t in platform.torquers] == ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
+    assert [p.name for p in platform.pickoffs] == list(platform.angle_names)
+    body = {gimbal.name: gimbal.inertia.copy() for gimbal in platform.gimbals}
+    for rotor in platform.rotors:
+        body[rotor.carrier] += rotor.transverse_inertia * (np.eye(3) - np.outer(rotor.axis, rotor.axis))
+    j4 = body["4"][1, 1] + body["5"][1, 1] + body["7"][1, 1]
+    j5, j7, j10 = body["5"][2, 2], body["7"][2, 2], body["10"][0, 0]
+    j9 = body["9"][2, 2] + body["10"][2, 2]
+    np.testing.assert_allclose([j4, j5, j7, j9, j10], [8e-4, 2e-4, 2e-4, 5e-4, 2e-4], rtol=1e-14)
+    momentum = {rotor.name: rotor.angular_momentum for rotor in platform.rotors}
+    assert momentum == {"6": 0.15, "8": 0.15, "11": 0.15}
+    assert math.sqrt(2) * momentum["6"] / math.sqrt(j4 * j5) == pytest.approx(530.3, abs=0.05)
+    assert momentum["11"] / math.sqrt(j9 * j10) == pytest.approx(474.3, abs=0.05)
+    turns = {g.name: (g.parent, g.axis.tolist()) for g in platform.gimbals}
+    assert turns == {
+        "4": ("platform", [0, 1, 0]),
+        "5": ("4", [0, 0, 1]),
+        "7": ("4", [0, 0, -1]),
+        "9": ("platform", [0, 0, 1]),
+        "10": ("9", [1, 0, 0]),
+    }
+    spins = {r.name: (r.carrier, r.axis.tolist()) for r in platform.rotors}
+    assert spins == {"6": ("5", [1, 0, 0]), "8": ("7", [-1, 0, 0]), "11": ("10", [0, 1, 0])}
+
+
+JUNK = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.sampled_from([0, -1, 10**400, 10**5000, math.nan, math.inf, 1e308, 5e-324, 1j, b"x", object(), int]),
+    st.floats(),
+    st.text(max_size=5),
+    st.sampled_from(["4", "5", "6", "platform", "M1", "Omega1", "alpha4", "free", "caging", "a\nb", "\u2028"]),
+    st.lists(st.floats(), max_size=4),
+    st.lists(st.floats(), min_size=3, max_size=3).map(np.array),
+    st.recursive(
+        st.integers() | st.none() | st.text(max_size=3),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4) | st.integers(), inner),
+        max_leaves=8,
+    ),
+)
+
+
+def mutate(data: Any, chance: random.Random, junk: Any) -> None:
+    """Change, delete, double or misspell one entry somewhere in nested tables."""
+    while True:
+        keys = list(data) if isinstance(data, dict) else list(range(len(data)))
+        if not keys:
+            return
+        key = chance.choice(keys)
+        if isinstance(data[key], dict | list) and data[key] and chance.random() < 0.8:
+            data = data[key]
+            continue
+        match chance.randrange(4):
+            case 0:
+                del data[key]
+            case 1 if isinstance(data, list):
+                data.append(copy.deepcopy(data[key]))
+            case 1:
+                data[str(key)[::-1]] = data.pop(key)
+            case _:
+                data[key] = junk
+        return
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(junk=st.lists(JUNK, min_size=1, max_size=4), chance=st.randoms(use_true_random=False))
+def test_whatever_is_changed_a_plant_is_read_or_refused_in_one_line(junk: list[Any], chance: random.Random) -> None:
+    data = plant()
+    for item in junk:
+        mutate(data, chance, item)
+    platform = outcome(read_platform, data)
+    if isinstance(platform, str):
+        assert platform.isprintable()
+    else:
+        assert all(np.isfinite(array).all() for array in arrays_of(platform))
+        assert platform.parents.max(initial=-1) < len(platform.gimbals)
+
+
+@settings(max_examples=100, deadline=None)
+@given(text=st.text(max_size=40), at=st.integers(0, 900))
+def test_whatever_is_typed_into_a_file_it_is_read_or_refused_in_one_line(
+    text: str, at: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "typed.toml"
+    whole = toml_file(plant())
+    file.write_text(whole[:at] + text + whole[at + 3 :], encoding="utf-8", newline="")
+    platform = outcome(read_platform, file)
+    assert not isinstance(platform, str) or platform.isprintable()

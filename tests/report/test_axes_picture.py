@@ -1,0 +1,363 @@
+"""Pictures of axes: what they show is what the plant says, and the page of models shows every model."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from platform_ctrl import read_platform
+from platform_ctrl.common.text import greek
+from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.report.axes_picture import DARK, LIGHT, axes_picture
+from platform_ctrl.report.svg import direction_text, text_width
+from tree_cases import platforms
+
+ROOT = Path(__file__).parents[2]
+SVG = "{http://www.w3.org/2000/svg}"
+MODEL = pytest.mark.parametrize("model", shipped_models())
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+
+
+def plant(gimbals=(), rotors=(), **tables):
+    """Return a platform of (name, parent, axis) and (name, carrier, axis, L)."""
+    return read_platform(
+        {
+            "schema": 1,
+            "name": tables.pop("name", "made up"),
+            "root": {"name": "base", "inertia": [9.0, 9.0, 9.0]} | tables.pop("root", {}),
+            "gimbal": [
+                {"name": name, "parent": parent, "axis": axis, "inertia": [1.0, 1.0, 1.0]}
+                for name, parent, axis in gimbals
+            ],
+            "rotor": [
+                {
+                    "name": name,
+                    "carrier": carrier,
+                    "axis": axis,
+                    "axial_inertia": 0.1,
+                    "transverse_inertia": 0.06,
+                    "angular_momentum": L,
+                }
+                for name, carrier, axis, L in rotors
+            ],
+        }
+        | tables
+    )
+
+
+def drawn(platform):
+    return ET.fromstring(axes_picture(platform))
+
+
+def classed(element, name):
+    return [e for e in element.iter() if name in (e.get("class") or "").split()]
+
+
+def texts(element):
+    return [e.text for e in element.iter(f"{SVG}text")]
+
+
+def points(element):
+    """Points of a path of straight lines, (k, 2)."""
+    return np.array([float(x) for x in NUMBER.findall(element.get("d"))]).reshape(-1, 2)
+
+
+def arrow(group):
+    """Return tail and tip of a drawn arrow: its line starts at the tail, its head at the tip."""
+    shaft, head = group.findall(f"{SVG}path")[:2]
+    return points(shaft)[0], points(head)[0]
+
+
+def arrows(svg, kind):
+    found = {group.get("data-body"): arrow(group) for group in classed(svg, kind)}
+    return {name: tip - tail for name, (tail, tip) in found.items()}
+
+
+def seen(svg):
+    """Return how root directions are seen, (2, 3), right and down: read from the triad."""
+    triad = arrows(svg, "root-axis")
+    return np.column_stack([triad["1"], triad["2"], triad["3"]])
+
+
+def angle_between(a, b):
+    return abs(np.degrees(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)))
+
+
+def turn_sense(svg):
+    """Return +1 where the only gimbal's turn arrow runs anticlockwise on the screen."""
+    stretch = max((points(e) for e in classed(svg, "turn")), key=len)
+    x, y = stretch.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
+    assert abs(area) > 20.0
+    return -np.sign(area)
+
+
+@MODEL
+def test_every_angle_and_every_rotor_is_named_in_both_halves(model):
+    platform = read_platform(model)
+    svg = drawn(platform)
+    [view], [scheme] = classed(svg, "view"), classed(svg, "scheme")
+    for half in (view, scheme):
+        assert {greek(name) for name in platform.angle_names} <= set(texts(half))
+        assert {rotor.name for rotor in platform.rotors} <= set(texts(half))
+    assert {*platform.gimbal_names, platform.root_name} <= set(texts(scheme))
+
+
+@MODEL
+def test_labels_of_a_shipped_model_do_not_collide(model):
+    svg = drawn(read_platform(model))
+    boxes = []
+    for label in classed(svg, "haloed"):
+        x, y, width = float(label.get("x")), float(label.get("y")), text_width(label.text, 15.0)
+        boxes.append((x - 0.5 * width, y - 11.0, x + 0.5 * width, y + 3.0))
+    assert boxes
+    for (a, b, c, d), (e, f, g, h) in itertools.combinations(boxes, 2):
+        assert c <= e or g <= a or d <= f or h <= b
+
+
+@MODEL
+def test_bodies_of_the_root_are_set_apart_and_within_the_picture(model):
+    svg = drawn(read_platform(model))
+    width, height = (float(x) for x in svg.get("viewBox").split()[2:])
+    boxes = []
+    for body in classed(svg, "body"):
+        ink = np.concatenate([points(path) for path in body.iter(f"{SVG}path") if path.get("transform") is None])
+        boxes.append((*ink.min(axis=0), *ink.max(axis=0)))
+        assert ink.min() > 0.0
+        assert np.all(ink.max(axis=0) < (width, height))
+    assert len(boxes) > 0
+    for (a, b, c, d), (e, f, g, h) in itertools.combinations(boxes, 2):
+        assert c < e or g < a or d < f or h < b
+
+
+@settings(max_examples=20, deadline=None)
+@given(platforms())
+def test_arrows_point_along_the_axes_of_any_platform(platform):
+    svg = drawn(platform)
+    rows = seen(svg)
+    toward = np.cross(rows[0], -rows[1]) / 46.0**2
+    axes, spins = arrows(svg, "axis-arrow"), arrows(svg, "spin-arrow")
+    assert set(axes) == set(platform.gimbal_names)
+    assert set(spins) == {rotor.name for rotor in platform.rotors}
+    expected = [(axes[g.name], g.axis) for g in platform.gimbals]
+    expected += [(spins[r.name], r.axis * np.sign(r.angular_momentum)) for r in platform.rotors]
+    for found, axis in expected:
+        length = np.hypot(*found)
+        if abs(axis @ toward) < 0.9:
+            assert length > 1.0
+        # Coordinates are written to a tenth of a pixel.
+        assert angle_between(found, rows @ axis) < 1.0 + np.degrees(0.2 / length)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (2, -1, 0.5), (-1, 1, 1)])
+def test_the_turn_arrow_is_right_handed_about_the_axis(axis, sign):
+    svg = drawn(plant([("g", "base", [sign * x for x in axis])]))
+    rows = seen(svg)
+    toward = np.cross(rows[0], -rows[1])
+    assert turn_sense(svg) == np.sign(sign * toward @ axis)
+
+
+def test_axes_1_2_3_are_seen_as_a_right_handed_triad():
+    rows = seen(drawn(plant()))
+    # From a side where all three axes come toward the viewer they follow one another anticlockwise.
+    bearings = np.degrees(np.arctan2(-rows[1], rows[0]))
+    assert np.all(np.diff(np.append(bearings, bearings[0])) % 360.0 < 180.0)
+    assert rows[1, 2] < 0.0
+
+
+@pytest.mark.parametrize("k", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_up_is_where_the_specific_force_points(k, sign):
+    force = [0.1, 0.1, 0.1]
+    force[k] = 9.81 * sign
+    rows = seen(drawn(plant(root={"specific_force": force})))
+    assert angle_between(sign * rows[:, k], np.array([0.0, -1.0])) < 1.0
+
+
+def test_an_arrow_shows_the_direction_of_angular_momentum_not_of_the_axis():
+    platform = plant([("g", "base", [0, 0, 1])], [("back", "g", [0, 1, 0], -3.0), ("on", "g", [0, 1, 0], 3.0)])
+    svg = drawn(platform)
+    spins = arrows(svg, "spin-arrow")
+    assert spins["on"] @ seen(svg)[:, 1] > 0.0
+    assert spins["back"] @ seen(svg)[:, 1] < 0.0
+    joints = {joint.get("data-body"): texts(joint) for joint in classed(svg, "joint")}
+    assert joints["on"] == ["+2"]
+    assert joints["back"] == ["−2"]
+
+
+def test_the_scheme_of_the_three_gyro_platform_is_the_papers_table():
+    svg = drawn(read_platform("three_gyro_platform"))
+    assert {joint.get("data-body"): texts(joint) for joint in classed(svg, "joint")} == {
+        "4": ["+2", "α4"],
+        "5": ["+3", "β5"],
+        "7": ["−3", "β7"],
+        "9": ["+3", "α9"],
+        "10": ["+1", "β10"],
+        "6": ["+1"],
+        "8": ["−1"],
+        "11": ["+2"],
+    }
+
+
+def test_torquers_and_pickoffs_are_marked_where_they_act():
+    gimbals = [("a", "base", [0, 0, 1]), ("b", "a", [1, 0, 0])]
+    platform = plant(gimbals, torquer=[{"gimbal": "a"}, {"root_axis": 2}], pickoff=[{"gimbal": "b"}])
+    svg = drawn(platform)
+    joints = {joint.get("data-body"): joint for joint in classed(svg, "joint")}
+    assert [len(classed(joints[name], "torquer")) for name in "ab"] == [1, 0]
+    assert [len(classed(joints[name], "pickoff")) for name in "ab"] == [0, 1]
+    [view] = classed(svg, "view")
+    assert [len(classed(view, kind)) for kind in ("torquer", "pickoff")] == [1, 1]
+    triad = {group.get("data-body"): group for group in classed(svg, "root-axis")}
+    assert [len(classed(triad[k], "torquer")) for k in "123"] == [0, 1, 0]
+
+
+def test_springs_cages_and_erection_are_marked_where_they_act():
+    gimbals = [("a", "base", [0, 0, 1]), ("b", "a", [1, 0, 0])]
+    platform = plant(
+        gimbals,
+        spring=[{"gimbal": "a", "stiffness": 1.0}],
+        cage=[{"gimbal": "b", "stiffness": 1.0}],
+        erection=[{"gimbal": "a", "senses": "b", "axis": [1, 0, 0], "gain": 1.0}],
+    )
+    svg = drawn(platform)
+    joints = {joint.get("data-body"): joint for joint in classed(svg, "joint")}
+    [view] = classed(svg, "view")
+    for kind, there in (("spring", [1, 0]), ("cage", [0, 1]), ("erection", [1, 0])):
+        assert [len(classed(joints[name], kind)) for name in "ab"] == there
+        assert len(classed(view, kind)) == 1
+
+
+def test_the_control_of_a_rotor_is_its_line_style():
+    held = plant([], [("wheel", "base", [0, 0, 1], 1.0)])
+    controls = {"regulated", "free", "servo"}
+    for control in controls:
+        svg = drawn(dataclasses.replace(held, rotors=(dataclasses.replace(held.rotors[0], control=control),)))
+        for half in ("view", "scheme"):
+            [part] = classed(svg, half)
+            assert classed(part, control)
+            assert not any(classed(part, other) for other in controls - {control})
+
+
+def test_a_root_alone_is_drawn():
+    svg = drawn(plant())
+    assert set(arrows(svg, "root-axis")) == {"1", "2", "3"}
+    assert "base" in texts(svg)
+
+
+@pytest.mark.parametrize("shape", ["side by side", "nested"])
+def test_twenty_gimbals_are_drawn(shape):
+    parents = ["base"] * 20 if shape == "side by side" else ["base", *(f"g{k}" for k in range(19))]
+    axes = np.eye(3)[[0, 1, 2] * 7]
+    platform = plant([(f"g{k}", parents[k], list(axes[k])) for k in range(20)], [("wheel", "g19", [1, 1, 1], 1.0)])
+    svg = drawn(platform)
+    assert len(arrows(svg, "axis-arrow")) == 20
+    assert {f"q_g{k}" for k in range(20)} <= set(texts(svg))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.text(max_size=12))
+def test_any_name_is_well_formed(name):
+    plain = plant([("g", "base", [0, 0, 1])], [("r", "g", [1, 0, 0], 1.0)])
+    [gimbal], [rotor] = plain.gimbals, plain.rotors
+    platform = dataclasses.replace(
+        plain,
+        name=name,
+        gimbals=(dataclasses.replace(gimbal, name=name, angle=name),),
+        rotors=(dataclasses.replace(rotor, name=name, carrier=name),),
+    )
+    if name != "base":
+        drawn(platform)
+
+
+def test_names_with_markup_stay_text():
+    name = '<b>&"fast" gyro\'</b>'
+    platform = plant([(name, "base", [0, 0, 1])], [(name + "!", name, [1, 0, 0], 1.0)], name=f"a {name}")
+    svg = drawn(platform)
+    assert {name, name + "!", f"a {name}"} <= set(texts(svg))
+    assert name in arrows(svg, "axis-arrow")
+
+
+def test_greek_letters_stand_for_their_names_alone():
+    assert [greek(x) for x in ("alpha4", "q_theta", "Omega1", "beta_outer", "phi")] == [
+        "α4",
+        "q_θ",
+        "Ω1",
+        "β_outer",
+        "φ",
+    ]
+    assert [greek(x) for x in ("alphabet", "q_pin", "etage")] == ["alphabet", "q_pin", "etage"]
+
+
+def test_a_picture_has_words_for_those_who_do_not_see_it():
+    svg = drawn(read_platform("three_gyro_platform"))
+    assert svg.get("role") == "img"
+    assert svg[0].tag == f"{SVG}title"
+    assert svg[1].tag == f"{SVG}desc"
+    assert "Gimbal 7 turns in 4 about −3 by β7." in svg[1].text
+    assert "Rotor 8 (regulated) spins in 7, L along −1." in svg[1].text
+
+
+@MODEL
+def test_a_picture_is_small_and_loads_nothing(model):
+    text = axes_picture(read_platform(model))
+    assert len(text.encode()) < 60_000
+    assert text.count("http") == text.count('xmlns="http://www.w3.org/2000/svg"') == 1
+    assert not re.search(r"href|url\(|@import|@font-face|<script|<image", text)
+
+
+def test_colours_are_those_of_the_report():
+    css = (ROOT / "platform_ctrl" / "report" / "templates" / "report.css").read_text(encoding="utf-8")
+    themes = [
+        dict(re.findall(r"--([\w-]+): (#\w+)", block)) for block in re.findall(r":root \{(.*?)\}", css, re.DOTALL)
+    ]
+    for colours, theme in zip((LIGHT, DARK), themes, strict=True):
+        assert colours.items() <= theme.items()
+    assert set(LIGHT) == set(DARK)
+    assert set(re.findall(r"var\(--([\w-]+)\)", axes_picture(plant()))) == set(LIGHT)
+
+
+@MODEL
+def test_the_picture_in_docs_is_the_one_that_is_drawn(model):
+    kept = (ROOT / "docs" / "pictures" / f"{model}.svg").read_text(encoding="utf-8")
+    new = axes_picture(read_platform(model))
+    assert axes_picture(read_platform(model)) == new
+    assert NUMBER.sub("#", kept) == NUMBER.sub("#", new)
+    # Another processor may round the last digit of a coordinate another way.
+    np.testing.assert_allclose(*([float(x) for x in NUMBER.findall(text)] for text in (kept, new)), atol=0.11)
+
+
+def test_no_picture_is_left_of_a_model_that_is_gone():
+    assert {path.stem for path in (ROOT / "docs" / "pictures").glob("*.svg")} == set(shipped_models())
+
+
+def section(model):
+    page = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
+    found = re.findall(rf"^## {model}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    assert len(found) == 1, f"docs/models.md has {len(found)} sections {model}"
+    return found[0]
+
+
+@MODEL
+def test_the_page_of_models_has_a_section_with_picture_and_axes_of_every_model(model):
+    platform = read_platform(model)
+    text = section(model)
+    assert f"(pictures/{model}.svg)" in text
+    rows = [tuple(cell.strip() for cell in row.split("|")) for row in re.findall(r"^\| (.*) \|$", text, re.MULTILINE)]
+    gimbals = {(g.name, g.parent, direction_text(g.axis), f"`{g.angle}`") for g in platform.gimbals}
+    rotors = {(r.name, r.carrier, direction_text(r.axis), f"rotor, {r.control}") for r in platform.rotors}
+    assert {row[:4] for row in rows} == gimbals | rotors | {("body", "carried by", "axis", "angle")} | {("---",) * 4}
+
+
+def test_the_page_of_models_has_no_section_of_a_model_that_is_gone():
+    page = (ROOT / "docs" / "models.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(shipped_models())

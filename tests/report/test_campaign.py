@@ -1,0 +1,371 @@
+"""A campaign's page and terminal tables: what was counted stands there, and nothing is loaded from elsewhere."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import platform_ctrl as pc
+from platform_ctrl.campaign.plan import plan
+from platform_ctrl.campaign.probability import clopper_pearson
+from platform_ctrl.campaign.rare_events import rare_event
+from platform_ctrl.campaign.statistics import statistics
+from platform_ctrl.campaign.summary import summarised, summary_record
+from platform_ctrl.cli.campaign_output import show_campaign
+from platform_ctrl.report import campaign_figures, style
+from platform_ctrl.report import campaign_tables as tables
+from platform_ctrl.report.campaign_content import Scale
+from platform_ctrl.report.campaign_page import campaign_page, write_campaign_page
+from platform_ctrl.verification.records import laid_out
+
+TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}
+JOB = {
+    "schema": 1,
+    "name": "tolerances & <faults>",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [1.0, 1.0, 1.0], "seed": 1976},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "classical",
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30}],
+        }
+    ],
+    "manoeuvre": [
+        {"name": "turn about 1", "axis": 1, **TURN, "limits": {"angle": 0.003, "torque_share": 1.0}},
+        {"name": "turn about 2", "axis": 2, **TURN, "limits": {"angle": 0.003}},
+        {
+            "name": "push",
+            "mode": "stabilised",
+            "axis": 1,
+            "torque": 0.1,
+            "duration": 1.5,
+            "limits": {"attitude": 0.01},
+        },
+    ],
+    "fault": [{"name": "weak Q9", "kind": "torquer weak", "part": "Q9", "at": 0.2, "share": 0.5}],
+    "campaign": {
+        "runs": 1500,
+        "seed": 3,
+        "vary": [
+            {
+                "parameter": "rotor.11.angular_momentum",
+                "distribution": "normal",
+                "mean": 1.0,
+                "deviation": 0.05,
+                "relative": True,
+            },
+            {"parameter": "sampling.delay", "distribution": "uniform", "low": 0.0004, "high": 0.0006},
+        ],
+        "fault": [{"fault": "weak Q9", "probability": 0.1}],
+    },
+}
+
+
+def planned(**changes):
+    job = pc.read_job(JOB | changes)
+    return plan(job, ())
+
+
+def by_formula(made, scale=1.0, odd=True):
+    """The table of a campaign whose figures follow from a formula."""
+    N, inputs = made.runs, made.inputs(0, made.runs)
+    rng = np.random.default_rng(4)
+    limits = {one.name: one.limits for one, _ in made.job.flown}
+    momentum, weak = inputs["rotor.11.angular_momentum"], inputs["fault.weak Q9"]
+    table = {
+        "run": np.arange(N),
+        **inputs,
+        "angle": scale * 0.0018 / momentum**3 * (1 + 0.5 * weak) * np.exp(0.1 * rng.normal(size=N)),
+        "attitude": scale * 0.006 * np.exp(0.1 * rng.normal(size=N)),
+        "torque_share": scale * 0.6 * momentum * np.exp(0.05 * rng.normal(size=N)),
+        "ended": np.full(N, "completed", dtype=object),
+    }
+    if odd:
+        table["ended"][11], table["ended"][12] = "diverged at t = 0.3 s", "not flown: its worker died"
+        for name in ("angle", "attitude", "torque_share"):
+            table[name][11] = np.inf
+    passed = np.ones(N, dtype=bool)
+    for name in ("angle", "attitude", "torque_share"):
+        limit = np.array([limits[one].get(name, np.nan) for one in inputs["manoeuvre"]])
+        met = table[name] <= limit
+        table[f"{name}_passed"] = np.array([None if np.isnan(x) else bool(y) for x, y in zip(limit, met, strict=True)])
+        passed &= met | np.isnan(limit)
+    return table | {"passed": passed}
+
+
+@pytest.fixture(scope="module")
+def made():
+    return planned()
+
+
+@pytest.fixture(scope="module")
+def summary(made):
+    rare = rare_event(
+        lambda u, run: stats.norm.ppf(u[:, 1]) / -4.0, made.dimensions, samples=200, repetitions=3, seed=1
+    )
+    return summarised(made, by_formula(made), rare=(rare,))
+
+
+@pytest.fixture(scope="module")
+def page(summary):
+    return campaign_page(
+        summary, command="platform-ctrl campaign job.toml --runs 1500", again="platform-ctrl simulate job.toml --run"
+    )
+
+
+class Links(HTMLParser):
+    """What a page would load, and whether its tags are closed."""
+
+    def __init__(self):
+        super().__init__()
+        self.loaded, self.open, self.ids, self.targets = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.loaded += [given[key] for key in ("src", "href") if key in given and not given[key].startswith("#")]
+        self.targets += [given["href"][1:] for key in ("href",) if given.get(key, "").startswith("#") and tag == "a"]
+        self.ids += [given["id"]] if "id" in given else []
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_the_page_needs_nothing_else_and_is_whole(page):
+    links = Links()
+    links.feed(page)
+    assert links.open == []
+    assert links.loaded == []
+    assert all(links.ids.count(target) == 1 for target in links.targets)
+    assert len(links.targets) == 6
+    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org)", page)
+    assert "tolerances &amp; &lt;faults&gt;" in page
+
+
+def test_verdict_and_probabilities_stand_first(page, summary):
+    found = summary.statistics
+    words = html.unescape(page)
+    assert f"{found.violation.events:,} of {found.violation.runs:,} runs violate a requirement" in words
+    assert words.index("violate a requirement") < words.index("Probability that a run") < words.index("<table")
+    for one in found.requirements:
+        assert f"{one.violation.events:,} of {one.violation.runs:,}" in words
+        assert tables.chances(one.violation.low, one.violation.high) in words
+    assert "1 run diverged, counted as violating whatever was asked" in words
+    assert "1 run could not be flown, counted neither way" in words
+
+
+def test_worst_runs_can_be_flown_again_and_are_those_of_the_table(page, summary):
+    assert summary.statistics.worst[0].run == 11
+    assert "platform-ctrl simulate job.toml --run 11" in page
+    for one, words in tables.worst_rows(summary, summary.statistics.worst, tables.all_drivers(summary)):
+        assert f'<th scope="row" class="number">{one.run}</th>' in page
+        assert (
+            f"rotor.11.angular_momentum {summary.inputs_of(one.run)['rotor.11.angular_momentum']:.3g}"[:27] in words[4]
+        )
+
+
+def test_drivers_have_bars_and_the_rest_is_named_as_no_influence(page, summary):
+    drawn = page[page.index('id="sensitivity"') : page.index('id="worst"')]
+    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    assert angle.influences[0].parameter == "rotor.11.angular_momentum"
+    assert f'width="{130 * angle.influences[0].index:.1f}"' in drawn
+    quiet = [one.parameter for one in angle.influences if not one.driver]
+    assert "sampling.delay" in quiet
+    assert f"No share told from chance in {angle.runs:,} runs: {', '.join(quiet)}." in drawn
+
+
+def test_a_rare_event_tells_its_interval_and_what_has_to_come_together(page, summary):
+    rare = summary.rare[0]
+    drawn = html.unescape(page[page.index('id="rare"') : page.index('id="figures"')])
+    assert tables.chances(rare.low, rare.high) in drawn
+    assert tables.moved(summary.plan, rare)[0][0] == "rotor.11.angular_momentum"
+    for one in rare.violations[:5]:
+        assert f"{one.distance:.2f} σ" in drawn
+        assert f'<td class="number">{one.run}</td>' in drawn
+
+
+def test_every_input_and_ending_is_listed(page):
+    words = html.unescape(page)
+    for expected in (
+        "normal, 1 with deviation 0.05, times the nominal value",
+        "uniform, 4·10⁻⁴ to 6·10⁻⁴",
+        "in 10 % of the runs",
+        "33 % of the runs",
+        "not flown: its worker died",
+        "1,500 runs from seed 3",
+        "platform-ctrl campaign job.toml --runs 1500",
+    ):
+        assert expected in words, expected
+
+
+def test_a_campaign_without_violations_passes_and_bounds_what_it_did_not_see(made, capsys):
+    summary = summarised(made, by_formula(made, scale=0.3, odd=False))
+    bound = clopper_pearson(0, 1500).high
+    assert summary.passed
+    shown = html.unescape(campaign_page(summary))
+    assert "None of 1,500 runs violates a requirement" in shown
+    assert f"below {tables.chance(bound)} with 95 % confidence" in shown
+    assert "none beyond" in shown
+    show_campaign(summary)
+    printed = capsys.readouterr().out
+    assert "PASSED: none of 1,500 runs violates a requirement" in printed
+
+
+@pytest.mark.parametrize("columns", [130, 70])
+def test_the_terminal_shows_the_same_numbers_at_any_width(summary, capsys, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    show_campaign(summary)
+    printed = capsys.readouterr().out
+    found = summary.statistics
+    flat = " ".join(printed.split())
+    assert f"FAILED: {found.violation.events:,} of {found.violation.runs:,} runs violate a requirement" in flat
+    for one in found.requirements:
+        assert f"{one.violation.events:,} of {one.violation.runs:,}" in flat
+    assert "worst: run 11" in flat
+    assert all(len(line) <= columns for line in printed.splitlines())
+
+
+def test_campaign_json_holds_plain_numbers_that_read_back(summary):
+    record = summary_record(summary)
+    again = json.loads(laid_out(record))
+    found = summary.statistics
+    assert again["statistics"]["violation"]["violations"] == found.violation.events
+    assert again["statistics"]["worst"][0]["value"] is None
+    asked = {(one["requirement"], one["manoeuvre"]) for one in again["statistics"]["requirements"]}
+    assert asked == {(one.figure, one.manoeuvre) for one in found.requirements}
+    assert {one["requirement"] for one in again["sensitivity"]} >= {"angle", "attitude", "torque_share"}
+    rare = again["rare"][0]
+    assert set(rare["violations"][0]["inputs"]) == set(summary.plan.input_names)
+    assert rare["low"] <= rare["probability"] <= rare["high"]
+
+
+def test_one_manoeuvre_has_no_group_of_all(capsys):
+    one = planned(manoeuvre=JOB["manoeuvre"][:1])
+    summary = summarised(one, by_formula(one))
+    assert {row.group for row in tables.probability_rows(summary)} == {"turn about 1"}
+    assert "All manoeuvres" not in campaign_page(summary)
+
+
+def test_manoeuvres_are_named_as_they_are_typed_and_what_sends_runs_beyond_is_told(page, summary):
+    words = " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
+    assert "turn about 1 gimbal angle" in words
+    assert "Turn about 1" not in words
+    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    assert f"What sends runs beyond the limit: {tables.violation_drivers(angle)}" in words
+    assert "fault.weak Q9" in tables.violation_drivers(angle)
+
+
+@pytest.mark.parametrize("factor", [1e-5, 0.6, 1e3])
+def test_runs_are_drawn_wherever_the_limit_is(made, factor):
+    limits = {one.name: {name: factor * x for name, x in one.limits.items()} for one, _ in made.job.flown}
+    found = statistics(by_formula(made, odd=False), limits)
+    one = found.of("angle", "turn about 1")
+    with style.settings():
+        drawn = campaign_figures.histogram_figure(found, "angle").axes[0]
+        reach = campaign_figures.exceedance_figure(found).axes[0]
+    counts = drawn.patches[0].get_data()
+    assert (np.diff(counts.edges) > 0.0).all()
+    assert len(counts.values) <= 100
+    assert counts.values.sum() > 0.5 * one.violation.runs
+    assert reach.get_xlim()[1] > one.quantiles[0.5] / one.limit
+
+
+def test_histograms_count_every_run_once_and_colour_those_beyond(summary):
+    found = summary.statistics
+    with style.settings():
+        drawn = campaign_figures.histogram_figure(found, "angle")
+    for axes, name in zip(drawn.axes, ("turn about 1", "turn about 2"), strict=False):
+        one = found.of("angle", name)
+        everything, beyond = axes.patches[:2]
+        diverged = one.violation.runs - one.distribution.histogram(np.array([0.0, 1.0])).sum()
+        assert everything.get_data().values.sum() == one.violation.runs - diverged
+        assert beyond.get_data().values.sum() == pytest.approx(one.violation.events - diverged, abs=1)
+        limit = 3.0  # mrad: an edge of a bin
+        assert np.abs(everything.get_data().edges - limit).min() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [
+        (0.0, "0"),
+        (1.0, "100 %"),
+        (0.5, "50 %"),
+        (0.0271, "2.7 %"),
+        (0.0003, "0.030 %"),
+        (2.5e-6, "2.5·10⁻⁶"),
+        (0.9996, "99.96 %"),
+    ],
+)
+def test_probabilities_read_as_people_say_them(probability, words):
+    assert tables.chance(probability) == words
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.0, 0.003, "below 0.30 %"),
+        (0.2, 1.0, "above 20 %"),
+        (0.01, 0.02, "1.0 to 2.0 %"),
+        (1e-8, 3e-6, "1·10⁻⁸ to 3·10⁻⁶"),
+    ],
+)
+def test_bounds_read_as_people_say_them(low, high, words):
+    assert tables.chances(low, high) == words
+
+
+def test_the_small_scale_is_logarithmic():
+    scale = Scale(decades=4)
+    assert [scale.at(10.0**-k) for k in range(5)] == [1.0, 0.75, 0.5, 0.25, 0.0]
+    assert scale.at(0.0) == 0.0
+
+
+def test_the_page_is_written_whole(summary, tmp_path):
+    written = write_campaign_page(summary, tmp_path / "campaign.html")
+    assert written.read_text(encoding="utf-8").rstrip().endswith("</html>")
+    with pytest.raises(pc.PlatformCtrlError, match="cannot be written"):
+        write_campaign_page(summary, tmp_path / "nowhere" / "campaign.html")
+
+
+def test_a_fault_in_every_violating_run_is_never_among_what_has_no_influence(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    one = planned(campaign=JOB["campaign"] | {"fault": [{"fault": "weak Q9", "probability": 0.02}]})
+    table = by_formula(one, scale=0.3, odd=False)
+    beyond = table["fault.weak Q9"] & (table["manoeuvre"] == "turn about 1")
+    beyond &= np.cumsum(beyond) <= 3
+    table["angle"] = np.where(beyond, 0.5, 0.001 * table["rotor.11.angular_momentum"])
+    table["angle_passed"] = table["passed"] = ~beyond
+    summary = summarised(one, table)
+    angle = next(one for one in summary.sensitivities if (one.figure, one.manoeuvre) == ("angle", None))
+    assert not next(one for one in angle.influences if one.parameter == "fault.weak Q9").driver
+    [cause] = [one for one in tables.causes(summary) if one.parameter == "fault.weak Q9"]
+    assert (cause.present.events, cause.absent.events) == (3, 0)
+    assert "fault.weak Q9" not in tables.influence_rows(summary, angle)[1]
+    words = tables.contrast_words(cause)
+    assert words.startswith(f"fault: weak Q9: 3 of {cause.present.runs} runs with it violate a limit (")
+    assert words.endswith("; every violating run has it")
+    drawn = html.unescape(re.sub(r"<[^>]+>", " ", campaign_page(summary)))
+    assert "in every violating run" in " ".join(drawn.split())
+    card = drawn[drawn.index("Shares of variance") :]
+    card = card[card.index("Largest gimbal angle") : card.index("Largest platform angle")]
+    assert "No share told from chance" in card
+    assert "fault.weak Q9" not in card
+    show_campaign(summary)
+    assert words in capsys.readouterr().out
+    recorded = next(one for one in summary_record(summary)["contrasts"] if one["parameter"] == "fault.weak Q9")
+    assert (recorded["value"], recorded["in_every_violation"]) == (True, True)
+    assert recorded["without"]["high"] == pytest.approx(1.0 - 0.025 ** (1.0 / recorded["without"]["runs"]))

@@ -1,0 +1,108 @@
+"""Every entry of a legend looks as its curve does; a signal has one colour in all plots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import control
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import platform_ctrl as pc
+from legend_entries import without_a_curve
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.report import figures
+from platform_ctrl.report.quantities import signal_series
+from platform_ctrl.report.style import SERIES
+
+# A loop with delay-like lag, the same with less gain, and a plant of two inputs and outputs.
+FAST = control.ss(control.tf([40.0, 80.0], [1.0, 12.0, 20.0, 0.0]))
+SLOW = control.ss(control.tf([15.0, 40.0], [1.0, 12.0, 20.0, 0.0]))
+LOOPS = {"fast": FAST, "slow": SLOW}
+STABLE = {"one": control.ss(control.tf([1.0, 3.0], [1.0, 2.0, 5.0])), "two": control.ss(control.tf([2.0], [1.0, 1.0]))}
+PID = control.ss(control.tf([1.0, 2.0], [0.01, 1.0]))
+PLANT = control.ss(control.tf([20.0], [1.0, 2.0, 1.0]))
+
+
+@pytest.fixture(scope="module")
+def platform() -> Platform:
+    return pc.read_platform("three_gyro_platform")
+
+
+PLOTS: dict[str, Callable[[], Any]] = {
+    "bode": lambda: figures.bode(LOOPS),
+    "nichols": lambda: figures.nichols(LOOPS),
+    "nyquist of one loop": lambda: figures.nyquist(FAST),
+    "nyquist of two loops": lambda: figures.nyquist(LOOPS),
+    "disk margin": lambda: figures.disk_margin_region(LOOPS),
+    "gang of four": lambda: figures.gang_of_four(PLANT, PID),
+    "singular values": lambda: figures.singular_values(STABLE),
+    "step response": lambda: figures.step_response(STABLE),
+    "pole map": lambda: figures.pole_map(STABLE, zeros=True),
+    "root locus": lambda: figures.root_locus(PLANT, PID),
+}
+
+
+def figure_of(plot: Any) -> Figure:
+    return plot if isinstance(plot, Figure) else plot.figure
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_every_legend_entry_of_a_plot_looks_like_a_curve_that_is_drawn(name: str) -> None:
+    drawn = figure_of(PLOTS[name]())
+    assert drawn.legends
+    assert without_a_curve(drawn) == []
+
+
+def test_every_legend_entry_of_a_plant_plot_looks_like_a_curve_that_is_drawn(platform: Platform) -> None:
+    gimbals = pc.state_space(pc.linearise(platform), gimbals=("9", "10"))
+    assert without_a_curve(figure_of(figures.campbell(platform))) == []
+    assert without_a_curve(figure_of(figures.Omega_sensitivity(gimbals, limit=0.01))) == []
+
+
+@pytest.mark.parametrize("loops", [FAST, LOOPS], ids=["one", "two"])
+def test_negative_frequencies_have_the_colour_of_their_loop_in_the_legend(loops: Any) -> None:
+    drawn = figure_of(figures.nyquist(loops))
+    [legend] = drawn.legends
+    thin = [line for line in drawn.axes[0].lines if line.get_linewidth() == 0.7 and line.get_color() in SERIES]
+    shown = [line for line in legend.findobj(type(thin[0])) if line.get_linewidth() == 0.7]
+    assert [line.get_color() for line in shown] == [line.get_color() for line in thin]
+    assert [line.get_linestyle() for line in shown] == [line.get_linestyle() for line in thin]
+
+
+def test_each_signal_has_one_colour_and_a_torque_that_of_its_angle(platform: Platform) -> None:
+    series = signal_series(platform)
+    for gimbal in platform.gimbal_names:
+        assert series[platform.torquer_on(gimbal).name] == series[platform.angle_names[platform.gimbal(gimbal)]]
+    places = [series[name] for name in (*platform.angle_names, "attitude1", "attitude2", "attitude3")]
+    assert len(set(places)) == len(places) == 8
+    assert [series[f"M{k}"] for k in (1, 2, 3)] == [series[f"attitude{k}"] for k in (1, 2, 3)]
+
+
+def test_a_recorded_run_has_the_colours_of_its_signals_in_every_panel(platform: Platform) -> None:
+    series = signal_series(platform)
+    run = pc.simulation.simulate(
+        platform,
+        [],
+        period=1e-3,
+        delay=0.0,
+        duration=0.01,
+        mode="stabilised",
+        root_torque=[0.01, 0.0, 0.0],
+        noise=False,
+    )
+    drawn = figures.time_run(run, platform)
+    seen: dict[str, str] = {}
+    for axes in drawn.axes:
+        legend = axes.get_legend()
+        if legend is None:
+            continue
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=True):
+            seen[text.get_text()] = to_hex(line.get_color())
+    assert {name: seen[name] for name in platform.angle_names} == {
+        name: SERIES[series[name]] for name in platform.angle_names
+    }
+    assert seen["θ₂"] == seen["Ω₂"] == seen["M2"] == SERIES[series["M2"]]
+    assert without_a_curve(drawn) == []

@@ -1,0 +1,375 @@
+"""Plots of plants and runs for scripts: Campbell chart, gimbal tree, simulated runs, campaigns, windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import types
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import platform_ctrl as pc
+from platform_ctrl.campaign.statistics import statistics
+from platform_ctrl.common.text import greek
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import Manoeuvre
+from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.report import figures, style
+from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
+
+HZ = 1.0 / (2.0 * np.pi)
+RPM = 60.0 * HZ
+EVERY = shipped_models()
+
+
+@pytest.fixture(scope="module")
+def three():
+    return pc.read_platform("three_gyro_platform")
+
+
+@pytest.fixture(scope="module")
+def gyro():
+    return pc.read_platform("gimballed_gyro")
+
+
+def on_springs(platform, stiffness=200.0):
+    return dataclasses.replace(
+        platform, springs=tuple(pc.Spring(gimbal=name, stiffness=stiffness) for name in platform.gimbal_names)
+    )
+
+
+def curves(figure):
+    """Lines of the modes by the words of the legend."""
+    [legend] = figure.legends
+    [axes] = figure.axes
+    by_colour = {
+        line.get_color(): (np.asarray(line.get_xdata()), np.asarray(line.get_ydata()))
+        for line in axes.lines
+        if line.get_color() in SERIES and len(line.get_xdata()) > 10
+    }
+    return {
+        text.get_text(): by_colour[handle.get_color()]
+        for text, handle in zip(legend.get_texts(), legend.legend_handles, strict=True)
+    }
+
+
+def diamonds(axes):
+    return [(float(line.get_xdata()[0]), float(line.get_ydata()[0])) for line in axes.lines if line.get_marker() == "D"]
+
+
+def written(figure):
+    return [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def test_nutation_at_nominal_speed_is_the_model_s_pole(three):
+    found = curves(figures.campbell(three))
+    for group in (("4", "5", "7"), ("9", "10")):
+        fastest = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(three), gimbals=group))).max()
+        [(name, (rpm, hz))] = [item for item in found.items() if item[0].startswith(f"nutation of {'-'.join(group)}:")]
+        assert np.interp(1250.0 * RPM, rpm, hz) == pytest.approx(fastest * HZ, rel=1e-4)
+        assert f"{fastest * HZ:.3g} Hz at nominal speed" in name
+
+
+def test_nutation_is_proportional_to_the_rotors_momentum(three):
+    for rpm, hz in curves(figures.campbell(three)).values():
+        assert hz == pytest.approx(hz[-1] / rpm[-1] * rpm, rel=1e-9, abs=1e-9)
+
+
+def test_nutation_is_the_momentum_over_the_inertias(three):
+    [L] = [rotor.angular_momentum for rotor in three.rotors if rotor.name == "11"]
+    J9, J10 = np.diag(pc.linearise(three).M)[[three.gimbal("9"), three.gimbal("10")]]
+    [(rpm, hz)] = curves(figures.campbell(three, gimbals=("9", "10"))).values()
+    assert hz[-1] / HZ == pytest.approx(1.5 * L / np.sqrt(J9 * J10), rel=1e-9)
+    assert rpm[-1] == pytest.approx(1.5 * 1250.0 * RPM)
+
+
+def test_springs_part_nutation_and_precession_whose_product_is_kept(gyro):
+    found = curves(figures.campbell(on_springs(gyro)))
+    kinds = {name.split()[0]: hz for name, (_, hz) in found.items()}
+    nutation, precession = kinds["nutation"], kinds["precession"]
+    assert np.all(np.diff(nutation) > 0.0)
+    assert np.all(np.diff(precession) < 0.0)
+    # Without dampers the product of the natural frequencies is sqrt(det K / det M), whatever L. The bearings' friction
+    # is small.
+    assert nutation * precession == pytest.approx(nutation[0] * precession[0], rel=1e-3)
+
+
+def test_every_mode_of_a_chart_is_a_pole_of_the_model_at_that_speed(gyro):
+    sprung = on_springs(gyro)
+    for share in (0.4, 1.3):
+        [rotor] = sprung.rotors
+        slower = dataclasses.replace(
+            sprung, rotors=(dataclasses.replace(rotor, angular_momentum=share * rotor.angular_momentum),)
+        )
+        poles = np.abs(pc.analysis.poles(pc.state_space(pc.linearise(slower))).imag) * HZ
+        for rpm, hz in curves(figures.campbell(sprung)).values():
+            assert np.abs(poles - np.interp(share * rotor.spin * RPM, rpm, hz)).min() < 0.01
+
+
+def test_a_spin_line_meets_a_mode_where_frequency_is_a_multiple_of_the_speed(gyro):
+    sprung = on_springs(gyro)
+    figure = figures.campbell(sprung, orders=(1, 2))
+    [axes] = figure.axes
+    met = diamonds(axes)
+    assert len(met) == 4
+    for rpm, hz in met:
+        order = hz * 60.0 / rpm
+        assert min(abs(order - 1.0), abs(order - 2.0)) < 1e-9
+        away = [abs(np.interp(rpm, x, y) - hz) for x, y in curves(figure).values()]
+        assert min(away) < 1e-3 * hz
+    assert sum(text.startswith("1× meets") for text in written(figure)) == 2
+
+
+def test_rotors_of_different_speeds_have_an_axis_in_shares(three):
+    first, *others = three.rotors
+    changed = dataclasses.replace(three, rotors=(dataclasses.replace(first, angular_momentum=0.3), *others))
+    [axes] = figures.campbell(changed).axes
+    assert axes.get_xlabel() == "rotor speed / nominal"
+    assert axes.get_xlim() == (0.0, 1.5)
+    [axes] = figures.campbell(changed, rotor="11").axes
+    assert axes.get_xlabel() == "speed of rotor 11, rpm"
+    assert axes.get_xlim()[1] == pytest.approx(1.5 * 1250.0 * RPM)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_every_shipped_plant_has_a_campbell_chart(name):
+    figure = figures.campbell(pc.read_platform(name))
+    for line in figure.axes[0].lines:
+        assert np.isfinite(np.asarray(line.get_ydata(), dtype=float)).all()
+
+
+def cards(figure):
+    return sorted(patch.get_gid() for patch in figure.axes[0].patches if patch.get_gid())
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_tree_has_every_body_once_with_its_angle(name):
+    platform = pc.read_platform(name)
+    figure = figures.gimbal_tree(platform)
+    bodies = [f"root {platform.root_name}"]
+    bodies += [f"gimbal {g.name}" for g in platform.gimbals] + [f"rotor {r.name}" for r in platform.rotors]
+    assert cards(figure) == sorted(bodies)
+    told = written(figure)
+    for gimbal in platform.gimbals:
+        assert any(text.startswith(f"{greek(gimbal.angle)} about ") for text in told)
+    for torquer in platform.torquers:
+        assert any(torquer.name in text for text in told)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_words_of_a_tree_stay_on_its_paper_and_off_each_other(name):
+    figure = figures.gimbal_tree(pc.read_platform(name))
+    figure.canvas.draw()
+    paper = figure.bbox
+    boxes = [text.get_window_extent() for axes in figure.axes for text in axes.texts if text.get_text()]
+    assert all(paper.x0 <= box.x0 and box.x1 <= paper.x1 and paper.y0 <= box.y0 and box.y1 <= paper.y1 for box in boxes)
+    assert not [(a, b) for k, a in enumerate(boxes) for b in boxes[:k] if a.overlaps(b)]
+
+
+def test_the_tree_of_a_platform_with_all_signs_explains_them(gyro):
+    platform = dataclasses.replace(
+        on_springs(gyro),
+        cages=(pc.Cage(gimbal="outer", stiffness=1.0),),
+        rate_sensors=(pc.RateSensor(name="alpha_rate", gimbal="outer"), pc.RateSensor(name="Omega1", root_axis=1)),
+    )
+    told = written(figures.gimbal_tree(platform))
+    for words in ("torquer", "pick-off", "rate sensor", "stops", "spring", "cage", "friction", "unbalance"):
+        assert words in told
+    assert "±85°" in told
+    assert "erection" not in told
+
+
+def test_the_tree_draws_a_lone_root_and_odd_names(gyro):
+    alone = pc.read_platform({"schema": 1, "name": "rock", "root": {"name": "rock", "inertia": [1, 2, 2.5]}})
+    assert cards(figures.gimbal_tree(alone)) == ["root rock"]
+    odd = dataclasses.replace(gyro, name="a $b_c$ <x>\n" + "y" * 200)
+    figure = figures.gimbal_tree(odd)
+    assert figure.get_size_inches()[0] < 12.0
+    figure.canvas.draw()
+
+
+@pytest.fixture(scope="module")
+def flown(gyro):
+    turn = pc.simulation.HalfCosine(axis=1, rate=0.01, rise=0.01, hold=0.0)
+    return pc.simulation.simulate(
+        gyro, [], period=0.001, delay=0.0, duration=0.05, mode="caged", Omega_profile=turn, noise=False
+    )
+
+
+def shaded(axes):
+    """The edges of the shaded regions that are not at infinity."""
+    edges = []
+    for patch in axes.patches:
+        if to_hex(patch.get_facecolor()) == BEYOND:
+            bottom, top = patch.get_y(), patch.get_y() + patch.get_height()
+            edges.append(min((bottom, top), key=abs))
+    return sorted(edges)
+
+
+def test_a_trajectory_is_shaded_beyond_the_limits_that_are_given(flown, gyro):
+    largest = float(np.abs(flown.q).max())
+    figure = figures.time_run(flown, gyro, limits={"angle": 2.0 * largest})
+    angles = figure.axes[0]
+    assert shaded(angles) == pytest.approx([-2e3 * largest, 2e3 * largest])
+    traces = [line for line in angles.lines if len(line.get_xdata()) > 2]
+    assert max(np.abs(line.get_ydata()).max() for line in traces) == pytest.approx(1e3 * largest)
+    red = [line for line in angles.lines if line.get_color() == LIMIT]
+    assert len(red) == 2
+
+
+def test_a_run_is_shaded_beyond_the_limits_of_its_manoeuvre(flown, gyro):
+    from platform_ctrl.verification import Run
+
+    limit = 1.5 * float(np.abs(flown.q).max())
+    manoeuvre = Manoeuvre(name="turn", mode="caged", duration=0.05, limits={"angle": limit})
+    figure = figures.time_run(Run(manoeuvre=manoeuvre, trajectory=flown, results=()), gyro)
+    assert shaded(figure.axes[0]) == pytest.approx([-1e3 * limit, 1e3 * limit])
+    assert figure.axes[0].get_xlim() == (0.0, 0.05)
+
+
+def test_a_trajectory_needs_no_platform(flown):
+    figure = figures.time_run(flown)
+    assert [axes.get_title(loc="left") for axes in figure.axes][:2] == ["gimbal angles", "gimbal torques"]
+    assert "give the platform to see the torquers' limits" in written(figure)
+
+
+def table(runs=200):
+    rng = np.random.default_rng(3)
+    angle = 1e-3 * (1.0 + 0.2 * rng.standard_normal(runs))
+    return {
+        "run": np.arange(runs),
+        "manoeuvre": np.array(["turn"] * runs, dtype=object),
+        "angle": angle,
+        "attitude": np.zeros(runs),
+        "torque_share": np.full(runs, 0.5),
+        "angle_passed": angle <= 1.2e-3,
+        "passed": angle <= 1.2e-3,
+        "ended": np.array(["completed"] * runs, dtype=object),
+    }
+
+
+LIMITS = {"turn": {"angle": 1.2e-3}}
+
+
+def test_histograms_count_every_run_and_colour_those_beyond_the_limit():
+    columns = table()
+    beyond = int(np.count_nonzero(columns["angle"] > 1.2e-3))
+    figure = figures.campaign_histograms(columns, LIMITS)
+    [axes] = [axes for axes in figure.axes if axes.get_visible()]
+    stairs = {to_hex(patch.get_facecolor()): patch.get_data() for patch in axes.patches if hasattr(patch, "get_data")}
+    assert stairs[SERIES[0]].values.sum() == 200
+    assert abs(stairs[LIMIT].values.sum() - beyond) <= 1
+    assert f"{beyond} beyond" in written(figure)
+    [start] = [patch.get_x() for patch in axes.patches if to_hex(patch.get_facecolor()) == BEYOND]
+    assert start == pytest.approx(1.2)
+
+
+def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet
+
+    columns = table()
+    found = statistics(columns, LIMITS)
+    pyarrow.parquet.write_table(pa.table(columns), tmp_path / "campaign.parquet")
+    told = [{"manoeuvre": "turn", "requirement": "angle", "limit": 1.2e-3}]
+    record = {"schema": 1, "identity": {}, "statistics": {"requirements": told}}
+    (tmp_path / "campaign.json").write_text(json.dumps(record))
+    words = [written(figures.campaign_histograms(given)) for given in (found, tmp_path)]
+    words.append(written(figures.campaign_histograms(tmp_path / "campaign.parquet", LIMITS, figure="angle")))
+    assert words[0] == words[1] == words[2]
+
+
+@pytest.mark.parametrize(
+    ("draw", "says"),
+    [
+        (lambda p, t: figures.campbell("gyro"), "expected a Platform"),
+        (lambda p, t: figures.campbell(dataclasses.replace(p, rotors=())), "at least one that spins"),
+        (lambda p, t: figures.campbell(p, rotor="x"), "rotor: given 'x'"),
+        (lambda p, t: figures.campbell(p, rotors="rotor"), "given the string"),
+        (lambda p, t: figures.campbell(p, gimbals=("outer",)), "are coupled"),
+        (lambda p, t: figures.campbell(p, spins=[-1.0, 1.0]), "factors >= 0"),
+        (lambda p, t: figures.campbell(p, orders=[0.0]), "orders: expected"),
+        (lambda p, t: figures.gimbal_tree("gyro"), "expected a Platform"),
+        (lambda p, t: figures.time_run(p), "expected a check.Run"),
+        (lambda p, t: figures.time_run(t, limits={"angel": 1.0}), "did you mean 'angle'"),
+        (lambda p, t: figures.time_run(t, limits={"angle": -1.0}), "angle: given -1.0"),
+        (lambda p, t: figures.time_run(t, pc.read_platform("rate_gyro")), "expected the platform that was run"),
+        (lambda p, t: figures.campaign_histograms(p), "expected statistics"),
+        (lambda p, t: figures.campaign_histograms(table()), "give limits"),
+        (lambda p, t: figures.campaign_histograms(table(), {"turn": {}}), "nothing to draw"),
+        (lambda p, t: figures.campaign_histograms(table(), LIMITS, figure="angel"), "figure: given 'angel'"),
+        (lambda p, t: figures.campaign_histograms(statistics(table(), LIMITS), LIMITS), "limits are given"),
+        (lambda p, t: figures.show(), "no plot"),
+        (lambda p, t: figures.show(p), "expected a Figure"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(draw, says, gyro, flown):
+    with pytest.raises(ArgumentError, match=says) as raised:
+        draw(gyro, flown)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_folder_that_does_not_exist_is_told(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        figures.campaign_histograms(tmp_path / "nothing")
+
+
+def test_a_backend_without_windows_tells_to_save_the_figure(gyro):
+    figure = figures.gimbal_tree(gyro)
+    with mpl.rc_context():
+        mpl.use("agg")
+        with pytest.raises(ArgumentError, match=r"'agg' opens no windows; .*savefig"):
+            figures.show(figure)
+
+
+def test_show_opens_a_window_for_each_plot_and_for_no_other(gyro, monkeypatch):
+    from matplotlib import pyplot
+    from matplotlib.backend_bases import FigureManagerBase
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    shown = []
+
+    class Manager(FigureManagerBase):
+        @classmethod
+        def pyplot_show(cls, *, block=None):
+            shown.extend(pyplot.figure(number) for number in pyplot.get_fignums())
+
+    class FigureCanvas(FigureCanvasAgg):
+        manager_class = Manager
+
+    backend = types.ModuleType("backend_for_show")
+    backend.FigureCanvas, backend.FigureManager = FigureCanvas, Manager
+    monkeypatch.setitem(sys.modules, "backend_for_show", backend)
+    tree = figures.gimbal_tree(gyro)
+    loop = figures.pole_map(pc.state_space(pc.linearise(gyro)))
+    assert pyplot.get_fignums() == []
+    before = mpl.get_backend()
+    pyplot.switch_backend("module://backend_for_show")
+    try:
+        figures.show(tree, loop)
+        assert shown == [tree, loop.figure]
+        assert len(pyplot.get_fignums()) == 2
+        figures.show(tree)
+        assert len(pyplot.get_fignums()) == 2
+    finally:
+        pyplot.close("all")
+        pyplot.switch_backend(before)
+
+
+def test_nothing_is_registered_with_pyplot_and_everything_is_on_white(gyro, flown):
+    from matplotlib import pyplot
+
+    made = [figures.campbell(gyro), figures.gimbal_tree(gyro), figures.time_run(flown)]
+    assert all(isinstance(figure, Figure) and to_hex(figure.get_facecolor()) == "#ffffff" for figure in made)
+    assert pyplot.get_fignums() == []
+
+
+def test_a_plot_that_becomes_svg_for_a_page_stays_on_its_white_paper(three):
+    plot = figures.campbell(three)
+    assert "#ffffff" not in style.svg(plot, "Campbell chart")
+    assert to_hex(plot.get_facecolor()) == "#ffffff"

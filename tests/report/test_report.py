@@ -1,0 +1,1045 @@
+"""The report: one file that needs nothing else, every requirement on it, figures that show what was computed."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import io
+import os
+import re
+import tomllib
+from fractions import Fraction
+from html.parser import HTMLParser
+from itertools import pairwise
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import narrow_loops
+import platform_ctrl as pc
+from legend_entries import without_a_curve
+from platform_ctrl import analysis, report
+from platform_ctrl.analysis.poles import continuous_poles
+from platform_ctrl.cli.terminal import show_result
+from platform_ctrl.common.text import Rounding, at_least
+from platform_ctrl.design import loops
+from platform_ctrl.design.loop import closed_loop_poles, remeasured
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.requirements import CheckResult, Requirement, Sense, requirement
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.plant.force_elements import Spring
+from platform_ctrl.plant.source import shipped_models
+from platform_ctrl.report import (
+    captions,
+    comparison,
+    coupled_figures,
+    document,
+    figures,
+    limit_lines,
+    modes,
+    record,
+    style,
+    tables,
+    verdict_words,
+)
+from platform_ctrl.report.campaign_tables import chances
+from platform_ctrl.report.failure_text import value_and_limit
+from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
+from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
+from platform_ctrl.verification import JobResult, checked
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+CAGING: dict[str, Any] = {
+    "name": "caging 9-10",
+    "kind": "caging",
+    "gimbals": ["9", "10"],
+    "use": "classical",
+    "limits": {"bandwidth_hz": 20, "disk_margin": 0.9, "damping": 0.05, "torque_noise": 0.008},
+    "design": [
+        {"name": "slow & <plain>", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+        {"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+    ],
+}
+CAGED = {
+    "name": "caged turn",
+    "mode": "caged",
+    "axis": 1,
+    "rate": 1.0,
+    "rise": 0.05,
+    "hold": 0.05,
+    "duration": 0.2,
+    "limits": {"angle": 0.003, "torque_share": 1.0},
+}
+JOB: dict[str, Any] = {
+    "schema": 1,
+    "name": "three gyros, a <b>bold</b> $name$",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
+    "spread": {"inertia": 0.1},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 4-5-7",
+            "kind": "caging",
+            "gimbals": ["4", "5", "7"],
+            "use": "classical",
+            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4},
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}],
+        },
+        CAGING,
+        {
+            "name": "stabilisation",
+            "kind": "stabilisation",
+            "use": "servo",
+            "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 5, "position_hz": 2}],
+        },
+    ],
+    "coupled": {"disk_margin": 0.2, "coupling_cost": 0.05},
+    "manoeuvre": [
+        CAGED,
+        {
+            "name": "step",
+            "mode": "stabilised",
+            "axis": 1,
+            "torque": 0.1,
+            "duration": 0.8,
+            "limits": {"attitude": 0.02, "angle": 0.0005},
+        },
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def result() -> JobResult:
+    job = pc.read_job(JOB)
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def page(result: JobResult) -> str:
+    return report.page(result)
+
+
+@pytest.fixture(scope="module")
+def lone_loop() -> JobResult:
+    """One loop, no servo, no manoeuvre, no spread: the platform is carried, and the other gyros are left out."""
+    job = pc.read_job({**JOB, "name": "one loop", "loop": [CAGING], "manoeuvre": [], "spread": {}, "coupled": {}})
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def lone_page(lone_loop: JobResult) -> str:
+    return report.page(lone_loop)
+
+
+@pytest.fixture(scope="module")
+def compared_designs() -> JobResult:
+    """Four designs of one loop, with goals and faults; the simple one is closed, and has claims."""
+    limits = {"bandwidth_hz": 20, "disk_margin": 0.4, "sensitivity_peak": 3, "tracking": 0.5, "tracking_hz": 2}
+    limits |= {"torque_limit": 5, "fastest_pole": 3e4, "disk_margin_spread": 0.2, "damping_faults": 0.001}
+    loop = {
+        **CAGING,
+        "use": "simple",
+        "limits": limits,
+        "soft": {"bandwidth_hz": 25, "disk_margin": 3.0},
+        "design": [
+            {"name": "simple", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+            {"name": "H-infinity", "method": "hinf", "bandwidth_hz": 50},
+            {"name": "quiet", "method": "classical", "crossover_hz": 35, "integral_hz": 2, "lead_hz": 6},
+            {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+        ],
+    }
+    more = {"loop": [loop], "manoeuvre": [], "coupled": {}, "faults": {"weak_torquer": 0.8}}
+    job = pc.read_job({**JOB, **more})
+    [outcome] = loops(job)
+    claims = {"gamma": 1.3, "gamma_optimal": 1.25, "bandwidth_bound_hz": 80.0, "survived Omega1, rad/s": 1.31}
+    closed = dataclasses.replace(outcome.designs[0], claims=claims)
+    return checked(job, [dataclasses.replace(outcome, designs=(closed, *outcome.designs[1:]))])
+
+
+@pytest.fixture(scope="module")
+def compared_page(compared_designs: JobResult) -> str:
+    return report.page(compared_designs)
+
+
+class Cells(HTMLParser):
+    """Text of every table cell, row by row."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.inside = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.rows[-1].append("")
+            self.inside = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("td", "th"):
+            self.inside = False
+
+    def handle_data(self, data: str) -> None:
+        if self.inside:
+            self.rows[-1][-1] += data
+
+
+def visible_text(page: str) -> str:
+    body = re.sub(r"<style.*?</style>|<pre.*?</pre>", " ", page, flags=re.DOTALL)
+    return html.unescape(re.sub(r"<[^>]*>", " ", body))
+
+
+def addresses(page: str) -> list[str]:
+    """Everything in a page that could be loaded from elsewhere."""
+    return re.findall(r"https?:|//\w|\bsrc=|@import|<link|<script|<iframe|url\((?!#)|href=\"(?!#)", page)
+
+
+# The page
+
+
+def test_the_page_needs_nothing_from_outside(page: str) -> None:
+    assert addresses(page) == []
+    assert addresses('<img src="x"><a href="http://a.b">') != []
+
+
+def test_every_requirement_stands_on_the_page_with_value_and_limit(result: JobResult, page: str) -> None:
+    shown = {tuple(cell.strip() for cell in row[1:3]) for row in Cells(page).rows if len(row) == 7}
+    rows = tables.requirement_rows(result)
+    assert len(rows) == len(result.requirements) > 10
+    for row in rows:
+        assert (row.value, row.limit) in shown
+        assert row.requirement in page
+
+
+def test_the_banner_counts_what_is_not_met(result: JobResult, page: str) -> None:
+    missed = sum(not one.passed for one in result.requirements)
+    assert missed > 0
+    assert f"{missed} of {len(result.requirements)} requirements not met" in visible_text(page)
+    only_met = dataclasses.replace(result, requirements=tuple(one for one in result.requirements if one.passed))
+    assert tables.verdict(only_met) == f"all {len(result.requirements) - missed} requirements met"
+
+
+def test_requirements_that_are_not_met_are_marked_by_symbol_and_colour(result: JobResult, page: str) -> None:
+    missed = sum(not one.passed for one in result.requirements)
+    assert page.count('<tr class="missed">') == missed
+    assert page.count("✗ not met") == missed
+
+
+def test_every_loop_and_run_has_its_figures(result: JobResult, page: str) -> None:
+    caging = sum(outcome.spec.kind == "caging" for outcome in result.loops)
+    servo, axes, nutation, coupled = 1, 1, 1, 4
+    expected = 6 * caging + servo + axes + nutation + coupled + len(result.runs)
+    assert page.count("<figure") == page.count("<figcaption") == expected
+
+
+def test_every_figure_is_described_and_has_a_sentence(page: str) -> None:
+    for label in re.findall(r'<svg [^>]*aria-label="([^"]*)"', page):
+        assert len(label.split()) > 10
+    assert len(re.findall(r"<figcaption>[^<]{40,}</figcaption>", page)) == page.count("<figure")
+
+
+def test_all_colours_of_figures_follow_the_theme(page: str) -> None:
+    drawings = "".join(re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL))
+    themed = set(re.findall(r"var\(--([a-z0-9-]+), #[0-9a-f]{6}\)", drawings))
+    bare = re.sub(r"var\(--[a-z0-9-]+, #[0-9a-f]{6}\)", "", drawings)
+    assert set(re.findall(r"#[0-9a-f]{6}\b", bare)) <= {"#ffffff"}
+    [dark] = re.findall(r"prefers-color-scheme: dark\) \{(.*?)\n\}", page, flags=re.DOTALL)
+    assert themed
+    assert themed <= set(re.findall(r"--([a-z0-9-]+):", dark))
+
+
+def test_a_name_that_looks_like_a_colour_stays_a_name() -> None:
+    with style.settings():
+        figure, [[axes]] = style.panels(1, 1, 2.0)
+        axes.set_title("#0072b2")
+        assert "#0072b2</text>" in style.svg(figure, "a title")
+
+
+def test_names_are_text_and_never_markup(page: str) -> None:
+    assert "<b>bold" not in page
+    assert "&lt;b&gt;bold&lt;/b&gt; $name$" in page
+    assert "slow &amp; &lt;plain&gt;" in page
+    assert "<plain>" not in page
+
+
+def test_numbers_written_in_figures_are_not_cut(result: JobResult, page: str) -> None:
+    assert f"{at_least(result.coupled.simultaneous.lower, 3)} at " in page
+
+
+def test_the_page_is_small_enough_to_send(page: str) -> None:
+    assert len(page.encode()) < 6e6
+
+
+def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
+    before = dict(mpl.rcParams)
+    with style.settings():
+        style.svg(figures.margin_bars_figure(result.coupled), "bars")
+    assert dict(mpl.rcParams) == before
+
+
+def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
+    again = report.page(lone_loop, command="platform-ctrl design 'my job.toml'")
+    section = '<section id="again">'
+    assert again.split(section)[0] == lone_page.split(section)[0]
+    assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
+
+
+def test_the_printed_job_reads_back_to_the_last_bit(result: JobResult, page: str) -> None:
+    [printed] = re.findall(r"<pre[^>]*>(name = .*?|schema = .*?)</pre>", page, flags=re.DOTALL)
+    again = pc.read_job(tomllib.loads(html.unescape(printed)))
+    assert record.job_data(again) == record.job_data(result.job)
+    before, after = pc.matrices(result.job.platform), pc.matrices(again.platform)
+    assert np.array_equal(before.A_star, after.A_star)
+    assert np.array_equal(before.L, after.L)
+
+
+def test_versions_of_all_that_computes_are_named(page: str) -> None:
+    text = visible_text(page)
+    for name in ("python", "platform_ctrl", "numpy", "scipy", "control", "cvxpy", "numba"):
+        assert re.search(rf"{name}\s+\d+\.\d+", text)
+
+
+# Writing
+
+
+def test_a_page_is_written_whole_or_not_at_all(
+    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("what stood there before")
+    monkeypatch.setattr(document, "page", lambda result, **given: "a page with α and Ω")
+
+    def refuse(*paths: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", refuse)
+        with pytest.raises(InputError, match="No space left on device"):
+            report.write_page(lone_loop, target)
+    assert target.read_text() == "what stood there before"
+    assert os.listdir(tmp_path) == ["report.html"]
+    assert report.write_page(lone_loop, target) == target
+    assert target.read_text(encoding="utf-8") == "a page with α and Ω"
+    assert os.listdir(tmp_path) == ["report.html"]
+
+
+def test_a_folder_that_does_not_exist_is_one_line(
+    lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(document, "page", lambda result, **given: "a page")
+    with pytest.raises(InputError, match="cannot be written") as error:
+        report.write_page(lone_loop, tmp_path / "nowhere" / "report.html")
+    assert "\n" not in str(error.value)
+
+
+# Degenerate results
+
+
+def test_one_loop_without_servo_and_manoeuvres_has_a_page(lone_loop: JobResult, lone_page: str) -> None:
+    assert lone_loop.coupled.stable
+    assert "The coupled system is unstable" not in lone_page
+    assert "Torque on the platform" not in lone_page
+    assert 'id="runs"' not in lone_page
+    assert not re.search(r"\b(nan|inf)\b", visible_text(lone_page), re.IGNORECASE)
+
+
+def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -> None:
+    [outcome] = lone_loop.loops
+    K = outcome.closed.controller
+    import control
+
+    wrong = control.StateSpace(
+        K.A, K.B, -K.C, -K.D, K.dt, inputs=K.input_labels, outputs=K.output_labels, remove_useless_states=False
+    )
+    assert outcome.closed.plants is not None
+    design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
+    unstable = checked(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
+    page = report.page(unstable)
+    text = visible_text(page)
+    assert not unstable.coupled.stable
+    assert "Its closed loop is unstable" in text
+    assert "unstable" in {row.value for row in tables.requirement_rows(unstable)}
+    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
+    assert "platform-ctrl check" in page
+
+
+def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> None:
+    run = result.runs[0]
+    lost = []
+    for samples in (0, 1, 40):
+        cut = {
+            name: getattr(run.trajectory, name)[:samples].copy()
+            for name in ("t", "q", "rate", "p", "reading", "command", "torque", "Omega", "attitude")
+        }
+        if samples > 1:
+            cut["q"][-3:] = [[1e3] * 5, [np.inf] * 5, [np.nan] * 5]
+            cut["command"][-1] = np.nan
+        trajectory = dataclasses.replace(run.trajectory, ended=f"diverged at t = {samples} ms", **cut)
+        lost.append(dataclasses.replace(run, trajectory=trajectory))
+    text = report.page(dataclasses.replace(result, loops=(), runs=tuple(lost)))
+    assert [f"diverged at t = {samples} ms" in visible_text(text) for samples in (0, 1, 40)] == [True] * 3
+    assert not re.search(r"\b(nan|inf)\b", visible_text(text), re.IGNORECASE)
+
+
+# Tables
+
+
+def test_the_worst_requirement_of_a_subject_comes_first(result: JobResult) -> None:
+    margins = {(one.subject, one.name): (one.passed, one.margin) for one in result.requirements}
+    rows = tables.requirement_rows(result)
+    for above, below in pairwise(rows):
+        if above.subject == below.subject and below.requirement != "claims proved":
+            assert margins[above.subject, above.requirement] <= margins[below.subject, below.requirement]
+
+
+def test_the_terminal_shows_the_same_rows(result: JobResult) -> None:
+    from rich.console import Console
+
+    console = Console(width=200, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(tables.terminal_table(result))
+    lines = capture.get().splitlines()
+    for row in tables.requirement_rows(result):
+        assert any(row.requirement in line and row.value in line and row.limit in line for line in lines)
+
+
+# Goals
+
+
+def test_goals_stand_apart_from_requirements(compared_designs: JobResult, compared_page: str) -> None:
+    goals = tables.goal_rows(compared_designs)
+    assert {(row.requirement, row.passed) for row in goals} == {("goal: bandwidth", True), ("goal: disk margin", False)}
+    assert not any(row.goal for row in tables.requirement_rows(compared_designs))
+    assert tables.verdict(compared_designs) == f"all {len(compared_designs.requirements)} requirements met"
+    part = re.findall(r'<tbody class="quiet">.*?</tbody>', compared_page, flags=re.DOTALL)[0]
+    assert "no part of the verdict" in part
+    assert [part.count(words) for words in ("✓ reached", "– not reached", "missed")] == [1, 1, 0]
+    assert "1 of 2 goals reached" in visible_text(compared_page)
+
+
+def test_a_goal_that_is_missed_is_dim_in_the_terminal_and_not_red(compared_designs: JobResult) -> None:
+    from rich.console import Console
+
+    console = Console(width=160, file=io.StringIO(), color_system="standard", force_terminal=True)
+    with console.capture() as capture:
+        console.print(tables.terminal_table(compared_designs))
+    [line] = [line for line in capture.get().splitlines() if "goal: disk margin" in line]
+    assert "\x1b[2m" in line
+    assert "\x1b[1;31m" not in line
+    assert "Goals are no part of the verdict." in capture.get()
+
+
+def test_a_narrow_terminal_lists_goals_too_and_no_proof_is_the_tightest(
+    compared_designs: JobResult, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    show_result(compared_designs)
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("met") and "goal: bandwidth" in line for line in lines) == 1
+    assert sum(line.startswith("not met") and "goal: disk margin" in line for line in lines) == 1
+    verdict = " ".join(lines[next(k for k, line in enumerate(lines) if line.startswith("PASSED")) :])
+    assert "tightest" in verdict
+    assert "claims proved" not in verdict
+
+
+def test_a_design_beside_the_closed_one_shows_its_goals_too(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    rows = {row.name: row for row in comparison.goal_rows(outcome)}
+    for cell, design in zip(rows["disk margin"].cells, outcome.designs, strict=True):
+        [goal] = [one for one in design.goals if one.name == "goal: disk margin"]
+        assert (cell.text, cell.met) == (f"{plain(goal.value, rounding='down')} ({percent(goal.margin)})", None)
+    assert [cell.met for cell in rows["bandwidth"].cells][:1] == [True]
+
+
+# Proofs, plants, claims, the price
+
+
+def test_what_is_proved_is_what_the_certificates_say(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    proofs = [compared_designs.proofs[d.loop, d.name] for d in outcome.designs]
+    rows = {row.name: [cell.text for cell in row.cells] for row in comparison.proof_rows(outcome.designs, proofs)}
+    plants = outcome.closed.plants
+    assert plants is not None
+    assert rows["stable"] == [f"✓ with all {len(plants.labels)} plants"] * 4
+    for text, design in zip(rows["disk margin of the nominal plant"], outcome.designs, strict=True):
+        assert design.measures is not None
+        assert float(text.removeprefix("≥ ")) == pytest.approx(design.measures.disk_margin[0], rel=1e-3)
+    for text, found in zip(rows["slowest decay over all plants"], proofs, strict=True):
+        bounds = [one.bound for one in found.certificates if one.claim == "stability"]
+        assert float(text.split()[1]) == pytest.approx(min(bounds), rel=1e-2)
+
+
+def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    key = outcome.closed.loop, outcome.closed.name
+    whole = compared_designs.proofs[key]
+    failed = dataclasses.replace(whole.verifications[0], proved=False, reason="X is not positive definite")
+    part = dataclasses.replace(
+        whole, verifications=(failed, *whole.verifications[1:]), unproved=("no proof of <this>",)
+    )
+    wrong = dataclasses.replace(compared_designs, proofs={**compared_designs.proofs, key: part})
+    rows = {row.name: row.cells[0] for row in comparison.proof_rows([outcome.closed], [part])}
+    assert rows["stable"].met is False
+    assert "slowest decay over all plants" not in rows
+    assert rows["claims proved"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
+    text = visible_text(report.page(wrong))
+    assert "X is not positive definite" in text
+    assert "Not proved: simple, no proof of <this>" in text
+
+
+def test_all_claims_proved_are_counted_in_the_table_of_requirements(compared_designs: JobResult) -> None:
+    shown = {row.subject: (row.value, row.limit) for row in tables.requirement_rows(compared_designs)
+             if row.requirement == "claims proved"}  # fmt: skip
+    closed = compared_designs.loops[0].closed
+    proofs = compared_designs.proofs[closed.loop, closed.name]
+    assert shown == {"caging 9-10": (f"{proofs.of} of {proofs.of}", "all"), "all loops closed": ("1 of 1", "all")}
+
+
+def test_plants_are_counted_by_what_they_stand_for(compared_designs: JobResult, compared_page: str) -> None:
+    closed = compared_designs.loops[0].closed
+    plants, measures = closed.plants, closed.measures
+    assert plants is not None
+    assert measures is not None
+    words = comparison.plants_in_words(plants)
+    assert words == "9 plants: the nominal one, 4 of the parameter spread, 2 with a platform rate and 2 with a fault"
+    assert words in visible_text(compared_page)
+    rows = comparison.group_rows(closed)
+    assert [(row[0], row[1]) for row in rows] == [
+        ("nominal", "1"),
+        ("parameter spread", "4"),
+        ("platform rates", "2"),
+        ("faults", "2"),
+    ]
+    margins = [float(row[4]) for row in rows]
+    assert min(margins[:3]) == pytest.approx(
+        measures.disk_margin[measures.of(("nominal", "spread", "Omega"))].min(), rel=1e-3
+    )
+    assert margins[3] == pytest.approx(measures.disk_margin[measures.of(("faults",))].min(), rel=1e-3)
+    assert "torquer" in rows[3][5]
+
+
+def test_the_price_of_the_simple_controller_is_a_number(compared_designs: JobResult, compared_page: str) -> None:
+    [outcome] = compared_designs.loops
+    sentences = verdict_words.price(outcome)
+    others = [d for d in outcome.alternatives if d.passed]
+    best = max(others, key=verdict_words.bandwidth_hz)
+    assert f"“{best.name}”" in sentences[0]
+    assert f"{outcome.closed.controller.nstates} states" in sentences[0]
+    assert "4\u00a0% above 1.25, which no controller" in sentences[-1]
+    gained = 100.0 * (80.0 / verdict_words.bandwidth_hz(outcome.closed) - 1.0)
+    assert f"{plain(gained, 2, 'up')}\u00a0% is all that any other could add" in sentences[-2]
+    for sentence in sentences:
+        assert sentence in visible_text(compared_page)
+
+
+def test_the_price_depends_on_who_is_faster_and_simpler(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+
+    def told(closed: str, *others: str) -> str:
+        chosen = tuple(d for d in outcome.designs if d.name in (closed, *others))
+        return verdict_words.price(dataclasses.replace(outcome, designs=chosen, use=closed))[0]
+
+    named = {d.name: d for d in outcome.designs}
+    fewer = named["H-infinity"].controller.nstates - named["slow"].controller.nstates
+    assert fewer > 0
+    assert verdict_words.bandwidth_hz(named["slow"]) < verdict_words.bandwidth_hz(named["H-infinity"])
+    assert f"is the price of {fewer} states fewer" in told("slow", "H-infinity")
+    assert f"more bandwidth with {fewer} states more" in told("H-infinity", "slow")
+    assert "is given up without fewer states" in told("slow", "simple")
+    assert told("simple", "slow").endswith("more bandwidth.")
+    assert verdict_words.price(dataclasses.replace(outcome, designs=outcome.designs[1:2], use="H-infinity")) != []
+    assert verdict_words.price(dataclasses.replace(outcome, designs=outcome.designs[3:], use="slow")) == []
+
+
+def test_what_a_design_pays_in_is_the_limit_it_comes_nearer_to(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    named = {d.name: d for d in outcome.designs}
+    pair = (named["H-infinity"], named["simple"])
+    sentences = verdict_words.price(dataclasses.replace(outcome, designs=pair, use="H-infinity"))
+    theirs = {one.name: one.ratio for one in named["simple"].results}
+    worst = max(
+        (one for one in named["H-infinity"].results if not one.name.startswith(("bandwidth", "slowest"))),
+        key=lambda one: one.ratio / theirs[one.name],
+    )
+    assert worst.ratio > 1.05 * theirs[worst.name]
+    assert any(sentence.startswith(f"It pays most in {worst.name}: ") for sentence in sentences)
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "words"),
+    [
+        ("bandwidth_bound_hz", 66.3, ("bandwidth bound", "66.3 Hz")),
+        ("survived Omega1, rad/s", 1.31, ("survived Omega1", "1.31 rad/s")),
+        ("intersample angle, rad", 0.002, ("intersample angle", "2 mrad")),
+        ("intersample torque rejection, rad/(N m)", 0.06, ("intersample torque rejection", "0.06 rad/(N m)")),
+        ("price", 0.041, ("price of simplicity", "+4.1 %")),
+        ("gamma", 1.25, ("norm on the weights, γ", "1.25")),
+        ("order", 8.0, ("order", "8")),
+        ("torque noise, rms", 2.0, ("torque noise, rms", "2")),
+        ("survived Omega2, rad/s", float("inf"), ("survived Omega2", "∞")),
+        ("gap", float("nan"), ("gap", "–")),
+    ],
+)
+def test_claims_have_words_and_units(name: str, number: float, words: tuple[str, str]) -> None:
+    assert claimed(name, number) == words
+
+
+# Tables again
+
+
+def test_the_comparison_shows_every_design_and_its_options(result: JobResult) -> None:
+    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
+    parts = {part.title: part.rows for part in comparison.sections(result, outcome)}
+    assert {len(row.cells) for rows in parts.values() for row in rows} == {2}
+    options = {row.name: tuple(cell.text for cell in row.cells) for row in parts["options used"]}
+    assert options["crossover_hz"] == ("30", "40")
+
+
+def test_what_is_not_asked_is_compared_nevertheless(result: JobResult) -> None:
+    rows = {row.name: row for row in comparison.limit_rows(result.loops[0])}
+    asked = set(rows)
+    [found] = [one for one in result.loops[0].closed.results if one.name == "bandwidth"]
+    assert (rows["bandwidth"].limit, rows["bandwidth"].cells[0].text) == ("≥ 20 Hz", f"✗ {plain(found.value)}")
+    assert not found.passed
+    besides = {row.name for row in comparison.measured_rows(result.loops[0])}
+    assert asked.isdisjoint(besides)
+    assert "damping" in besides
+    assert "bandwidth" in asked
+
+
+def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult, lone_page: str) -> None:
+    assert "What acts besides the torquers" not in lone_page
+    platform = dataclasses.replace(
+        lone_loop.job.platform,
+        specific_force=np.array([0.0, 0.0, 9.81]),
+        springs=(pc.Spring(gimbal="9", stiffness=0.02, rest=0.001),),
+        frictions=(
+            pc.Friction(gimbal="10", viscous=1e-5, coulomb=(1e-4, 2e-4)),
+            pc.Friction(gimbal="9", coulomb=(1e-4, 1e-4), breakaway=(3e-4, 2e-4), stribeck_rate=0.05),
+        ),
+        cages=(pc.Cage(gimbal="4", stiffness=50.0, damping=0.1, clearance=0.002),),
+        unbalances=(pc.Unbalance(body="10", moment=np.array([0.0, 1e-6, 0.0])),),
+        erections=(pc.Erection(gimbal="9", senses="10", axis=np.eye(3)[0], gain=1e-3, limit=5e-4),),
+    )
+    loaded = dataclasses.replace(lone_loop, job=dataclasses.replace(lone_loop.job, platform=platform))
+    rows = tables.element_rows(loaded)
+    assert rows == [
+        ("specific force", "platform", "(0, 0, 9.81) m/s²"),
+        ("spring", "9", "0.02 N m/rad, relaxed at 1 mrad"),
+        ("friction", "10", "viscous 1·10⁻⁵ N m s, dry 0.1 mN m and 0.2 mN m"),
+        ("friction", "9", "dry 0.1 mN m, breakaway 0.3 mN m and 0.2 mN m up to about 0.05 rad/s"),
+        ("cage", "4", "50 N m/rad, 0.1 N m s, play ±2 mrad"),
+        ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
+        ("erection", "9", "1 mN m × tilt of +1 of 10, at most 0.5 mN m"),
+    ]
+    shown = Cells(report.page(loaded)).rows
+    for row in rows:
+        assert list(row) in shown
+
+
+def test_the_gimbal_tree_names_axis_and_inertia(result: JobResult) -> None:
+    rows = {row[0].strip(): row for row in tables.gimbal_rows(result)}
+    assert rows["7"][1:5] == ("4", "−3", "beta7", "2·10⁻⁴ kg m²")
+    assert rows["7"][0] != "7"
+    assert tables.axis_text([0.0, 0.6, 0.8]) == "(0, 0.6, 0.8)"
+
+
+def number_in(text: str) -> Fraction:
+    raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+    mantissa, _, exponent = text.partition("·10")
+    return Fraction(mantissa.translate(raised)) * Fraction(10) ** int(exponent.translate(raised) or 0)
+
+
+def asked(measured: float, limit: float, unit: str, sense: Sense = "at least") -> CheckResult:
+    one = Requirement(name="figure", limit=limit, unit=unit, sense=sense)
+    return one.judge(measured, subject="loop", stage="decoupled", evidence="")
+
+
+@given(
+    st.floats(1e-12, 1e12), st.sampled_from([-1.0, 1.0]), st.integers(3, 7), st.sampled_from(["nearest", "down", "up"])
+)
+def test_a_printed_number_is_the_number_to_its_digits(size: float, sign: float, digits: int, to: Rounding) -> None:
+    shown, exact = number_in(plain(sign * size, digits, to)), Fraction(repr(sign * size))
+    assert shown == pytest.approx(sign * size, rel=10.0 ** (1 - digits))
+    assert to == "nearest" or (shown <= exact if to == "down" else shown >= exact)
+
+
+def test_what_is_no_number_is_called_unstable() -> None:
+    assert (
+        plain(float("nan"))
+        == quantity(float("inf"), "N m")
+        == compared(asked(float("nan"), 1.0, "Hz"))[0]
+        == "unstable"
+    )
+    assert percent(float("-inf")) == "–"
+
+
+def test_value_and_limit_that_differ_are_printed_differently() -> None:
+    assert compared(asked(0.4999999, 0.5, "")) == ("0.4999999", "0.5")
+    assert compared(asked(0.0045, 0.005, "N m")) == ("4.5 mN m", "5 mN m")
+
+
+@given(
+    st.floats(1e-9, 1e9), st.floats(1e-9, 1e9), st.sampled_from(["at least", "at most"]), st.sampled_from(["", "rad"])
+)
+def test_a_judged_value_is_never_printed_better_than_it_is(value: float, limit: float, sense: Sense, unit: str) -> None:
+    one = asked(value, limit, unit, sense)
+    for text in (compared(one)[0], value_and_limit(one)[0]):
+        words, _, shown_unit = text.partition(" ")
+        shown = number_in(words)
+        exact = Fraction(repr(value)) * (1000 if shown_unit == "mrad" else 1)
+        assert shown <= exact if sense == "at least" else shown >= exact
+        assert shown == pytest.approx(float(exact), rel=1e-3)
+
+
+@given(st.floats(1e-9, 1.0), st.floats(0.0, 1.0))
+def test_an_interval_of_probabilities_is_printed_no_narrower_than_it_is(high: float, share: float) -> None:
+    low = share * high
+    text = chances(low, high)
+    # What is no power of ten is in per cent.
+    shown = [number_in(word) / (1 if "·" in word else 100) for word in text.split() if word[0].isdigit()]
+    assert text.startswith("above") or shown[-1] >= Fraction(repr(high))
+    assert text.startswith("below") or shown[0] <= Fraction(repr(low))
+
+
+def test_a_rate_that_is_proved_is_rounded_down_and_a_norm_up() -> None:
+    assert claimed("survived Omega1, rad/s", 1.59978) == ("survived Omega1", "1.599 rad/s")
+    assert claimed("survived Omega1 over the spread, rad/s", 1.6) == ("survived Omega1 over the spread", "1.6 rad/s")
+    assert claimed("gamma", 1.59971)[1] == "1.6"
+    assert claimed("gamma_optimal", 1.59978)[1] == "1.599"
+    assert claimed("bandwidth_bound_hz", 59.9961)[1] == "60 Hz"
+    assert claimed("intersample torque rejection, rad/(N m)", 0.0100004)[1] == "0.01001 rad/(N m)"
+
+
+# Figures of several designs
+
+
+def texts(figure: Any) -> list[str]:
+    return [one.get_text() for axes in figure.axes for one in axes.texts]
+
+
+def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    with style.settings():
+        left, middle, right = figures.sensitivity_figure(responses, outcome.spec).axes
+        shares = figures.disturbance_figure(responses, outcome.spec).axes[-1]
+
+    def levels(axes: Any, colour: str) -> set[float]:
+        drawn = [line for line in axes.lines if line.get_color() == colour]
+        return {round(float(y), 6) for line in drawn for y in np.atleast_1d(line.get_ydata())}
+
+    assert levels(left, style.LIMIT) == {3.0, 0.5}
+    assert [round(float(line.get_xdata()[0]), 6) for line in left.lines if line.get_color() == style.MUTED] == [25.0]
+    assert levels(middle, style.LIMIT) == set()
+    assert levels(right, style.LIMIT) == {2.5}
+    assert levels(right, style.MUTED) == {round(1 / 3, 6)}
+    assert levels(shares, style.LIMIT) == {5.0}
+
+
+def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
+    result: JobResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong: list[str] = []
+    plain_svg = style.svg
+
+    def judged(figure: Any, description: str) -> str:
+        wrong.extend(without_a_curve(figure))
+        return plain_svg(figure, description)
+
+    monkeypatch.setattr(style, "svg", judged)
+    report.page(result)
+    assert wrong == []
+
+
+def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    with style.settings():
+        figure = figures.sensitivity_figure(responses, outcome.spec)
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["simple, closed", "H-infinity", "quiet", "slow"]
+    lines = figure.axes[1].lines[:4]
+    assert len({line.get_linestyle() + str(line._unscaled_dash_pattern) for line in lines}) == 4
+    widths = [line.get_linewidth() for line in lines]
+    assert widths[0] > max(widths[1:])
+    assert len({str(dashes) for dashes in style.DASHES[:5]}) == len(set(style.MARKERS[:5])) == 5
+
+
+def test_a_legend_too_long_for_a_row_gets_more() -> None:
+    assert style.legend_rows(["classical", "H-infinity", "structured", "lqg", "measured"]) == 1
+    many = [f"a design with a long name, number {k}" for k in range(5)]
+    rows = style.legend_rows(many)
+    assert rows > 1
+    with style.settings():
+        figure, _ = style.panels(1, 1, 3.0, legend=rows)
+        line = figure.axes[0].plot([0, 1])[0]
+        style.legend_above(figure, [line] * 5, many)
+        figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.width <= figure.bbox.width
+    assert box.y0 > figure.axes[0].get_window_extent().y1
+
+
+@pytest.mark.parametrize("radius", [300.0, 2000.0, 9000.0])
+def test_the_arc_of_the_fastest_pole_is_its_circle_in_the_w_plane(radius: float) -> None:
+    period = 5e-4
+    real, imag = limit_lines.pole_circle(radius, period)
+    z = np.exp((real + 1j * imag) * period)
+    assert np.abs(2.0 / period * (z - 1.0) / (z + 1.0)) == pytest.approx(radius, rel=1e-6)
+    assert np.all(imag >= 0.0)
+    assert np.all(real <= 1e-9)
+
+
+def test_the_torque_that_a_rate_asks_for_peaks_where_the_requirement_measures_it(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        [asked] = [r for r in one.design.results if r.name.startswith("torque at full Omega")]
+        assert one.torque_share.max() == pytest.approx(asked.value, rel=1e-8)
+
+
+def test_captions_say_peaks_that_every_grid_misses() -> None:
+    job = pc.read_job(
+        {**JOB, "loop": [CAGING], "manoeuvre": [], "coupled": {}, "sampling": {"rate_hz": 2000, "delay": 0.0}}
+    )
+    [outcome] = loops(job)
+    plants = outcome.closed.plants
+    assert plants is not None
+    # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
+    K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
+    narrow = remeasured(
+        outcome.spec, outcome.closed.name, analysis.state_space(K, plants.angles, plants.torques), plants
+    )
+    outcome = dataclasses.replace(outcome, designs=(narrow,))
+    responses = loop_responses(linearise(job.platform), outcome)
+    assert responses is not None
+    [one] = responses.designs
+    true = requirement("Omega rejection", 1.0).check(plants, K).value
+    assert one.rejection == pytest.approx(true, rel=1e-12)
+    assert one.rejection > 1.01 * one.angle_per_rate.max()
+    assert f"by more than {plain(1e3 * true, 3, 'up')} mrad" in captions.disturbance(outcome, responses)
+    assert 1.0 / one.balanced.max() == pytest.approx(narrow.measures.disk_margin[0], rel=1e-8)  # type: ignore[union-attr]
+
+
+def test_only_plants_whose_rotors_spin_are_told_of_nutation(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    assert "nutation" in captions.loop_transfer(outcome, spinning=True)
+    assert "nutation" not in captions.loop_transfer(outcome, spinning=False)
+
+
+def test_poles_with_a_fault_are_told_apart(compared_designs: JobResult) -> None:
+    [outcome] = compared_designs.loops
+    responses = loop_responses(compared_designs.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        order = len(one.poles)
+        assert (len(one.spread_poles), len(one.fault_poles)) == (6 * order, 2 * order)
+
+
+def test_the_page_of_four_designs_is_whole(compared_designs: JobResult, compared_page: str) -> None:
+    text = visible_text(compared_page)
+    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
+    assert "proved in interval arithmetic" in text
+    rows = {row[0]: row[1:] for row in Cells(compared_page).rows if len(row) == 6}
+    assert rows["survived Omega1"] == ["", "1.31 rad/s", "–", "–", "–"]
+    assert rows["bandwidth bound"][1] == "80 Hz"
+    for design in compared_designs.loops[0].designs:
+        assert design.name in text
+
+
+# Plant and modes
+
+
+def test_nutation_is_that_of_the_closed_formula(result: JobResult) -> None:
+    at_rest = modes.modes_at(result, (0.0, 0.0, 0.0))
+    nutation = {mode.gimbals: mode.frequency for mode in at_rest if mode.kind == "nutation"}
+    assert nutation["9", "10"] == pytest.approx(0.15 / np.sqrt(5e-4 * 2e-4), rel=1e-9)
+    assert nutation["4", "5", "7"] == pytest.approx(np.sqrt(2.0) * 0.15 / np.sqrt(8e-4 * 2e-4), rel=1e-9)
+
+
+@pytest.mark.parametrize("Omega", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.2, 0.0)])
+def test_every_pole_belongs_to_one_mode(result: JobResult, Omega: tuple[float, float, float]) -> None:
+    assert sum(mode.poles for mode in modes.modes_at(result, Omega)) == 2 * len(result.job.platform.gimbals)
+
+
+def test_at_rest_three_gyros_have_one_inertial_direction(result: JobResult) -> None:
+    kinds = [mode.kind for mode in modes.modes_at(result, (0.0, 0.0, 0.0)) if len(mode.gimbals) == 3]
+    assert kinds == ["nutation", "precession", "rigid body"]
+
+
+def test_nutation_is_proportional_to_rotor_speed(result: JobResult) -> None:
+    speed = np.array([0.0, 0.5, 1.0, 1.5])
+    for _, line in modes.nutation_over_speed(result, speed):
+        assert line == pytest.approx(speed * line[2], abs=1e-6 * line[2])
+
+
+def camera(sign: float, rotors: list[dict[str, Any]] | None = None) -> pc.LinearModel:
+    """A two-axis camera gimbal, the pitch body's centre of mass off its axis by 3 g m, upwards or downwards."""
+    return pc.linearise(
+        pc.read_platform(
+            {
+                "schema": 1,
+                "name": "camera",
+                "source": "assumed",
+                "root": {"name": "base", "inertia": [1, 1, 1], "specific_force": [0, 0, 9.81]},
+                "gimbal": [
+                    {"name": "yaw", "parent": "base", "axis": [0, 0, 1], "inertia": [0.05, 0.06, 0.07]},
+                    {"name": "pitch", "parent": "yaw", "axis": [0, 1, 0], "inertia": [0.02, 0.03, 0.04]},
+                ],
+                "unbalance": [{"body": "pitch", "moment": [0, 0, 0.003 * sign]}],
+                "rotor": rotors or [],
+            }
+        )
+    )
+
+
+def test_modes_of_a_plant_without_rotors_are_those_of_a_pendulum_and_of_a_rigid_body() -> None:
+    hanging, standing = camera(-1.0), camera(1.0)
+    [still] = modes.modes(hanging, ("yaw",))
+    assert (still.kind, still.poles, still.frequency, still.growth) == ("rigid body", 2, 0.0, 0.0)
+    [swing] = modes.modes(hanging, ("pitch",))
+    assert (swing.kind, swing.poles, swing.growth) == ("pendulum", 2, 0.0)
+    assert swing.frequency == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
+    # On a platform that turns, its rate alone holds yaw: no pendulum.
+    turning = pc.linearise(standing.platform, Omega=(0.1, 0.1, 0.1))
+    assert [mode.kind for mode in modes.modes(turning, ("yaw", "pitch"))] == ["divergence", "oscillation"]
+    [fall] = modes.modes(standing, ("pitch",))
+    assert (fall.kind, fall.poles, fall.frequency) == ("divergence", 2, 0.0)
+    assert fall.growth == pytest.approx(np.sqrt(9.81 * 0.003 / 0.03))
+
+
+def test_a_rotor_makes_a_mode_nutation_or_precession_only_where_its_torques_hold_the_balance() -> None:
+    rotor = {"name": "wheel", "carrier": "pitch", "axis": [1, 0, 0], "axial_inertia": 1e-3, "transverse_inertia": 6e-4}
+    both = ("yaw", "pitch")
+    # A fast wheel: nutation at L/sqrt(J1 J2), and precession under gravity at about zero, for yaw is not restrained.
+    fast = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 5.0}]), both)
+    assert fast[0].kind == "nutation"
+    assert fast[0].frequency == pytest.approx(5.0 / np.sqrt(0.1106 * 0.0306), rel=1e-3)
+    # A wheel that hardly spins leaves the pendulum what it is.
+    slow = modes.modes(camera(-1.0, [rotor | {"angular_momentum": 1e-3}]), both)
+    assert [mode.kind for mode in slow] == ["pendulum", "rigid body"]
+
+
+def test_a_gyro_on_springs_has_nutation_and_precession() -> None:
+    gyro = pc.read_platform("gimballed_gyro")
+    springs = tuple(Spring(gimbal=one.name, stiffness=0.05) for one in gyro.gimbals)
+    model = pc.linearise(dataclasses.replace(gyro, springs=springs, frictions=()))
+    found = modes.modes(model, model.gimbal_names)
+    assert [mode.kind for mode in found] == ["nutation", "precession"]
+    # Their product is sqrt(det K / det M), whatever the momentum.
+    product = np.sqrt(np.linalg.det(model.stiffness) / np.linalg.det(model.M))
+    assert found[0].frequency * found[1].frequency == pytest.approx(product, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("Omega", [(0.0, 0.0, 0.0), (0.1, 0.2, -0.3)])
+def test_every_pole_of_a_shipped_plant_belongs_to_one_mode(name: str, Omega: tuple[float, float, float]) -> None:
+    model = pc.linearise(pc.read_platform(name), Omega=Omega)
+    found = [mode for group in pc.subsystems(model) for mode in modes.modes(model, group)]
+    assert sum(mode.poles for mode in found) == 2 * len(model.gimbal_names)
+    if not any(rotor.angular_momentum for rotor in model.platform.rotors):
+        assert not {mode.kind for mode in found} & {"nutation", "precession"}
+
+
+# Responses
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(3e-3, 0.6), st.floats(20.0, 2000.0))
+def test_the_grid_shows_the_peak_of_every_resonance(damping: float, frequency: float) -> None:
+    s = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
+    w = following_grid(np.array([s, s.conjugate()]), 1.0, 1e4)
+    gain = np.abs(frequency**2 / ((frequency**2 - w**2) + 2j * damping * frequency * w))
+    assert gain.max() == pytest.approx(1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2)), rel=0.02)
+
+
+def test_no_response_is_evaluated_on_an_undamped_pole() -> None:
+    w = following_grid(np.array([100j, -100j, 0.0]), 1.0, 1e4)
+    assert np.abs(w - 100.0).min() > 0.01
+    assert np.all(np.diff(w) > 0.0)
+
+
+def test_responses_are_finite_and_agree_with_the_measures(result: JobResult) -> None:
+    [outcome] = [one for one in result.loops if one.spec.name == "caging 9-10"]
+    responses = loop_responses(result.model, outcome)
+    assert responses is not None
+    for one in responses.designs:
+        assert one.design.measures is not None
+        assert 1.0 / one.balanced.max() == pytest.approx(one.design.measures.disk_margin[0], rel=0.01)
+        below = responses.frequency < 0.999 * one.design.measures.bandwidth
+        assert np.all(one.sensitivity[below] < np.sqrt(0.5))
+        for curve in (one.loop_gains, one.channels, one.angle_per_rate, one.angle_per_torque):
+            assert np.all(np.isfinite(curve))
+    assert loop_responses(result.model, result.loops[2]) is None
+
+
+def test_the_root_locus_begins_at_the_open_loop_and_passes_the_design(result: JobResult) -> None:
+    design = result.loops[1].closed
+    locus = root_locus(design)
+    plants = design.plants
+    assert plants is not None
+    at = int(np.flatnonzero(locus.gains == 1.0)[0])
+    own = continuous_poles(closed_loop_poles(plants.only([0]), design.controller)[0], plants.period)
+    finite = np.isfinite(own.real)
+    assert np.sort_complex(locus.branches[at])[-finite.sum() :] == pytest.approx(np.sort_complex(own[finite]), abs=1e-3)
+    opened = np.exp(locus.branches[0][np.isfinite(locus.branches[0].real)] * plants.period)
+    poles = np.linalg.eigvals(plants.A[0])
+    for z in poles[poles != 0.0]:
+        assert np.abs(opened - z).min() < 1e-5
+
+
+def test_the_stable_range_of_gains_ends_where_the_loop_does(result: JobResult) -> None:
+    design = result.loops[1].closed
+    locus = root_locus(design, highest=6.0)
+    found = locus.stable_range
+    assert found is not None
+    assert found[0] < 1.0 < found[1] < 6.0
+    K, plants = design.controller, design.plants
+    import control
+
+    for factor, stable in ((found[1], True), (locus.gains[np.searchsorted(locus.gains, found[1]) + 1], False)):
+        scaled = control.StateSpace(K.A, K.B, factor * K.C, factor * K.D, K.dt, remove_useless_states=False)
+        z = closed_loop_poles(plants.only([0]), scaled)
+        assert (np.abs(z).max() < 1.0) == stable
+
+
+def test_the_platform_yields_to_a_torque_as_far_as_the_simulation_says(result: JobResult) -> None:
+    _, closed = coupled_figures.platform_compliance(result, np.array([1e-2]))
+    n = len(result.job.platform.gimbals)
+    run = result.runs[1]
+    final = run.trajectory.attitude_angles[-200:].mean(axis=0)
+    assert run.manoeuvre.torque * closed[0, n, 0] == pytest.approx(final[0], rel=0.02)
+
+
+def test_without_a_controller_the_platform_is_a_plain_inertia_when_shaken_fast(result: JobResult) -> None:
+    w = np.array([2e4])
+    opened, _ = coupled_figures.platform_compliance(result, w)
+    n = len(result.job.platform.gimbals)
+    model = result.model
+    inertia = model.root_inertia - model.M_Omega.T @ np.linalg.solve(model.M, model.M_Omega)
+    assert opened[0, n:] == pytest.approx(np.abs(np.linalg.inv(inertia)) / w**2, rel=2e-2, abs=1e-11)
+
+
+@given(hnp.arrays(np.float64, st.integers(1, 3000), elements=st.floats(-1e6, 1e6)), st.integers(2, 60))
+@settings(max_examples=40, deadline=None)
+def test_thinning_a_trace_loses_no_extreme(y: np.ndarray, buckets: int) -> None:
+    t = np.arange(len(y), dtype=np.float64)
+    thin_t, thin_y = style.envelope(t, y, buckets)
+    assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    assert (thin_t[0], thin_t[-1]) == (t[0], t[-1])
+    assert np.all(np.diff(thin_t) > 0.0)
+    assert np.array_equal(y[thin_t.astype(int)], thin_y)
+    assert len(thin_t) <= 3 * buckets

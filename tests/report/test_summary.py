@@ -1,0 +1,279 @@
+"""The report opens with sentences made from its numbers, and shows a campaign as that campaign's own page does."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import report
+from platform_ctrl.campaign.plan import Plan, plan
+from platform_ctrl.campaign.summary import Summary, summarised
+from platform_ctrl.design import loops
+from platform_ctrl.report import campaign_tables, content
+from platform_ctrl.report.campaign_content import as_section, differences
+from platform_ctrl.report.campaign_page import campaign_document, campaign_page
+from platform_ctrl.report.quantities import disk_words
+from platform_ctrl.report.verdict_words import opening, tightest
+from platform_ctrl.verification import JobResult, checked
+
+pytestmark = pytest.mark.usefixtures("untraced")
+
+JOB: dict[str, Any] = {
+    "schema": 1,
+    "name": "one gyro & <two> gimbals",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.5], "seed": 7},
+    "spread": {"inertia": 0.1},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "plain",
+            "limits": {"bandwidth_hz": 15, "disk_margin": 0.3, "torque_noise": 0.009},
+            "design": [{"name": "plain", "method": "classical", "crossover_hz": 40, "integral_hz": 2}],
+        }
+    ],
+    "manoeuvre": [
+        {
+            "name": f"{rate} rad/s",
+            "mode": "caged",
+            "axis": 1,
+            "rate": rate,
+            "rise": 0.05,
+            "hold": 0.05,
+            "duration": 0.2,
+            "limits": {"angle": 0.01, "torque_share": 2.0},
+        }
+        for rate in (0.5, 1.0)
+    ],
+    "campaign": {
+        "runs": 400,
+        "seed": 3,
+        "vary": [{"parameter": "sampling.delay", "distribution": "uniform", "low": 0.0004, "high": 0.0006}],
+    },
+}
+
+
+def checked_job(**changes: Any) -> JobResult:
+    job = pc.read_job({key: item for key, item in (JOB | changes).items() if item is not None})
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def result() -> JobResult:
+    return checked_job()
+
+
+@pytest.fixture(scope="module")
+def planned(result: JobResult) -> Plan:
+    return plan(result.job, tuple(outcome.closed.controller for outcome in result.loops))
+
+
+def counted(planned: Plan, scale: float = 1.0) -> Summary:
+    """What a campaign comes to whose figures follow from its delay."""
+    N, inputs = planned.runs, planned.inputs(0, planned.runs)
+    delay = inputs["sampling.delay"] / 0.0005
+    table = {
+        "run": np.arange(N),
+        **inputs,
+        "angle": scale * 0.008 * delay,
+        "torque_share": scale * np.full(N, 0.5),
+        "ended": np.full(N, "completed", dtype=object),
+    }
+    table["attitude"] = np.zeros(N)
+    table["angle_passed"], table["torque_share_passed"] = table["angle"] <= 0.01, table["torque_share"] <= 2.0
+    table["attitude_passed"] = np.array([None] * N)
+    return summarised(planned, table | {"passed": table["angle_passed"] & table["torque_share_passed"]})
+
+
+@pytest.fixture(scope="module")
+def summary(planned: Plan) -> Summary:
+    return counted(planned, 1.1)
+
+
+@pytest.fixture(scope="module")
+def prepared(result: JobResult) -> content.Document:
+    return report.prepared(result)
+
+
+@pytest.fixture(scope="module")
+def with_campaign(result: JobResult, summary: Summary) -> content.Document:
+    return report.prepared(result, campaign=summary, again="platform-ctrl simulate a.toml --run")
+
+
+def told(result: JobResult, campaign: Summary | None = None) -> str:
+    return " ".join(opening(result, campaign)).replace("\u00a0", " ")
+
+
+def text_of(page: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)).split())
+
+
+# The opening
+
+
+def test_the_opening_names_platform_loops_verdict_tightest_requirement_and_worst_run(result: JobResult) -> None:
+    words = told(result)
+    worst = tightest(result.requirements)
+    assert worst is not None
+    assert 3 <= len(opening(result)) <= 6
+    assert words.startswith("One loop was designed for “three-gyro platform” (5 gimbals and 3 rotors), for platform ")
+    assert "up to 0.5 rad/s about an axis, sampled at 2 kHz: caging 9-10 (plain)." in words
+    assert (
+        f"All {len(result.requirements)} requirements are met; the tightest is {worst.name} of “{worst.subject}”"
+        in words
+    )
+    assert "Of 2 simulated runs “1.0 rad/s” comes nearest to a limit" in words
+    assert "on the coupled platform it stays stable while every channel changes: gain × " in words
+
+
+def test_every_number_of_the_opening_comes_from_the_result(result: JobResult) -> None:
+    closed = result.loops[0].closed
+    assert closed.measures is not None
+    words = told(result)
+    assert f"reaches a bandwidth of {closed.measures.bandwidth / (2.0 * np.pi):.3g} Hz" in words
+    margin = result.coupled.simultaneous
+    assert disk_words(margin.alpha) in words
+    harder = [dataclasses.replace(one, value=1.5, passed=False, ratio=2.0) for one in closed.results[:1]]
+    missed = dataclasses.replace(
+        result,
+        requirements=(*harder, *result.requirements[1:]),
+        loops=(
+            dataclasses.replace(
+                result.loops[0],
+                designs=(dataclasses.replace(closed, results=(*harder, *closed.results[1:])),),
+            ),
+        ),
+    )
+    other = told(missed)
+    assert f"1 of {len(result.requirements)} requirements is not met" in other
+    assert (
+        f"“caging 9-10” reaches a bandwidth of {closed.measures.bandwidth / (2.0 * np.pi):.3g} Hz and misses" in other
+    )
+
+
+def test_a_run_that_was_lost_and_no_run_at_all_are_told(result: JobResult) -> None:
+    first = result.runs[0]
+    lost = dataclasses.replace(first, trajectory=dataclasses.replace(first.trajectory, ended="diverged at t = 0.1 s"))
+    assert "“0.5 rad/s” did not come to its end" in told(dataclasses.replace(result, runs=(lost, *result.runs[1:])))
+    assert "simulated" not in told(dataclasses.replace(result, runs=()))
+
+
+def test_how_slow_the_slowest_pole_is_is_never_the_tightest(result: JobResult) -> None:
+    slow = [one for one in result.requirements if one.name.startswith("slowest decay")]
+    assert slow
+    assert tightest(slow) is None
+    assert tightest([]) is None
+    failed = dataclasses.replace(slow[0], passed=False, value=-1.0)
+    assert tightest([failed, *result.requirements]) is failed
+
+
+def test_a_campaign_adds_its_probability_with_bounds_and_what_decides_it(result: JobResult, planned: Plan) -> None:
+    summary = counted(planned, 1.1)
+    found = summary.statistics.violation
+    assert 0 < found.events < found.runs
+    sentence = opening(result, summary)[-1].replace("\u00a0", " ")
+    assert f"campaign of {found.runs} runs" in sentence
+    assert campaign_tables.chance(found.estimate) in sentence
+    assert campaign_tables.chances(found.low, found.high) in sentence
+    assert "“sampling.delay”" in sentence
+    none = opening(result, counted(planned, 0.5))[-1]
+    assert none.startswith("None of the campaign's 400 runs violates a requirement: probability below")
+
+
+# The campaign in the report
+
+
+def plates(blocks: tuple[Any, ...]) -> list[content.Plate]:
+    found = []
+    for block in blocks:
+        found += [block] if isinstance(block, content.Plate) else plates(getattr(block, "blocks", ()))
+    return found
+
+
+def tables_of(blocks: tuple[Any, ...]) -> list[list[list[str]]]:
+    found = []
+    for block in blocks:
+        if isinstance(block, content.Table):
+            found.append([[cell.text for cell in row.cells] for group in block.groups for row in group.rows])
+        found += tables_of(getattr(block, "blocks", ())) + tables_of(getattr(block, "parts", ()))
+    return found
+
+
+def test_the_campaigns_section_has_the_figures_and_rows_of_the_campaigns_own_page(
+    with_campaign: content.Document, summary: Summary
+) -> None:
+    names = [section.name for section in with_campaign.sections]
+    assert names.index("runs") + 1 == names.index("campaign") == len(names) - 2
+    own = campaign_document(summary, again="platform-ctrl simulate a.toml --run")
+    section = with_campaign.sections[-2]
+    blocks = tuple(block for one in own.sections for block in one.blocks)
+    shown = plates(blocks)
+    assert len(shown) == 3
+    assert [(one.title, one.caption, one.svg) for one in plates(section.blocks)] == [
+        (one.title, one.caption, one.svg) for one in shown
+    ]
+    assert tables_of(section.blocks) == tables_of(blocks)
+
+
+def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
+    with_campaign: content.Document, summary: Summary
+) -> None:
+    page = report.page(with_campaign)
+    worst = summary.statistics.worst[0].run
+    assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in page
+    assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in campaign_page(
+        summary, again="platform-ctrl simulate a.toml --run"
+    )
+    words = text_of(page)
+    assert "flown with other" not in words
+    assert "None is part of this report" not in words
+    assert campaign_tables.verdict(summary)[1:] in words
+    assert not re.search(r"https?:|\bsrc=|url\((?!#)|@import|href=\"(?!#)", page)
+
+
+def test_a_campaign_of_other_controllers_is_called_so(result: JobResult) -> None:
+    flown = counted(plan(result.job, ()), 1.1)
+    assert differences(flown, result) == ["controllers"]
+    words = [block.text for block in as_section(flown, result, None).blocks if isinstance(block, content.Paragraph)]
+    assert "It was flown with other controllers: its figures are not those of the design above." in words
+
+
+def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: content.Document) -> None:
+    words = text_of(report.page(prepared))
+    assert "None is part of this report" in words
+    assert "--campaign" in words
+    without = dataclasses.replace(result, job=dataclasses.replace(result.job, campaign=None), loops=(), runs=())
+    assert 'id="campaign"' not in report.page(without)
+
+
+def test_what_is_prepared_once_is_drawn_once(result: JobResult, prepared: content.Document) -> None:
+    assert report.prepared(prepared) is prepared
+    assert report.page(prepared) == report.page(result)
+
+
+def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepared: content.Document) -> None:
+    page = report.page(prepared)
+    figures = re.findall(r"<figure.*?</figure>", page, flags=re.DOTALL)
+    assert len(figures) == page.count("<figure") > 10
+    for figure in figures:
+        assert re.search(r'<svg[^>]* role="img"', figure)
+        assert re.search(r'aria-label="[^"]{20,}"|<title>[^<]+</title>\s*<desc>', figure)
+    assert 'content: "Figure " counter(figure)' in page
+
+
+def test_paper_gets_light_colours_and_whole_figures_and_rows(prepared: content.Document) -> None:
+    page = report.page(prepared)
+    printed = page[page.index("@media print {") : page.index("</style>")]
+    assert "break-inside: avoid" in printed
+    assert "break-after: avoid" in printed
+    assert "@page" in printed
+    assert "@media screen and (prefers-color-scheme: dark)" in page

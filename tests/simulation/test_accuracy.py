@@ -1,0 +1,169 @@
+"""How well the kernel integrates: order, what a torque-free run keeps, and other programs' integrators beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from kernel_entries import momenta, whole_state
+from oracle_trees import MujocoTree, PinocchioTree, rotation
+from platform_ctrl.mechanics import matrices
+from platform_ctrl.plant.platform import Platform
+from platform_ctrl.plant.reading import read_platform
+from platform_ctrl.simulation import Rollout, rollout
+from simulation.test_forces import furnished, three_gimbals
+from simulation.test_plant import THREE_GYROS
+
+MODELS = Path(__file__).parents[2] / "models"
+FREE = dataclasses.replace(
+    THREE_GYROS, rotors=tuple(dataclasses.replace(r, control="free") for r in THREE_GYROS.rotors)
+)
+
+
+def a_start(platform: Platform, runs: int = 1, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    return 0.3 * rng.normal(size=(runs, n)), 0.3 * rng.normal(size=(runs, n + 3))
+
+
+def kept(platform: Platform, out: Rollout) -> tuple[np.ndarray, np.ndarray]:
+    """T2 (runs, S) and the inertial angular momentum (runs, S, 3) along runs."""
+    energies, momentum = [], []
+    for q, velocity, attitude in zip(out.q_history, out.velocity_history, out.attitude_history, strict=True):
+        states = [whole_state(platform, *state) for state in zip(q, velocity, strict=True)]
+        carried = np.concatenate([momenta(platform, np.array(states[k : k + 8])) for k in range(0, len(states), 8)])
+        energies.append([0.5 * u @ matrices(platform, at).A_star @ u for at, u in zip(q, velocity, strict=True)])
+        momentum.append([rotation(e) @ H[:3] for e, H in zip(attitude, carried, strict=True)])
+    return np.array(energies), np.array(momentum)
+
+
+def drifts(energies: np.ndarray, momentum: np.ndarray) -> tuple[float, float]:
+    """Largest relative changes of either."""
+    away = np.linalg.norm(momentum - momentum[:, :1], axis=-1) / np.linalg.norm(momentum[:, :1], axis=-1)
+    return float(np.abs(energies / energies[:, :1] - 1.0).max()), float(away.max())
+
+
+@pytest.mark.parametrize("platform", [THREE_GYROS, FREE], ids=["regulated", "free"])
+def test_the_error_falls_with_the_fourth_power_of_the_step(platform):
+    q, velocity = a_start(platform)
+    counts = np.array([100, 200, 400, 800, 12800])
+    ends = []
+    for steps in counts:
+        out = rollout(platform, q, velocity, step=0.4 / steps, steps=int(steps))
+        ends.append(np.concatenate([out.q[0], out.velocity[0], out.attitude[0]]))
+    error = np.linalg.norm(np.array(ends[:-1]) - ends[-1], axis=1)
+    assert error[0] > 1e-6
+    slopes = -np.diff(np.log(error)) / np.diff(np.log(counts[:-1]))
+    assert slopes == pytest.approx(4.0, abs=0.25)
+    assert slopes[-1] == pytest.approx(4.0, abs=0.05)
+
+
+def test_servo_rotors_and_smooth_elements_are_integrated_with_the_fourth_order():
+    # A cage without clearance and everything else that is smooth.
+    platform = furnished(three_gimbals(), 12)
+    cages = tuple(dataclasses.replace(c, clearance=0.0) for c in platform.cages)
+    wheel = dataclasses.replace(platform.rotors[0], control="servo", speed_gain=2.0, speed_integral=9.0)
+    frictions = tuple(dataclasses.replace(f, coulomb=(0.2, 0.2), breakaway=(0.4, 0.4)) for f in platform.frictions)
+    platform = dataclasses.replace(platform, cages=cages, rotors=(wheel,), frictions=frictions, erections=())
+    q, velocity = a_start(platform)
+    counts = np.array([200, 400, 800, 12800])
+    ends = []
+    for steps in counts:
+        out = rollout(platform, q, velocity, step=1.0 / steps, steps=int(steps), spin=[[wheel.spin + 1.0]])
+        ends.append(np.concatenate([out.q[0], out.velocity[0], out.attitude[0], out.spin[0]]))
+    error = np.linalg.norm(np.array(ends[:-1]) - ends[-1], axis=1)
+    assert -np.diff(np.log(error)) / np.log(2.0) == pytest.approx(4.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("platform", "step"),
+    # Gyros of navigation grade nutate at 530 rad/s: that is what the step has to follow.
+    [(THREE_GYROS, 1e-4), (read_platform(MODELS / "three_gyro_platform.toml"), 5e-6)],
+    ids=["full tensors", "displacement gyros"],
+)
+def test_a_million_torque_free_steps_lose_less_than_1e_10_of_energy_and_momentum(platform, step):
+    q, velocity = a_start(platform, 8)
+    out = rollout(platform, q, velocity, step=step, steps=1_000_000, every=100_000)
+    assert np.ptp(out.q_history, axis=1).max(axis=0).min() > 0.003
+    energy, momentum = drifts(*kept(platform, out))
+    assert energy < 1e-10
+    assert momentum < 1e-10
+
+
+def in_mujoco(q: np.ndarray, velocity: np.ndarray, step: float, counts: list[int]) -> Rollout:
+    """Run FREE by MuJoCo's own rollout; recorded at the start and after each of `counts` further steps."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
+    from mujoco import rollout as theirs
+
+    tree = MujocoTree(FREE)
+    tree.model.opt.timestep = step
+    tree.set(q, np.array([1.0, 0.0, 0.0, 0.0]), tree.vector(velocity, tree.spins(FREE, matrices(FREE, q).B @ velocity)))
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.empty((1, mujoco.mj_stateSize(tree.model, kind)))
+    mujoco.mj_getState(tree.model, tree.data, state[0], kind)
+    states = [state[0]]
+    for count in counts:
+        steps, _ = theirs.rollout(tree.model, tree.data, states[-1][None], nstep=count)
+        states.append(steps[0, -1].copy())
+    along = np.array(states)
+    qpos, qvel = along[:, 1 : 1 + tree.model.nq], along[:, 1 + tree.model.nq : 1 + tree.model.nq + tree.model.nv]
+    blank = np.empty((1, 0))
+    history = {
+        "q_history": qpos[None, :, 1 + tree.gimbals],
+        "velocity_history": qvel[None, :, tree.platform_places],
+        "attitude_history": qpos[None, :, :4],
+    }
+    last = {name.removesuffix("_history"): array[:, -1] for name, array in history.items()}
+    return Rollout(t=along[:, 0], spin=blank, spin_history=blank, **last, **history)
+
+
+def test_five_seconds_of_a_spinning_platform_are_those_of_mujoco():
+    q, velocity = a_start(FREE)
+    theirs = in_mujoco(q[0], velocity[0], 2e-4, 5 * [5000])
+    ours = rollout(FREE, q, velocity, step=2e-4, steps=25000, every=5000)
+    assert np.ptp(ours.q_history[0], axis=0).min() > 0.4
+    np.testing.assert_allclose(ours.q_history, theirs.q_history, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(ours.velocity_history, theirs.velocity_history, rtol=0.0, atol=1e-7)
+    turned = [[rotation(e / np.linalg.norm(e)) for e in run.attitude_history[0]] for run in (ours, theirs)]
+    np.testing.assert_allclose(*turned, rtol=0.0, atol=1e-8)
+
+
+def test_five_seconds_of_a_spinning_platform_are_those_of_pinocchio_under_an_adaptive_integrator():
+    pin = pytest.importorskip("pinocchio", reason="Pinocchio (package pin) is not installed")
+    q, velocity = a_start(FREE)
+    tree = PinocchioTree(FREE)
+    spins = tree.spins(FREE, matrices(FREE, q[0]).B @ velocity[0])
+    nq, still = tree.model.nq, np.zeros(tree.model.nv)
+
+    def motion(t: float, y: np.ndarray) -> np.ndarray:
+        at, v = y[:nq].copy(), y[nq:]
+        at[:4] /= np.linalg.norm(at[:4])
+        x, y_, z, w = at[:4]
+        a, b, c = 0.5 * v[:3]
+        turn = [w * a + y_ * c - z * b, w * b + z * a - x * c, w * c + x * b - y_ * a, -x * a - y_ * b - z * c]
+        return np.concatenate([turn, v[3:], pin.aba(tree.model, tree.data, at, v, still)])
+
+    start = np.concatenate([tree.configuration(q[0], np.array([1.0, 0.0, 0.0, 0.0])), tree.vector(velocity[0], spins)])
+    end = solve_ivp(motion, (0.0, 5.0), start, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    out = rollout(FREE, q, velocity, step=1e-4, steps=50000)
+    np.testing.assert_allclose(out.q[0], end[1 + tree.gimbals], rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(out.velocity[0], end[nq + tree.platform_places], rtol=0.0, atol=1e-7)
+    attitude = np.roll(end[:4], 1) / np.linalg.norm(end[:4])
+    np.testing.assert_allclose(rotation(out.attitude[0]), rotation(attitude), rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_over_a_million_steps_free_rotors_keep_what_they_should_at_least_as_well_as_in_mujoco():
+    q, velocity = a_start(FREE)
+    ours = rollout(FREE, q, velocity, step=1e-4, steps=1_000_000, every=100_000)
+    energy, momentum = drifts(*kept(FREE, ours))
+    their_energy, their_momentum = drifts(*kept(FREE, in_mujoco(q[0], velocity[0], 1e-4, 10 * [100_000])))
+    print(
+        f"over 1e6 steps of 1e-4 s: T2 {energy:.1e}, H {momentum:.1e}; MuJoCo {their_energy:.1e}, {their_momentum:.1e}"
+    )
+    assert energy < min(1e-10, 2.0 * their_energy)
+    assert momentum < min(1e-10, 2.0 * their_momentum)

@@ -1,0 +1,352 @@
+"""The sampled closed loop: timing, limits, lag, stops, noise, and what it refuses."""
+
+from __future__ import annotations
+
+import itertools
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
+from platform_ctrl.simulation import HalfCosine, simulate
+
+J, L, C = 2e-3, 0.15, 1.2e-4
+PERIOD = 1e-3
+
+
+def one_gimbal(inertia=J, root_inertia=1.0, stops=None, noise=0.0, quantisation=0.0, **torquer) -> Platform:
+    """A gimbal without a rotor: with the root held, a double integrator."""
+    return Platform(
+        name="one gimbal",
+        root_name="case",
+        root_inertia=root_inertia * np.eye(3),
+        gimbals=(
+            Gimbal(
+                name="g",
+                parent="case",
+                axis=np.array([0.0, 0.0, 1.0]),
+                inertia=inertia * np.eye(3),
+                angle="alpha",
+                stops=stops,
+            ),
+        ),
+        torquers=(Torquer(name="Qg", gimbal="g", **torquer), Torquer(name="M1", root_axis=1)),
+        pickoffs=(PickOff(name="alpha", gimbal="g", noise_rms=noise, quantisation=quantisation),),
+    )
+
+
+def two_axis_gyro(J9=5e-4, J10=2e-4) -> Platform:
+    """Gimbal 9 about +3, housing 10 about +1, rotor 11 along +2."""
+    return Platform(
+        name="gyro",
+        root_name="case",
+        root_inertia=0.1 * np.eye(3),
+        gimbals=(
+            Gimbal(name="9", parent="case", axis=np.array([0.0, 0, 1]), inertia=(J9 - J10) * np.eye(3), angle="alpha9"),
+            Gimbal(name="10", parent="9", axis=np.array([1.0, 0, 0]), inertia=(J10 - 7e-5) * np.eye(3), angle="beta10"),
+        ),
+        rotors=(
+            Rotor(
+                name="11",
+                carrier="10",
+                axis=np.array([0.0, 1, 0]),
+                axial_inertia=C,
+                transverse_inertia=7e-5,
+                angular_momentum=L,
+            ),
+        ),
+        torquers=(Torquer(name="Q9", gimbal="9"), Torquer(name="Q10", gimbal="10")),
+        pickoffs=(PickOff(name="alpha9", gimbal="9"), PickOff(name="beta10", gimbal="10")),
+    )
+
+
+def controller(D=None, inputs="alpha", outputs="Qg", A=(), B=(), C=(), dt=PERIOD) -> control.StateSpace:
+    order = len(A)
+    D = np.atleast_2d(D)
+    return control.ss(
+        np.reshape(A, (order, order)),
+        np.reshape(B, (order, D.shape[1])),
+        np.reshape(C, (D.shape[0], order)),
+        D,
+        dt,
+        inputs=inputs,
+        outputs=outputs,
+        name="K",
+    )
+
+
+def run(platform, controllers=(), *, mode="caged", period=PERIOD, delay=PERIOD, duration=0.1, **more):
+    return simulate(platform, controllers, period=period, delay=delay, duration=duration, mode=mode, **more)
+
+
+def held(t0, t1, changes, torque):
+    """What a double integrator gains between two instants while torques switch at given instants."""
+    grid = [t0, *[t for t in changes if t0 < t < t1], t1]
+    return [(b - a, torque(0.5 * (a + b)) / J) for a, b in itertools.pairwise(grid)]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.37, 1.0, 1.37, 2.0, 2.75])
+def test_commands_take_effect_exactly_after_the_delay(delay):
+    gain = -0.4 * J / PERIOD  # unstable or not, the recursion holds
+    out = run(one_gimbal(), [controller(gain)], delay=delay * PERIOD, duration=0.02, q=[0.01], rate=[0.3])
+
+    samples = 21
+    instants = [(k + delay) * PERIOD for k in range(samples)]
+    commands: list[float] = []
+
+    def torque(t):
+        active = [c for c, instant in zip(commands, instants, strict=False) if instant <= t]
+        return active[-1] if active else 0.0
+
+    angle, rate, expected = 0.01, 0.3, []
+    for k in range(samples):
+        expected.append((angle, rate))
+        commands.append(gain * angle)
+        for length, acceleration in held(k * PERIOD, (k + 1) * PERIOD, instants, torque):
+            angle += length * rate + 0.5 * length**2 * acceleration
+            rate += length * acceleration
+    assert out.completed
+    assert out.t == pytest.approx(PERIOD * np.arange(samples))
+    assert np.column_stack([out.q, out.rate]) == pytest.approx(np.array(expected), rel=1e-11, abs=1e-13)
+    assert out.p == pytest.approx(J * out.rate)
+    assert out.command[:, 0] == pytest.approx(np.array(commands), rel=1e-11)
+
+
+def test_the_limited_command_passes_the_lag():
+    # So heavy a gimbal stays where it is: the command is constant.
+    lag, delay, limit, start = 3e-3, 2.5e-3, 0.7, 0.1
+    out = run(one_gimbal(inertia=1e9, limit=limit, lag=lag), [controller(-20.0)], delay=delay, q=[start])
+    since = np.maximum(out.t - delay, 0.0)
+    assert out.command[:, 0] == pytest.approx(-20.0 * start)
+    assert out.torque[:, 0] == pytest.approx(-limit * (1.0 - np.exp(-since / lag)), abs=1e-12)
+    assert list(out.saturated) == [len(out.t), 0]
+    assert run(one_gimbal(inertia=1e9, limit=2.1), [controller(-20.0)], q=[start]).saturated[0] == 0
+
+
+def test_the_lagged_torque_is_what_moves_the_gimbal():
+    # A torque c (1 - exp(-t/T)) on a double integrator, from the pick-off of a gimbal that hardly moves.
+    lag, c = 4e-3, 2e-9
+    out = run(one_gimbal(lag=lag), [controller(c)], delay=0.0, q=[1.0])
+    t = out.t
+    assert out.rate[:, 0] == pytest.approx(c / J * (t - lag * (1.0 - np.exp(-t / lag))), rel=1e-6, abs=1e-16)
+
+
+def test_controllers_are_evaluated_in_their_order_and_see_this_steps_outputs():
+    pid = controller([[3.0], [2.0]], outputs=["Qg", "integrand"], A=[[0.3]], B=[[1.0]], C=[[0.5], [1.0]])
+    integral = controller(0.25, inputs="integrand", outputs="M1", A=[[1.0]], B=[[PERIOD]], C=[[7.0]])
+    out = run(one_gimbal(root_inertia=1e3, noise=1e-3), [pid, integral], mode="stabilised", q=[0.01], seed=3)
+    x = z = 0.0
+    for reading, command in zip(out.reading[:, 0], out.command, strict=True):
+        integrand = x + 2.0 * reading
+        assert command == pytest.approx([0.5 * x + 3.0 * reading, 7.0 * z + 0.25 * integrand], rel=1e-9, abs=1e-15)
+        x, z = 0.3 * x + reading, z + PERIOD * integrand
+
+
+def test_a_gyro_on_a_fixed_platform_nutates_at_its_frequency():
+    J9, J10, start = 5e-4, 2e-4, 1e-3
+    out = run(two_axis_gyro(J9, J10), rate=[start, 0.0], duration=0.2, delay=0.0)
+    frequency = L / np.sqrt(J9 * J10)
+    assert frequency * out.t[-1] > 15 * 2 * np.pi
+    assert out.rate[:, 0] == pytest.approx(start * np.cos(frequency * out.t), abs=1e-4 * start)
+    assert J9 * out.rate[:, 0] + L * out.q[:, 1] == pytest.approx(np.full(len(out.t), J9 * start), rel=1e-6)
+    # With cyclic alpha9 its momentum is constant, not only in the linear theory.
+    assert out.p[:, 0] == pytest.approx(np.full(len(out.t), out.p[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("axis", [1, 2, 3])
+def test_a_prescribed_manoeuvre_turns_the_platform_by_its_integral(axis):
+    profile = HalfCosine(axis=axis, rate=0.8, rise=0.05, hold=0.1)
+    out = run(two_axis_gyro(), Omega_profile=profile, duration=0.3)
+    expected = np.interp(out.t, [0.05, 0.15], [0.8, 0.8])
+    expected *= np.where(out.t < 0.05, np.sin(0.5 * np.pi * out.t / 0.05) ** 2, 1.0)
+    expected *= np.where(out.t > 0.15, np.cos(0.5 * np.pi * np.minimum(out.t - 0.15, 0.05) / 0.05) ** 2, 1.0)
+    others = [k for k in range(3) if k != axis - 1]
+    assert out.Omega[:, axis - 1] == pytest.approx(expected, abs=1e-12)
+    assert not out.Omega[:, others].any()
+    assert out.attitude_angles[-1, axis - 1] == pytest.approx(0.8 * 0.15, rel=1e-9)
+    assert np.linalg.norm(out.attitude, axis=1) == pytest.approx(1.0)
+
+
+def test_prescribed_and_free_root_agree_when_the_root_is_too_heavy_to_react():
+    gyro = two_axis_gyro()
+    heavy = Platform(
+        **{name: getattr(gyro, name) for name in ("name", "root_name", "gimbals", "rotors", "torquers", "pickoffs")},
+        root_inertia=1e9 * np.eye(3),
+    )
+    gains = controller([[-0.05, -0.2], [0.2, -0.05]], inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
+    start = {"q": [0.1, -0.2], "rate": [0.5, 1.0], "duration": 0.05}
+    steady = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=1.0)
+    caged = run(gyro, [gains], Omega_profile=steady, **start)
+    stabilised = run(heavy, [gains], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
+    assert np.abs(caged.q[-1] - caged.q[0]).max() > 0.01
+    for name in ("q", "rate", "p", "torque", "attitude"):
+        assert getattr(stabilised, name) == pytest.approx(getattr(caged, name), rel=1e-6, abs=1e-7)
+
+
+def test_a_gyro_free_on_a_turning_platform_keeps_its_direction():
+    out = run(two_axis_gyro(), Omega_profile=HalfCosine(axis=3, rate=0.05, rise=0.1, hold=0.1), duration=0.3)
+    assert out.attitude_angles[-1, 2] == pytest.approx(0.01)
+    assert out.q[-1, 0] == pytest.approx(-0.01, rel=0.02)
+
+
+@pytest.mark.parametrize(("axis", "expected"), [(1, [L, 0.0]), (2, [0.0, 0.0]), (3, [0.0, -L])])
+def test_a_caged_gyro_measures_the_platform_rate(axis, expected):
+    # Q9 = L Omega1, Q10 = -L Omega3, held by stiff proportional-derivative loops at 10 kHz.
+    period, rate = 1e-4, 0.5
+    stiffness, damping = 1e6 * np.diag([5e-4, 2e-4]), 1.4e3 * np.diag([5e-4, 2e-4])
+    pd = control.ss(
+        np.zeros((2, 2)), np.eye(2), damping / period, -stiffness - damping / period, period,
+        inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], name="caging",
+    )  # fmt: skip
+    profile = HalfCosine(axis=axis, rate=rate, rise=0.05, hold=1.0)
+    out = run(two_axis_gyro(), [pd], period=period, delay=period, Omega_profile=profile, duration=0.15)
+    # What is left is of the order J Omega^2.
+    assert out.torque[-1] == pytest.approx(rate * np.array(expected), abs=2e-3 * rate * L)
+
+
+def test_a_constant_torque_accelerates_the_free_platform():
+    out = run(one_gimbal(), mode="stabilised", root_torque=[0.02, 0.0, 0.0])
+    inertia = 1.0 + J
+    assert out.Omega[:, 0] == pytest.approx(0.02 / inertia * out.t, abs=1e-15)
+    assert out.attitude_angles[:, 0] == pytest.approx(0.01 / inertia * out.t**2, abs=1e-12)
+
+
+def test_a_bare_root_without_sensors_and_torquers_can_be_simulated():
+    block = Platform(name="block", root_name="case", root_inertia=np.diag([1.0, 2.0, 3.0]), gimbals=())
+    out = run(block, mode="stabilised", root_torque=[0.0, 0.0, 0.3])
+    assert out.Omega[:, 2] == pytest.approx(0.1 * out.t, abs=1e-15)
+    assert out.q.shape == out.command.shape == out.reading.shape == (101, 0)
+
+
+def test_a_gimbal_is_caught_by_its_stop_and_held_there_while_it_is_pushed():
+    out = run(one_gimbal(stops=(-0.02, 0.05)), [controller(1.0)], q=[0.04], rate=[0.1], delay=0.0)
+    arrived = np.argmax(out.q[:, 0] >= 0.05)
+    assert 0 < arrived < 50
+    assert out.q[:, 0].max() <= 0.05
+    assert out.q[arrived:, 0] == pytest.approx(0.05, abs=1e-12)
+    assert out.rate[arrived:, 0] == pytest.approx(0.0, abs=1e-9)
+    assert list(out.stop_contacts) == [1]
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_stopped_gimbal_takes_a_free_root_with_it(direction):
+    platform = one_gimbal(root_inertia=J, stops=(-0.05, 0.05))
+    out = run(platform, mode="stabilised", rate=[direction * 2.0], delay=0.0)
+    assert out.stop_contacts[0] == 1
+    # J (2 Omega + rate) is conserved, the relative rate is not.
+    assert out.rate[-1] == pytest.approx(0.0, abs=1e-9)
+    assert out.Omega[:, 2] * 2 * J + J * out.rate[:, 0] == pytest.approx(direction * 2.0 * J)
+
+
+def test_a_gyro_pushed_against_its_stop_loses_its_gyroscopic_stiffness():
+    # Held about alpha9, a torque about beta10 accelerates the housing instead of precessing it.
+    gyro = two_axis_gyro()
+    stopped = Platform(
+        **{name: getattr(gyro, name) for name in ("name", "root_name", "rotors", "torquers", "pickoffs")},
+        root_inertia=gyro.root_inertia,
+        gimbals=(
+            Gimbal(
+                name="9", parent="case", axis=gyro.gimbals[0].axis, inertia=gyro.gimbals[0].inertia,
+                angle="alpha9", stops=(0.0, 0.0),
+            ),
+            gyro.gimbals[1],
+        ),
+    )  # fmt: skip
+    push = controller([[1e-3, 0.0]], inputs=["beta10", "alpha9"], outputs=["Q10"])
+    out = run(stopped, [push], q=[0.0, 0.1], delay=0.0, duration=0.05)
+    assert np.abs(out.q[:, 0]).max() == 0.0
+    assert out.q[:, 1] == pytest.approx(0.1 * np.cosh(np.sqrt(1e-3 / 2e-4) * out.t), rel=1e-3)
+
+
+def test_a_run_that_diverges_ends_early_and_says_when():
+    out = run(one_gimbal(), [controller(50.0)], q=[1e-3], duration=5.0)
+    assert not out.completed
+    assert out.ended == f"diverged at t = {len(out.t) * PERIOD:.6g} s"
+    assert 0 < len(out.t) < 5000
+    assert all(np.isfinite(getattr(out, name)).all() for name in ("q", "rate", "p", "command", "torque", "attitude"))
+
+
+def test_an_unstable_controller_ends_the_run_before_its_numbers_overflow():
+    growing = controller(0.0, A=[[1e30]], B=[[1.0]], C=[[1.0]])
+    out = run(one_gimbal(limit=1e-9), [growing], q=[1e-3])
+    assert out.ended.startswith("diverged at t = ")
+    assert np.isfinite(out.command).all()
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another():
+    platform = one_gimbal(noise=1e-3)
+    first, again, other = (run(platform, [controller(-1.0)], seed=seed) for seed in (4, 4, 5))
+    assert np.array_equal(first.q, again.q)
+    assert np.array_equal(first.reading, again.reading)
+    assert not np.array_equal(first.reading, other.reading)
+
+
+def test_readings_carry_the_pick_offs_noise_and_quantisation():
+    rms = PickOff(name="alpha", gimbal="g", noise_rms=1e-3).sampled_noise(PERIOD)
+    noisy = run(one_gimbal(noise=1e-3), q=[0.2], duration=5.0)
+    assert np.std(noisy.reading - noisy.q) == pytest.approx(rms, rel=0.05)
+    silent = run(one_gimbal(noise=1e-3), q=[0.2], noise=False)
+    assert np.array_equal(silent.reading, silent.q)
+    coarse = run(one_gimbal(quantisation=0.03), q=[0.0], rate=[1.0], duration=0.2)
+    assert coarse.reading / 0.03 == pytest.approx(np.round(coarse.reading / 0.03))
+    assert np.abs(coarse.reading - coarse.q).max() <= 0.015 * (1 + 1e-9)
+    assert len(np.unique(coarse.reading)) == 8
+
+
+def test_a_shorter_substep_changes_nothing_that_matters():
+    profile = HalfCosine(axis=1, rate=0.5, rise=0.05, hold=0.0)
+    coarse, fine = (run(two_axis_gyro(), Omega_profile=profile, step=step) for step in (1e-4, 2e-5))
+    assert coarse.q == pytest.approx(fine.q, abs=1e-7 * np.abs(fine.q).max())
+
+
+def test_columns_are_named_in_the_plants_order():
+    out = run(two_axis_gyro(), duration=0.0)
+    assert (out.angle_names, out.torquer_names) == (("alpha9", "beta10"), ("Q9", "Q10"))
+    assert out.q.shape == out.command.shape == (1, 2)
+    assert out.attitude_angles == pytest.approx(np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize(
+    ("bad", "complaint"),
+    [
+        ([controller(1.0, dt=0.002)], "dt is 0.002; expected the sample period 0.001"),
+        ([controller(1.0, dt=0)], "dt is 0; expected the sample period"),
+        ([controller(1.0, dt=True)], "without a sample period"),
+        ([controller(np.nan)], "not finite"),
+        ([controller(1.0, inputs="beta")], "input 'beta' is neither a pick-off nor"),
+        ([controller(1.0, inputs="Qg", outputs="M1"), controller(1.0)], "input 'Qg' is neither"),
+        ([controller(1.0, outputs="Qh")], "output 'Qh' is neither a torquer nor"),
+        ([controller(1.0), controller(1.0)], "output 'Qg' exists already"),
+        ([controller(1.0, outputs="M1")], "output 'M1' acts on the root"),
+    ],
+)
+def test_controllers_that_do_not_fit_are_refused(bad, complaint):
+    with pytest.raises(ArgumentError, match=complaint):
+        run(one_gimbal(), bad)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"period": 0.0}, "period"),
+        ({"period": "fast"}, "period"),
+        ({"delay": -1e-3}, "delay"),
+        ({"duration": np.inf}, "duration"),
+        ({"mode": "loose"}, "mode"),
+        ({"step": -1.0}, "step"),
+        ({"root_torque": [1.0, 0.0, 0.0]}, "root_torque"),
+        ({"Omega": [1.0, 0.0, 0.0]}, "Omega"),
+        ({"mode": "stabilised", "Omega_profile": HalfCosine(axis=1, rate=1.0, rise=1.0, hold=1.0)}, "Omega_profile"),
+        ({"mode": "stabilised", "root_torque": [1.0]}, "root_torque"),
+        ({"q": [0.1, 0.2]}, "q"),
+        ({"q": [0.5]}, "q"),
+        ({"rate": [np.nan]}, "rate"),
+        ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude"),
+        ({"attitude": [1.0, 0.0, 0.0]}, "attitude"),
+    ],
+)
+def test_a_simulation_refuses_what_makes_no_sense_and_names_it(changed, named):
+    with pytest.raises(ArgumentError, match=rf"^{named}: "):
+        run(one_gimbal(stops=(-0.1, 0.1)), **changed)

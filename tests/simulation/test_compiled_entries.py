@@ -1,0 +1,114 @@
+"""Compiled code trusts shapes: every public way into it judges them first, and no call ends the process."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from platform_ctrl import analysis
+from platform_ctrl.errors import ArgumentError
+
+W = np.array([1.0, 2.0])
+SHAPES: tuple[tuple[int, ...], ...] = ((2, 2), (2, 1), (1, 2), (1, 1))
+ENTRIES: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {
+    "frequency_response_arrays": (analysis.frequency_response_arrays, (0.1, W)),
+    "response_arrays": (analysis.response_arrays, (1j * W,)),
+    "hinf_norm_arrays": (analysis.hinf_norm_arrays, (0.1,)),
+    "noise_rms_arrays": (analysis.noise_rms_arrays, (np.ones(1),)),
+    "sampled_arrays": (analysis.sampled_arrays, (0.1, 0.25)),
+    "closed_loop_arrays": (
+        analysis.closed_loop_arrays,
+        (-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))),
+    ),
+    "series_arrays": (analysis.series_arrays, (-np.eye(1), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))),
+}
+
+
+def arrays() -> list[np.ndarray]:
+    """Return A, B, C, D of a stable system, continuous and sampled, of two states, an input and an output."""
+    return [0.1 * np.array([[-1.0, 1.0], [0.0, -2.0]]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1))]
+
+
+def test_a_direct_term_of_another_size_does_not_end_the_process() -> None:
+    code = (
+        "import numpy as np; from platform_ctrl import analysis, errors\n"
+        "try: analysis.frequency_response_arrays([[.5]], [[1]], [[1]], np.zeros((5, 5)), 0.1, np.array([1.0, 2.0]))\n"
+        "except errors.ArgumentError as error: print(error)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert out.returncode == 0, out.stderr
+    assert out.stdout.endswith("D must be (1, 1) to fit C (1, 1) and B (1, 1), got (5, 5)\n")
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_arrays_that_do_not_fit_one_another_are_refused(name: str) -> None:
+    function, more = ENTRIES[name]
+    function(*arrays(), *more)
+    for place, wrong in itertools.product(range(4), [(), (2,), (3, 3), (1, 3), (3, 1), (5, 5), (0, 0), (2, 3, 3)]):
+        given = arrays()
+        given[place] = np.zeros(wrong)
+        with pytest.raises(ArgumentError):
+            function(*given, *more)
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1j, "1", None], ids=repr)
+def test_arrays_of_what_is_no_finite_number_are_refused(name: str, bad: Any) -> None:
+    function, more = ENTRIES[name]
+    for place in range(4):
+        given: list[Any] = arrays()
+        given[place] = np.full(given[place].shape, bad)
+        with pytest.raises(ArgumentError):
+            function(*given, *more)
+
+
+def test_lists_and_whole_numbers_are_arrays_too() -> None:
+    found = analysis.frequency_response_arrays([[-1]], [[1]], [[1]], [[0]], 0, [0, 1])
+    np.testing.assert_allclose(found[:, 0, 0], [1.0, 1.0 / (1.0 + 1.0j)], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [np.ones((3, 2)), np.ones(3), np.float64(1.0), np.ones((0, 0)), [["a"]], None],
+    ids=lambda w: str(np.shape(w)),
+)
+def test_sensitivities_need_square_matrices(wrong: Any) -> None:
+    with pytest.raises(ArgumentError):
+        analysis.sensitivities(wrong)
+
+
+KEPT = {
+    "inner.py": (
+        "from platform_ctrl.mechanics.lanes import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"
+    ),
+    "outer.py": (
+        "from inner import inner\nfrom platform_ctrl.mechanics.lanes import compiled\n"
+        "@compiled\ndef outer(x):\n    return inner(x) + 1.0\n"
+    ),
+}
+CALL = "from outer import outer; print(outer(1.0), *map(len, (outer.stats.cache_hits, outer.stats.cache_misses)))"
+
+
+def test_what_is_kept_is_compiled_again_when_a_neighbouring_file_changes(tmp_path: Path) -> None:
+    """Numba looks at the function's own file alone; that others count, too, goes through names that it may change."""
+    found = []
+    for factor in (2.0, 2.0, 30.0):
+        for name, text in KEPT.items():
+            written, path = text.format(factor=factor), tmp_path / name
+            if not path.exists() or path.read_text(encoding="utf-8") != written:
+                path.write_text(written, encoding="utf-8")
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        command = [sys.executable, "-c", CALL]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        found.append(done.stdout.split())
+    # The value, how often it was found in the cache, how often it was not.
+    assert found == [["3.0", "0", "1"], ["3.0", "1", "0"], ["31.0", "0", "1"]]

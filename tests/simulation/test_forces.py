@@ -1,0 +1,428 @@
+"""Force elements in the compiled kernel: against the Python route on random trees, and by energies and rest points."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kernel_entries import derivatives, momenta, whole_state
+from platform_ctrl.mechanics import element_forces, forward_dynamics, kinematics, matrices
+from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
+from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
+from platform_ctrl.simulation import HalfCosine, rollout, simulate
+from tree_cases import platforms
+
+J, L, GRAVITY = 2e-3, 0.15, 9.81
+seeds = st.integers(0, 2**32 - 1)
+
+
+def furnished(platform: Platform, seed: int) -> Platform:
+    """The platform with any number of elements anywhere."""
+    rng = np.random.default_rng(seed)
+    names = platform.gimbal_names
+    bodies = (platform.root_name, *names)
+
+    def some(of, at_most=2):
+        return [of[k] for k in rng.integers(len(of), size=rng.integers(at_most + 1) * len(of))]
+
+    def unit():
+        axis = rng.normal(size=3)
+        return axis / np.linalg.norm(axis)
+
+    return dataclasses.replace(
+        platform,
+        springs=tuple(Spring(gimbal=g, stiffness=rng.normal(), rest=rng.normal()) for g in some(names)),
+        frictions=tuple(
+            Friction(
+                gimbal=g,
+                viscous=rng.uniform(),
+                coulomb=tuple(rng.uniform(size=2)),
+                coulomb_rate=0.3,
+                breakaway=tuple(rng.uniform(1.0, 2.0, size=2)),
+                stribeck_rate=rng.choice([0.5, np.inf]),
+            )
+            for g in names[::2]
+        ),
+        cages=tuple(
+            Cage(gimbal=g, stiffness=3.0, damping=1.5, clearance=rng.choice([0.0, 0.3]), angle=rng.normal())
+            for g in set(some(names))
+        ),
+        unbalances=tuple(Unbalance(body=b, moment=rng.normal(size=3)) for b in some(bodies)),
+        erections=tuple(
+            Erection(gimbal=g, senses=str(rng.choice(bodies)), axis=unit(), gain=rng.normal(), limit=limit)
+            for g in some(names, 1)
+            for limit in (None, 0.1)
+        ),
+        specific_force=rng.normal(size=3),
+    )
+
+
+def along_coordinates(platform: Platform, seed: int) -> Platform:
+    """The platform with some of its gimbals' axes, possibly all or none, along coordinate axes of either sign."""
+    rng = np.random.default_rng(seed)
+    share = rng.choice([0.0, 0.7, 1.0])
+    gimbals = tuple(
+        dataclasses.replace(g, axis=rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]) if rng.random() < share else g
+        for g in platform.gimbals
+    )
+    return dataclasses.replace(platform, gimbals=gimbals)
+
+
+def state_derivative(platform, q, v, force, free):
+    """[q', v'] of the kernel."""
+    n = len(platform.gimbals)
+    dy = derivatives(platform, whole_state(platform, q, v), force, free=free)[0]
+    return dy[:n], dy[n : 2 * n + 3]
+
+
+def a_state(platform, seed):
+    rng = np.random.default_rng(seed)
+    n = len(platform.gimbals)
+    return rng.normal(size=n), rng.normal(size=n + 3), rng.normal(size=n + 3)
+
+
+trees = st.builds(along_coordinates, platforms(), seeds)
+
+
+@settings(max_examples=80, deadline=None)
+@given(trees, seeds)
+def test_with_a_free_root_the_elements_accelerate_as_their_forces_do(platform, seed):
+    platform = furnished(platform, seed)
+    q, u, force = a_state(platform, seed + 1)
+    rates, acceleration = state_derivative(platform, q, u, force, free=True)
+    expected = forward_dynamics(platform, q, u, force + element_forces(platform, q, u))
+    np.testing.assert_array_equal(rates, u[3:])
+    np.testing.assert_allclose(acceleration, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("tilt", [1e-12, 1e-9, 1e-8, 1e-5])
+def test_an_axis_that_is_nearly_one_of_the_bodys_is_not_taken_for_it(tilt):
+    axis = np.array([1.0, tilt, -1.3 * tilt])
+    inertia = np.array([[0.05, 0.01, 0.02], [0.01, 0.06, -0.01], [0.02, -0.01, 0.07]])
+    tilted, straight = (
+        Platform(
+            name="nearly aligned",
+            root_name="root",
+            root_inertia=0.3 * np.eye(3),
+            gimbals=(
+                Gimbal(name="outer", parent="root", axis=[0.0, 1.0, 0.0], inertia=inertia, angle="a"),
+                Gimbal(name="inner", parent="outer", axis=one, inertia=inertia, angle="b"),
+            ),
+            rotors=(),
+        )
+        for one in (axis / np.linalg.norm(axis), [1.0, 0.0, 0.0])
+    )
+    q, u, force = np.array([0.3, -0.4]), np.array([0.3, -0.5, 0.2, 4.0, -7.0]), np.zeros(5)
+    change = np.subtract(*(state_derivative(one, q, u, force, free=True)[1] for one in (tilted, straight)))
+    expected = np.subtract(*(forward_dynamics(one, q, u, force) for one in (tilted, straight)))
+    np.testing.assert_allclose(change, expected, atol=1e-12)
+
+
+@settings(max_examples=80, deadline=None)
+@given(trees, seeds)
+def test_with_a_prescribed_rate_the_elements_feed_the_momenta(platform, seed):
+    bare, platform = platform, furnished(platform, seed)
+    q, u, force = a_state(platform, seed + 1)
+    m = matrices(platform, q)
+    L = np.array([r.angular_momentum for r in platform.rotors])
+    state = np.concatenate([u[:3], m.A_star[3:] @ u + (m.B.T @ L)[3:]])
+    rates, fed = state_derivative(platform, q, state, force, free=False)
+    _, without = state_derivative(bare, q, state, force, free=False)
+    np.testing.assert_allclose(rates, u[3:], rtol=1e-9, atol=1e-9)
+    expected = element_forces(platform, q, u)[3:]
+    np.testing.assert_allclose((fed - without)[3:], expected, atol=1e-8 * (1 + np.abs(without).max()))
+
+
+@settings(max_examples=40, deadline=None)
+@given(trees, seeds, st.booleans())
+def test_servo_rotors_react_on_their_carriers_with_a_free_root_and_not_on_momenta(platform, seed, free):
+    rng = np.random.default_rng(seed)
+    P = 20.0 * rng.normal(size=len(platform.rotors))
+    servo = rng.random(len(P)) < 0.6
+    loops = tuple(
+        dataclasses.replace(
+            r, control="servo", speed_gain=1.7, speed_integral=3.0, torque_limit=rng.choice([None, 40.0])
+        )
+        if s
+        else r
+        for r, s in zip(platform.rotors, servo, strict=True)
+    )
+    passive = tuple(
+        dataclasses.replace(r, control="free", angular_momentum=h) if s else r
+        for r, s, h in zip(platform.rotors, servo, P, strict=True)
+    )
+    motors = dataclasses.replace(furnished(platform, seed), rotors=loops)
+    cyclic = dataclasses.replace(motors, rotors=passive)
+    q, u, force = a_state(platform, seed + 1)
+    B, x = matrices(platform, q).B[servo], rng.normal(size=servo.sum())
+    v = u if free else np.concatenate([u[:3], momenta(cyclic, whole_state(cyclic, q, u))[0, 3:]])
+    n = len(q)
+    dy = derivatives(motors, whole_state(motors, q, v, (*P[servo], *x)), force, free=free)[0]
+    error = np.array([h / r.axial_inertia - r.spin for h, r in zip(P, loops, strict=True)])[servo] - B @ u
+    wanted = -1.7 * error - 3.0 * x
+    limit = np.array([r.torque_limit or np.inf for r in loops], dtype=float)[servo]
+    torque = np.clip(wanted, -limit, limit)
+    further = (np.abs(wanted) >= limit) & (wanted * error < 0.0)
+    np.testing.assert_allclose(dy[2 * n + 7 :], [*torque, *np.where(further, 0.0, error)], rtol=1e-9, atol=1e-9)
+    reaction = B.T @ torque if free else np.zeros(n + 3)
+    expected = derivatives(cyclic, whole_state(cyclic, q, v), force - reaction, free=free)[0]
+    size = 1e-9 * (1.0 + np.abs(expected).max())
+    np.testing.assert_allclose(dy[: 2 * n + 7], expected, rtol=1e-9, atol=size)
+
+
+def test_forces_that_balance_the_elements_hold_every_body_at_rest():
+    platform = dataclasses.replace(furnished(three_gimbals(), 3), rotors=())
+    q = np.array([0.3, -0.4, 0.8])
+    out = rollout(platform, [q], np.zeros((1, 6)), steps=100, force=[-element_forces(platform, q)])
+    assert out.q[0] == pytest.approx(q, abs=1e-12)
+    assert out.velocity[0] == pytest.approx(np.zeros(6), abs=1e-12)
+
+
+def three_gimbals(**elements) -> Platform:
+    axes = ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8])
+    parents = ("base", "a", "b")
+    return Platform(
+        name="chain",
+        root_name="base",
+        root_inertia=np.diag([2.0, 3.0, 4.0]),
+        gimbals=tuple(
+            Gimbal(name=name, parent=parent, axis=np.array(axis), inertia=np.diag([0.5, 0.6, 0.4]), angle=name)
+            for name, parent, axis in zip("abc", parents, axes, strict=True)
+        ),
+        rotors=(
+            Rotor(
+                name="r",
+                carrier="c",
+                axis=np.array([1.0, 0.0, 0.0]),
+                axial_inertia=0.2,
+                transverse_inertia=0.15,
+                angular_momentum=1.5,
+            ),
+        ),
+        **elements,
+    )
+
+
+SPRINGS = (
+    Spring(gimbal="a", stiffness=4.0, rest=0.2),
+    Spring(gimbal="c", stiffness=2.0),
+    Spring(gimbal="c", stiffness=1),
+)
+UNBALANCES = (
+    Unbalance(body="b", moment=np.array([0.02, -0.05, 0.1])),
+    Unbalance(body="c", moment=np.array([0.1, 0.0, 0.05])),
+)
+
+
+def energy(platform, q, u):
+    """T2 + V, with V of the springs and of the weight of the unbalances."""
+    m = matrices(platform, q)
+    index = {name: k for k, name in enumerate(platform.gimbal_names)}
+    V = sum(0.5 * s.stiffness * (q[index[s.gimbal]] - s.rest) ** 2 for s in platform.springs)
+    rotations = kinematics(platform, q).rotations
+    V += sum(platform.specific_force @ rotations[1 + index[b.body]] @ b.moment for b in platform.unbalances)
+    return 0.5 * u @ m.A_star @ u + V
+
+
+def energies(platform, q, u):
+    return np.array([energy(platform, *at) for at in zip(q, u, strict=True)])
+
+
+def test_springs_exchange_energy_with_a_free_platform_and_lose_none():
+    platform = three_gimbals(springs=SPRINGS)
+    out = rollout(platform, [[0.6, -0.3, 0.5]], [[0.1, 0.2, 0.0, 0.5, 0.0, 1.0]], step=5e-4, steps=8000, every=200)
+    kept = energies(platform, out.q_history[0], out.velocity_history[0])
+    kinetic = energies(dataclasses.replace(platform, springs=()), out.q_history[0], out.velocity_history[0])
+    assert np.ptp(kinetic) > 0.3
+    assert kept == pytest.approx(kept[0], rel=1e-8)
+
+
+def test_a_gimballed_pendulum_keeps_its_energy_in_gravity():
+    platform = three_gimbals(springs=SPRINGS, unbalances=UNBALANCES, specific_force=np.array([1.0, 2.0, GRAVITY]))
+    run = {"period": 0.02, "delay": 0.0, "duration": 3.0, "step": 5e-4}
+    out = simulate(platform, [], mode="caged", q=[0.6, -0.3, 0.5], rate=[0.5, 0.0, 1.0], **run)
+    kept = energies(platform, out.q, np.hstack([out.Omega, out.rate]))
+    kinetic = energies(
+        dataclasses.replace(platform, springs=(), unbalances=()), out.q, np.hstack([out.Omega, out.rate])
+    )
+    assert np.ptp(kinetic) > 0.3
+    assert kept == pytest.approx(kept[0], rel=1e-8)
+
+
+def test_viscous_friction_takes_out_its_power():
+    frictions = (Friction(gimbal="a", viscous=0.3), Friction(gimbal="c", viscous=0.1))
+    platform = three_gimbals(springs=SPRINGS, frictions=frictions)
+    out = rollout(platform, [[0.6, -0.3, 0.5]], [[0.1, 0.2, 0.0, 0.5, 0.0, 1.0]], step=5e-4, steps=4000, every=4)
+    kept = energies(platform, out.q_history[0, ::100], out.velocity_history[0, ::100])
+    power = 0.3 * out.velocity_history[0, :, 3] ** 2 + 0.1 * out.velocity_history[0, :, 5] ** 2
+    from scipy.integrate import simpson
+
+    lost = simpson(power, x=out.t)
+    assert lost > 0.2
+    assert kept[0] - kept[-1] == pytest.approx(lost, rel=1e-8)
+
+
+def test_the_elements_act_alike_whether_the_root_is_held_or_too_heavy_to_react():
+    platform = furnished(three_gimbals(), 5)
+    heavy = dataclasses.replace(platform, root_inertia=1e9 * np.eye(3))
+    start = {"q": [0.1, -0.2, 0.3], "rate": [0.5, 1.0, -0.4], "period": 0.01, "delay": 0.0, "duration": 0.5}
+    steady = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=1.0)
+    caged = simulate(platform, [], mode="caged", Omega_profile=steady, **start)
+    free = simulate(heavy, [], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
+    assert np.abs(caged.q[-1] - caged.q[0]).max() > 0.1
+    for name in ("q", "rate", "p", "attitude"):
+        np.testing.assert_allclose(getattr(free, name), getattr(caged, name), rtol=1e-6, atol=1e-7)
+
+
+def one_gimbal(**more) -> Platform:
+    return Platform(
+        name="one gimbal",
+        root_name="case",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(
+                name="g",
+                parent="case",
+                axis=np.array([0.0, 0.0, 1.0]),
+                inertia=J * np.eye(3),
+                angle="alpha",
+                stops=more.pop("stops", None),
+            ),
+        ),
+        torquers=(Torquer(name="Qg", gimbal="g"),),
+        pickoffs=(PickOff(name="alpha", gimbal="g"),),
+        **more,
+    )
+
+
+def caged(platform, duration, q=0.0, rate=0.0, gain=None):
+    gains = [] if gain is None else [control.ss([], [], [], [[gain]], 1e-3, inputs="alpha", outputs="Qg", name="K")]
+    return simulate(platform, gains, period=1e-3, delay=0.0, duration=duration, mode="caged", q=[q], rate=[rate])
+
+
+@pytest.mark.parametrize(("rate", "level"), [(2.0, 4e-3), (-2.0, 1e-2)])
+def test_dry_friction_brakes_a_gimbal_to_rest_by_the_level_of_its_direction(rate, level):
+    dry = Friction(gimbal="g", coulomb=(1e-2, 4e-3), coulomb_rate=1e-3)
+    out = caged(one_gimbal(frictions=(dry,)), 1.5 * 2.0 * J / level, rate=rate)
+    stop = abs(rate) * J / level
+    braking = out.t < 0.99 * stop
+    assert out.rate[braking, 0] == pytest.approx(rate - np.sign(rate) * level / J * out.t[braking], abs=1e-6)
+    assert np.abs(out.rate[out.t > 1.1 * stop]).max() < 1e-9
+    assert out.q[-1, 0] == pytest.approx(np.sign(rate) * 0.5 * rate**2 * J / level, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_cage_holds_a_pushed_gimbal_at_its_clearance_and_gives_by_the_push_over_its_stiffness(side):
+    push, clearance, middle = 0.02 * side, 1e-3, 4e-4
+    cage = Cage(gimbal="g", stiffness=40.0, damping=0.3, clearance=clearance, angle=middle)
+    # A spring so soft that its torque is constant.
+    soft = Spring(gimbal="g", stiffness=1e-6, rest=push / 1e-6)
+    platform = one_gimbal(cages=(cage,), springs=(soft,))
+    out = caged(platform, 0.6)
+    assert out.q[-1, 0] == pytest.approx(middle + side * (clearance + abs(push) / 40.0), rel=1e-6)
+    assert out.rate[-1, 0] == pytest.approx(0.0, abs=1e-9)
+    alone = dataclasses.replace(platform, springs=())
+    contact = np.array([element_forces(alone, q, [0, 0, 0, *r])[3] for q, r in zip(out.q, out.rate, strict=True)])
+    assert (side * contact).max() == 0.0  # it pushes back and never pulls
+    assert (contact == 0.0).any()
+
+
+def test_a_gimbal_in_a_cage_without_clearance_rings_down_about_the_cages_middle():
+    cage = Cage(gimbal="g", stiffness=40.0, damping=0.05, angle=2e-3)
+    out = caged(one_gimbal(cages=(cage,)), 0.2)
+    decay = 0.5 * 0.05 / J
+    frequency = np.sqrt(40.0 / J - decay**2)
+    ringing = np.cos(frequency * out.t) + decay / frequency * np.sin(frequency * out.t)
+    assert out.q[:, 0] == pytest.approx(2e-3 * (1.0 - np.exp(-decay * out.t) * ringing), abs=1e-8)
+
+
+def test_a_spring_adds_to_what_the_torquer_does():
+    stiffness, gain, period = 0.5, -0.3, 1e-3
+    out = caged(one_gimbal(springs=(Spring(gimbal="g", stiffness=stiffness),)), 0.3, q=0.01, gain=gain)
+    frequency = np.sqrt(stiffness / J)
+    sine, cosine = np.sin(frequency * period), np.cos(frequency * period)
+    # The torque is held over a period: it shifts the angle about which the spring swings.
+    middle = gain * out.q[:-1, 0] / stiffness
+    swing, rate = out.q[:-1, 0] - middle, out.rate[:-1, 0] / frequency
+    assert out.torque[:, 0] == pytest.approx(gain * out.q[:, 0])
+    assert out.q[1:, 0] == pytest.approx(middle + cosine * swing + sine * rate, abs=1e-11)
+    assert out.rate[1:, 0] == pytest.approx(frequency * (cosine * rate - sine * swing), abs=1e-9)
+
+
+def test_a_spring_presses_a_gimbal_onto_its_stop_and_keeps_it_there():
+    out = caged(one_gimbal(springs=(Spring(gimbal="g", stiffness=0.5, rest=0.2),), stops=(-0.1, 0.1)), 0.3)
+    arrived = int(np.argmax(out.q[:, 0] >= 0.1))
+    assert 0 < arrived < 200
+    assert out.q[arrived:, 0] == pytest.approx(0.1, abs=1e-12)
+    assert out.stop_contacts[0] == 1
+
+
+def vertical_gyro(gain, limit=None, specific_force=GRAVITY) -> Platform:
+    """Spin axis 3 in an inner gimbal about 2 in an outer gimbal about 1."""
+    return Platform(
+        name="vertical gyro",
+        root_name="case",
+        root_inertia=np.eye(3),
+        gimbals=(
+            Gimbal(name="outer", parent="case", axis=np.array([1.0, 0, 0]), inertia=3e-4 * np.eye(3), angle="roll"),
+            Gimbal(name="inner", parent="outer", axis=np.array([0, 1.0, 0]), inertia=1e-4 * np.eye(3), angle="pitch"),
+        ),
+        rotors=(
+            Rotor(
+                name="r",
+                carrier="inner",
+                axis=np.array([0, 0, 1.0]),
+                axial_inertia=1.2e-4,
+                transverse_inertia=7e-5,
+                angular_momentum=L,
+            ),
+        ),
+        erections=(Erection(gimbal="outer", senses="inner", axis=np.array([1.0, 0, 0]), gain=gain, limit=limit),),
+        specific_force=np.array([0.0, 0.0, specific_force]),
+    )
+
+
+def leaning(platform, pitch, duration):
+    return simulate(platform, [], period=0.01, delay=0.0, duration=duration, mode="caged", q=[0.0, pitch])
+
+
+def test_an_erection_precesses_a_gyro_upright_at_its_gain_over_the_momentum():
+    gain = 3e-3
+    out = leaning(vertical_gyro(gain), 0.2, 60.0)
+    # The outer momentum L sin(pitch) follows its torque −gain sin(pitch), whatever the gyro's nutation.
+    assert np.sin(out.q[:, 1]) == pytest.approx(np.sin(0.2) * np.exp(-gain / L * out.t), rel=1e-3)
+    assert np.abs(out.q[:, 0]).max() < 1e-3
+
+
+def test_a_limited_erection_precesses_at_a_constant_rate():
+    out = leaning(vertical_gyro(3e-3, limit=1e-4), 0.2, 20.0)
+    assert np.sin(out.q[:, 1]) == pytest.approx(np.sin(0.2) - 1e-4 / L * out.t, rel=1e-3)
+
+
+def test_without_specific_force_there_is_nothing_to_erect_to():
+    out = leaning(vertical_gyro(3e-3, specific_force=0.0), 0.2, 1.0)
+    assert out.q[:, 1] == pytest.approx(0.2, abs=1e-12)
+
+
+def test_an_unbalanced_gyro_precesses_at_weight_moment_over_momentum():
+    # Mass moment along the spin axis, above the fixed point: a top with the spin axis leaning by pitch 90 degrees.
+    unbalance = Unbalance(body="inner", moment=np.array([0.0, 0.0, 1e-4]))
+    platform = dataclasses.replace(
+        vertical_gyro(1e-9), erections=(), unbalances=(unbalance,), specific_force=np.array([GRAVITY, 0.0, 0.0])
+    )
+    out = simulate(platform, [], period=0.01, delay=0.0, duration=5.0, mode="caged")
+    # Gravity along −1: the top stands out horizontally and turns about axis 1, the outer gimbal's.
+    assert np.abs(out.q[-1, 0]) == pytest.approx(1e-4 * GRAVITY / L * 5.0, rel=1e-3)
+
+
+def test_a_run_with_a_singular_mass_matrix_is_nan_in_a_rollout_and_ends_a_simulation_at_its_start():
+    platform = one_gimbal(springs=(Spring(gimbal="g", stiffness=1.0),))
+    nothing = dataclasses.replace(platform.gimbals[0], inertia=np.zeros((3, 3)))
+    platform = dataclasses.replace(platform, gimbals=(nothing,))
+    assert np.isnan(rollout(platform, [[0.1]], np.zeros((1, 4)), steps=2).q).all()
+    assert caged(platform, 0.1, q=0.1).ended == "diverged at t = 0 s"

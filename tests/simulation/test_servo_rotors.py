@@ -1,0 +1,352 @@
+"""Servo rotors in the kernel: against rotors as bodies under another integrator, and as the limit of ideal control."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics, matrices, with_rotors_as_gimbals
+from platform_ctrl.plant.force_elements import Spring, Unbalance
+from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
+from platform_ctrl.simulation import HalfCosine, rollout, simulate
+from tree_cases import platforms
+
+C = 0.3
+SPRINGS = (Spring(gimbal="outer", stiffness=3.0, rest=0.2),)
+UNBALANCES = (Unbalance(body="inner", moment=np.array([0.1, 0.05, 0.0])),)
+
+
+def gyro_on_a_block(**loop) -> Platform:
+    """A gyro in two gimbals and a reaction wheel on the root; both rotors run the given speed loop."""
+
+    def unit(*axis):
+        return np.array(axis) / np.linalg.norm(axis)
+
+    def rotor(name, carrier, axis, momentum):
+        return Rotor(
+            name=name,
+            carrier=carrier,
+            axis=axis,
+            axial_inertia=C,
+            transverse_inertia=0.2,
+            angular_momentum=momentum,
+            control=loop.get("control", "servo"),
+            **{key: number for key, number in loop.items() if key != "control"},
+        )
+
+    return Platform(
+        name="gyro and wheel",
+        root_name="block",
+        root_inertia=np.diag([4.0, 5.0, 6.0]),
+        gimbals=(
+            Gimbal(name="outer", parent="block", axis=unit(0, 0, 1), inertia=np.diag([0.9, 0.8, 1.0]), angle="alpha"),
+            Gimbal(name="inner", parent="outer", axis=unit(1, 0.3, 0), inertia=np.diag([0.6, 0.5, 0.7]), angle="beta"),
+        ),
+        rotors=(rotor("gyro", "inner", unit(0, 1, 0.2), 6.0), rotor("wheel", "block", unit(1, 1, 1), -2.0)),
+    )
+
+
+def proportional(bandwidth):
+    return {"speed_gain": bandwidth * C}
+
+
+def integrating(bandwidth):
+    """Both poles at the bandwidth."""
+    return {"speed_gain": 2.0 * bandwidth * C, "speed_integral": bandwidth**2 * C}
+
+
+START = {"q": np.array([0.3, -0.4]), "velocity": np.array([0.2, -0.3, 0.1, 0.5, -0.6])}
+
+
+def driven_bodies(platform, q, velocity, spins, duration, Omega=None):
+    """[q, Omega, rates, spins] at the end, rotors being bodies driven by servo motors or by nothing (free rotors).
+
+    With `Omega`, a function of time that returns the root's rate and its derivative, the root is moved that way.
+    """
+    bodies = with_rotors_as_gimbals(platform)
+    n, N = len(platform.gimbals), len(bodies.gimbals)
+    servo = [k for k, r in enumerate(platform.rotors) if r.control == "servo"]
+    loops = [platform.rotors[k] for k in servo]
+    gain, integral, aim = (
+        np.array([getattr(r, name) for r in loops]) for name in ("speed_gain", "speed_integral", "spin")
+    )
+    columns = np.array([N + 3 + n + k for k in servo], dtype=int)
+
+    def motion(t, y):
+        q, u, x = y[:N], y[N : 2 * N + 3].copy(), y[2 * N + 3 :]
+        error = y[columns] - aim
+        if Omega is not None:
+            u[:3], turn = Omega(t)
+        force = element_forces(bodies, q, u)
+        force[columns - N] -= gain * error + integral * x
+        if Omega is None:
+            faster = forward_dynamics(bodies, q, u, force)
+        else:
+            moved = np.concatenate([turn, np.zeros(N)])
+            needed = inverse_dynamics(bodies, q, u, moved)
+            faster = np.concatenate([turn, np.linalg.solve(matrices(bodies, q).A_star[3:, 3:], (force - needed)[3:])])
+        return np.concatenate([u[3:], faster, error])
+
+    y = np.concatenate([q, np.zeros(N - n), velocity, spins, np.zeros(len(servo))])
+    end = solve_ivp(motion, (0.0, duration), y, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    return np.concatenate([end[:n], end[N : N + 3 + n], end[columns]])
+
+
+@settings(max_examples=6, deadline=None)
+@given(platforms(max_gimbals=4, controls=("servo", "free")), st.integers(0, 2**32 - 1))
+def test_with_a_free_root_servo_rotors_move_as_bodies_driven_by_their_motors(platform, seed):
+    rng = np.random.default_rng(seed)
+    rotors = tuple(
+        dataclasses.replace(r, speed_gain=rng.uniform(0, 20), speed_integral=rng.uniform(0, 200))
+        for r in platform.rotors
+    )
+    springs = tuple(Spring(gimbal=g, stiffness=2.0) for g in platform.gimbal_names)
+    platform = dataclasses.replace(platform, rotors=rotors, springs=springs)
+    n = len(platform.gimbals)
+    q, velocity = rng.normal(size=n), 0.5 * rng.normal(size=n + 3)
+    spins = np.array([r.spin for r in rotors]) + rng.normal(size=len(rotors))
+    servo = np.array([r.control == "servo" for r in rotors], dtype=bool)
+    # A free rotor's momentum is what the given spin makes it.
+    carried = matrices(platform, q).B @ velocity
+    platform = dataclasses.replace(
+        platform,
+        rotors=tuple(
+            r if r.control == "servo" else dataclasses.replace(r, angular_momentum=C * (s + w))
+            for r, s, w in zip(rotors, spins, carried, strict=True)
+        ),
+    )
+    out = rollout(platform, [q], [velocity], step=2.5e-5, steps=4000, spin=[spins[servo]])
+    expected = driven_bodies(platform, q, velocity, spins, 0.1)
+    got = np.concatenate([out.q[0], out.velocity[0], out.spin[0]])
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-7)
+
+
+def test_servo_rotors_of_a_platform_with_elements_move_as_bodies_driven_by_their_motors():
+    platform = dataclasses.replace(
+        gyro_on_a_block(**integrating(30.0)),
+        springs=SPRINGS,
+        unbalances=UNBALANCES,
+        specific_force=np.array([0.0, 0.0, 9.81]),
+    )
+    spins = np.array([21.0, -5.0])
+    out = rollout(platform, [START["q"]], [START["velocity"]], step=2e-4, steps=5000, spin=[spins])
+    expected = driven_bodies(platform, *START.values(), spins, 1.0)
+    np.testing.assert_allclose(np.concatenate([out.q[0], out.velocity[0], out.spin[0]]), expected, rtol=1e-7, atol=1e-7)
+    assert np.abs(out.q[0] - START["q"]).max() > 0.15
+
+
+def test_with_a_prescribed_rate_servo_rotors_move_as_bodies_driven_by_their_motors():
+    platform = dataclasses.replace(
+        gyro_on_a_block(**integrating(30.0)),
+        springs=SPRINGS,
+        unbalances=UNBALANCES,
+        specific_force=np.array([0.0, 0.0, 9.81]),
+    )
+    spins, rise, rate = np.array([21.0, -5.0]), 1.2, 0.9
+    profile = HalfCosine(axis=2, rate=rate, rise=rise, hold=0.0)
+
+    def Omega(t):
+        angle = np.pi * t / rise
+        slope = 0.5 * rate * np.pi / rise * np.sin(angle)
+        return np.array([0.0, rate * (0.5 - 0.5 * np.cos(angle)), 0.0]), np.array([0.0, slope, 0.0])
+
+    start = {"q": START["q"], "rate": START["velocity"][3:], "spin": spins, "step": 2e-4}
+    out = simulate(platform, [], period=0.05, delay=0.0, duration=1.0, mode="caged", Omega_profile=profile, **start)
+    velocity = np.concatenate([np.zeros(3), START["velocity"][3:]])
+    expected = driven_bodies(platform, START["q"], velocity, spins, 1.0, Omega)
+    got = np.concatenate([out.q[-1], out.Omega[-1], out.rate[-1], out.rotor_spin[-1]])
+    np.testing.assert_allclose(got, expected, rtol=1e-7, atol=1e-7)
+    assert out.rotor_spin[0] == pytest.approx(spins)
+    assert out.rotor_names == ("gyro", "wheel")
+
+
+def test_a_simulation_and_a_rollout_of_servo_rotors_agree():
+    platform = gyro_on_a_block(**integrating(30.0))
+    out = rollout(platform, [START["q"]], [START["velocity"]], step=2e-4, steps=1000, every=100, spin=[[21.0, -5.0]])
+    same = simulate(
+        platform, [], period=0.02, delay=0.0, duration=0.2, mode="stabilised", step=2e-4, spin=[21.0, -5.0],
+        q=START["q"], rate=START["velocity"][3:], Omega=START["velocity"][:3],
+    )  # fmt: skip
+    assert same.q == pytest.approx(out.q_history[0], rel=1e-9)
+    assert same.rotor_spin == pytest.approx(out.spin_history[0], rel=1e-9)
+    assert out.spin[0] == pytest.approx(same.rotor_spin[-1])
+    # The integral is what the torque says beyond the gain.
+    error = same.rotor_spin - np.array([20.0, -2.0 / C])
+    assert same.rotor_torque[0] == pytest.approx(-60.0 * C * error[0])
+
+
+def test_a_motor_without_gains_leaves_a_free_rotor():
+    platform = gyro_on_a_block()
+    spins = np.array([21.0, -5.0])
+    p = C * (spins + matrices(platform, START["q"]).B @ START["velocity"])
+    rotors = tuple(
+        dataclasses.replace(r, control="free", angular_momentum=float(h))
+        for r, h in zip(platform.rotors, p, strict=True)
+    )
+    cyclic = dataclasses.replace(platform, rotors=rotors)
+    servo = rollout(platform, [START["q"]], [START["velocity"]], steps=500, spin=[spins])
+    free = rollout(cyclic, [START["q"]], [START["velocity"]], steps=500)
+    for name in ("q", "velocity", "attitude"):
+        np.testing.assert_allclose(getattr(servo, name), getattr(free, name), rtol=1e-12, atol=1e-13)
+    carried = matrices(platform, servo.q[0]).B @ servo.velocity[0]
+    assert C * (servo.spin[0] + carried) == pytest.approx(p, rel=1e-12)
+
+
+@pytest.mark.parametrize(("loop", "order"), [(proportional, 1.0), (integrating, 2.0)])
+@pytest.mark.parametrize("mode", ["caged", "stabilised"])
+def test_ideal_speed_control_is_the_limit_of_a_fast_loop(mode, loop, order):
+    """The trajectories' difference falls like 1/bandwidth, with an integral part like 1/bandwidth²."""
+    elements = {"springs": SPRINGS, "unbalances": UNBALANCES, "specific_force": np.array([0.0, 0.0, 9.81])}
+
+    def run(platform):
+        platform = dataclasses.replace(platform, **elements)
+        start = {"q": START["q"], "rate": START["velocity"][3:], "step": 4e-4}
+        out = simulate(platform, [], period=0.02, delay=0.0, duration=1.0, mode=mode, **start)
+        return np.hstack([out.q, out.attitude_angles])
+
+    ideal = run(gyro_on_a_block(control="regulated"))
+    bandwidths = np.geomspace(60.0, 1500.0, 4)
+    difference = [np.abs(run(gyro_on_a_block(**loop(b))) - ideal).max() for b in bandwidths]
+    assert difference[-1] > 1e-9
+    slopes = -np.diff(np.log(difference)) / np.diff(np.log(bandwidths))
+    assert slopes == pytest.approx(order, abs=0.15)
+    assert slopes[-1] == pytest.approx(order, abs=0.05)
+
+
+def test_spinning_a_wheel_up_turns_the_free_root_the_other_way():
+    platform = dataclasses.replace(gyro_on_a_block(**integrating(20.0)), gimbals=())
+    wheel = dataclasses.replace(platform.rotors[1], axis=np.array([0.0, 0.0, 1.0]))
+    platform = dataclasses.replace(platform, rotors=(wheel,))
+    out = simulate(platform, [], period=0.01, delay=0.0, duration=1.0, mode="stabilised", spin=[5.0])
+    assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-4)
+    assert 6.0 * out.Omega[:, 2] + C * (out.rotor_spin[:, 0] + out.Omega[:, 2]) == pytest.approx(C * 5.0, rel=1e-10)
+
+
+def spin_up(limit):
+    """A wheel on a held root that starts far below its nominal spin."""
+    platform = dataclasses.replace(gyro_on_a_block(**integrating(20.0), torque_limit=limit), gimbals=())
+    platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
+    out = simulate(platform, [], period=0.005, delay=0.0, duration=3.0, mode="caged", spin=[5.0])
+    return out, platform.rotors[0]
+
+
+def test_the_motor_never_gives_more_than_its_limit_and_the_integral_does_not_wind_up():
+    limit = 1.5
+    out, rotor = spin_up(limit)
+    torque, error = out.rotor_torque[:, 0], out.rotor_spin[:, 0] - rotor.spin
+    limited = np.abs(torque) >= limit
+    assert limited.sum() > 100
+    assert np.abs(torque).max() == limit
+    # All the way down at the limit, nothing but the torque acts ...
+    last = int(np.flatnonzero(limited)[-1])
+    assert out.rotor_spin[: last + 1, 0] == pytest.approx(5.0 - limit / C * out.t[: last + 1])
+    # ... and the integral has stood still: the loop goes on as if it had started at the limit.
+    x = -(torque + rotor.speed_gain * error) / rotor.speed_integral
+    assert np.abs(x[last + 1]) < 0.01 * np.abs(error[:last].sum() * 0.005)
+    unlimited, _ = spin_up(None)
+    entering = limit / rotor.speed_gain
+    overshoot = -(unlimited.rotor_spin[:, 0] - rotor.spin).min() / (unlimited.rotor_spin[0, 0] - rotor.spin)
+    assert -error.min() == pytest.approx(overshoot * entering, rel=0.05)
+
+
+def test_a_limited_motor_holds_its_limit_where_the_load_is_too_large_and_recovers():
+    # The manoeuvre asks for C dOmega/dt s about the wheel's axis, more than the motor has.
+    platform = dataclasses.replace(gyro_on_a_block(**integrating(50.0), torque_limit=0.05), gimbals=())
+    platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
+    profile = HalfCosine(axis=1, rate=1.0, rise=0.5, hold=10.0)
+    out = simulate(platform, [], period=0.005, delay=0.0, duration=4.0, mode="caged", Omega_profile=profile)
+    spin = platform.rotors[0].spin
+    assert np.abs(out.rotor_torque).max() == 0.05
+    assert np.abs(out.rotor_spin - spin).max() > 0.3
+    assert out.rotor_spin[-1, 0] == pytest.approx(spin, abs=1e-6)
+
+
+def test_an_integral_at_the_limit_unwinds_as_soon_as_the_error_changes_its_sign():
+    # Without a gain a held wheel swings: sqrt(integral/C) = 20 rad/s. It starts with more than the limit can turn.
+    limit, swing, start = 1.5, 20.0, 2.0
+    platform = dataclasses.replace(gyro_on_a_block(speed_integral=swing**2 * C, torque_limit=limit), gimbals=())
+    platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
+    spin = platform.rotors[0].spin
+    out = simulate(
+        platform, [], period=0.001, delay=0.0, duration=2.0, mode="caged", spin=[spin + start], step=2e-5
+    )  # fmt: skip
+    error, largest = out.rotor_spin[:, 0] - spin, limit / (C * swing)
+    reached = np.arcsin(largest / start) / swing
+    back = reached + start * np.cos(swing * reached) / (limit / C)  # the limit brakes it to zero error
+    limited = (out.t > reached) & (out.t < back)
+    assert limited.sum() > 100
+    assert out.rotor_torque[limited, 0] == pytest.approx(-limit, abs=1e-12)
+    # From then on the integral gives back what it took, and the swing is as large as the limit.
+    after = out.t > back
+    assert error[after] == pytest.approx(-largest * np.sin(swing * (out.t[after] - back)), abs=5e-3 * largest)
+
+
+@pytest.mark.parametrize("mode", ["caged", "stabilised"])
+def test_a_stop_that_catches_the_gimbal_leaves_the_rotors_momentum_alone(mode):
+    # Rotor and gimbal about one axis, a motor without gains; a spring presses the gimbal on when it has arrived.
+    platform = gyro_on_a_block()
+    axis = np.array([0.0, 0.0, 1.0])
+    gimbal = dataclasses.replace(platform.gimbals[0], stops=(-1.0, 0.05))
+    rotor = dataclasses.replace(platform.rotors[0], carrier="outer", axis=axis)
+    spring = Spring(gimbal="outer", stiffness=1.0, rest=0.5)
+    platform = dataclasses.replace(platform, gimbals=(gimbal,), rotors=(rotor,), springs=(spring,))
+    out = simulate(platform, [], period=0.01, delay=0.0, duration=0.1, mode=mode, rate=[1.0])
+    assert out.stop_contacts[0] == 1
+    assert out.rate[[0, -1], 0] == pytest.approx([1.0, 0.0], abs=1e-12)
+    absolute = out.rotor_spin[:, 0] + out.rate[:, 0] + out.Omega[:, 2]
+    assert absolute == pytest.approx(21.0, rel=1e-12)
+    assert out.Omega[-1, 2] == pytest.approx(1.0 / 7.0 if mode == "stabilised" else 0.0)
+
+
+def test_a_step_too_long_for_a_speed_loop_is_refused_with_the_one_that_would_do():
+    platform = gyro_on_a_block(**proportional(1e5))
+    message = r"^step: 0.0001 s is too long for the speed loop of rotor 'gyro', .*; expected at most (.*) s$"
+    with pytest.raises(ArgumentError, match=message) as refused:
+        rollout(platform, [START["q"]], [START["velocity"]], step=1e-4, steps=10)
+    enough = float(str(refused.value).split("at most ")[1].split()[0])
+    assert enough < 2.7e-5
+    out = rollout(platform, [START["q"]], [START["velocity"]], step=0.99 * enough, steps=2000)
+    assert out.spin[0] == pytest.approx([20.0, -2.0 / C], rel=1e-3)
+    with pytest.raises(ArgumentError, match=message):
+        simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
+    simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged", step=0.99 * enough)
+
+
+def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
+    # A root as light as the wheel doubles the pole; a prescribed root does not give way.
+    gain = 30.0
+    wheel = dataclasses.replace(gyro_on_a_block(speed_gain=gain).rotors[1], axis=np.array([0.0, 0.0, 1.0]))
+    platform = dataclasses.replace(
+        gyro_on_a_block(), root_inertia=np.diag([C, C, C]), gimbals=(), rotors=(wheel,)
+    )  # fmt: skip
+    common = {"period": 0.1, "delay": 0.0, "duration": 2.0, "spin": [wheel.spin + 1.0]}
+    step = 2.0 * C / gain
+    out = simulate(platform, [], mode="caged", step=step, **common)
+    assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-6)
+    with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; expected at most 0.0135 s$"):
+        simulate(platform, [], mode="stabilised", step=step, **common)
+    with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; expected at most 0.027 s$"):
+        simulate(platform, [], mode="caged", step=2.5 * step, **common)
+
+
+@pytest.mark.parametrize("spin", [[20.0], [20.0, np.nan], "fast", [[20.0, 1.0]]])
+def test_spins_that_make_no_sense_are_refused_and_named(spin):
+    platform = gyro_on_a_block()
+    with pytest.raises(ArgumentError, match=r"^spin: given "):
+        simulate(platform, [], period=1e-3, delay=0.0, duration=0.0, mode="caged", spin=spin)
+    with pytest.raises(ArgumentError, match=r"^spin: given "):
+        rollout(platform, np.zeros((2, 2)), np.zeros((2, 5)), spin=spin)
+
+
+def test_platforms_without_servo_rotors_have_empty_columns_for_them():
+    platform = gyro_on_a_block(control="regulated")
+    out = rollout(platform, [START["q"]] * 3, [START["velocity"]] * 3, steps=4, every=2)
+    assert (out.spin.shape, out.spin_history.shape) == ((3, 0), (3, 3, 0))
+    run = simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
+    assert (run.rotor_spin.shape, run.rotor_torque.shape, run.rotor_names) == ((2, 0), (2, 0), ())

@@ -1,0 +1,237 @@
+"""Gimbals at their stops, blows towards them, and dry friction, by momentum, energy and rates."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import platform_ctrl as pc
+from platform_ctrl import simulation
+from platform_ctrl.job.scenario import Scenario
+from platform_ctrl.plant.platform import Gimbal, Platform
+from platform_ctrl.simulation import Trajectory
+from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, within
+
+# Stops.
+
+
+def bouncing(restitution: float, **more: object) -> Trajectory:
+    platform = plant(stops=(-0.05, 0.05), restitution=restitution)
+    one = scenario(platform, **({"rate": [0.0, 3.0], "level": 0.0} | more))
+    return simulation.flight(one, [gain()], period=PERIOD)
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.7, 0.25, 0.0])
+def test_every_bounce_gives_back_its_share_of_the_rate(restitution: float) -> None:
+    out = bouncing(restitution, duration=0.2)
+    rates = out.rate[:, 1]
+    bounces = np.concatenate([[0], np.cumsum(np.abs(np.diff(rates)) > 1e-9)])
+    expected = 3.0 * (-restitution) ** bounces
+    np.testing.assert_allclose(rates, expected, rtol=1e-12, atol=1e-15)
+    assert out.stop_contacts[1] == bounces[-1] == {1.0: 6, 0.7: 3, 0.25: 2, 0.0: 1}[restitution]
+    assert np.abs(out.q[:, 1]).max() <= 0.05
+    # Between bounces it goes on from the stop, which it has met to a step.
+    if restitution == 1.0:
+        way = 3.0 * out.t
+        folded = np.abs((way - 0.05) % 0.2 - 0.1) - 0.05
+        np.testing.assert_allclose(out.q[:, 1], folded, rtol=0, atol=6 * 3.0e-4)
+
+
+def test_a_pushed_gimbal_bounces_ever_lower_and_comes_to_rest_on_its_stop() -> None:
+    # As a ball that falls: heights e², e⁴, ... of the first; at rest after (1 + e)/(1 − e) times the first fall.
+    e, push = 0.5, J * 20.0
+    out = bouncing(e, level=push, rate=[0.0, 0.0], duration=0.4)
+    fall = np.sqrt(2.0 * 0.05 / 20.0)
+    alpha = out.q[:, 1]
+    at_rest = out.t > fall * (1.0 + 2.0 * e / (1.0 - e)) + 5e-3
+    np.testing.assert_array_equal(alpha[at_rest], 0.05)
+    np.testing.assert_array_equal(out.rate[at_rest, 1], 0.0)
+    first = within(out.t, fall, fall * (1.0 + 2.0 * e))
+    assert 0.05 - alpha[first].min() == pytest.approx(e**2 * 0.05, rel=0.02)
+    second = within(out.t, fall * (1.0 + 2.0 * e) + 1e-3, fall * (1.0 + 2.0 * e + 2.0 * e**2))
+    assert 0.05 - alpha[second].min() == pytest.approx(e**4 * 0.05, rel=0.1)
+    assert 5 < out.stop_contacts[1] < 15
+
+
+def free_gyro(restitution: float, control: str = "regulated") -> Platform:
+    """A rotor in two gimbals with stops, on a light platform."""
+    return pc.read_platform(
+        {
+            "schema": 1,
+            "name": "gyro between stops",
+            "root": {"name": "case", "inertia": [[0.010, 0.001, 0.0], [0.001, 0.012, 0.0], [0.0, 0.0, 0.011]]},
+            "gimbal": [
+                {
+                    "name": name,
+                    "parent": parent,
+                    "axis": axis,
+                    "inertia": [6e-4, 5e-4, 7e-4],
+                    "stops_deg": [-10.0, 8.0],
+                    "restitution": restitution,
+                }
+                for name, parent, axis in (("outer", "case", [0, 0, 1]), ("inner", "outer", [1, 0, 0]))
+            ],
+            "rotor": [
+                {
+                    "name": "R",
+                    "carrier": "inner",
+                    "axis": [0, 0.6, 0.8],
+                    "axial_inertia": 1.2e-4,
+                    "transverse_inertia": 0.7e-4,
+                    "spin": 200.0,
+                    "control": control,
+                }
+                | ({"speed_gain": 1e-3} if control == "servo" else {})
+            ],
+        }
+    )
+
+
+def momentum_and_energy(platform: Platform, out: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Angular momentum in inertial axes, and the energy that goes with rates: half of v'A*v."""
+    rotor = platform.rotors[0]
+    apart = dataclasses.replace(platform, rotors=(dataclasses.replace(rotor, control="free"),))
+    momentum, energy = [], []
+    for k, (q, (w, *axis)) in enumerate(zip(out.q, out.attitude, strict=True)):
+        v = np.concatenate([out.Omega[k], out.rate[k]])
+        m = pc.matrices(apart, q, v)
+        # What the rotor has about its axis: constant if free, else of its spin and its carrier's rate.
+        spin = out.rotor_spin[k, 0] if rotor.control == "servo" else rotor.spin
+        axial = np.atleast_1d(
+            rotor.angular_momentum if rotor.control == "free" else rotor.axial_inertia * (spin + m.B[0] @ v)
+        )
+        own = (m.A_star @ v + m.B.T @ axial)[:3]
+        momentum.append(own + 2.0 * np.cross(axis, np.cross(axis, own) + w * own))
+        energy.append(0.5 * v @ pc.matrices(platform, q, v).A_star @ v)
+    return np.array(momentum), np.array(energy)
+
+
+@pytest.mark.parametrize("control", ["regulated", "free", "servo"])
+@pytest.mark.parametrize("restitution", [1.0, 0.6, 0.0])
+def test_bounces_keep_the_angular_momentum_of_a_free_platform(restitution: float, control: str) -> None:
+    platform = free_gyro(restitution, control)
+    one = Scenario(
+        platform=platform, mode="stabilised", duration=0.1, delay=0.0, rate=np.array([12.0, -9.0]), Omega=np.ones(3)
+    )
+    out = simulation.flight(one, [], period=PERIOD, step=5e-5)
+    assert out.stop_contacts.min() >= 1
+    momentum, energy = momentum_and_energy(platform, out)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=0, atol=1e-9)
+    if control == "servo":  # whose motor works
+        return
+    if restitution == 1.0:
+        np.testing.assert_allclose(energy, energy[0], rtol=0.02)
+    else:
+        assert energy[-1] < 0.9 * energy[0]
+        assert np.diff(energy).max() < 1e-3 * energy[0]
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_two_gimbals_that_come_to_their_stops_at_once_stay_there(free: bool) -> None:
+    # One on the other about the same axis, so that each impulse turns the other one, too.
+    inner = Gimbal(
+        name="g", parent="s", axis=np.array([0, 0, 1.0]), inertia=J * np.eye(3), angle="alpha", stops=(-0.05, 0.05)
+    )
+    outer = dataclasses.replace(inner, name="s", parent="case", angle="signal", inertia=3.0 * J * np.eye(3))
+    platform = dataclasses.replace(plant(), gimbals=(outer, inner), torquers=())
+    one = scenario(platform, level=0.0, slope=2.0, mode="stabilised" if free else "caged", rate=[2.0, 2.0])
+    out = simulation.flight(one, [], period=PERIOD)
+    last = out.t > 0.03
+    np.testing.assert_array_equal(out.stop_contacts, [1, 1])
+    np.testing.assert_array_equal(out.q[last], 0.05)
+    np.testing.assert_allclose(out.rate[last], 0.0, atol=1e-11)
+    momentum = 3.0 * J * 2.0 + J * 4.0
+    expected = momentum / (0.01 + 4.0 * J) if free else 0.0
+    np.testing.assert_allclose(out.Omega[last, 2], expected, rtol=1e-9)
+
+
+def test_a_blow_falls_once_whenever_it_is_due_and_changes_the_momentum_by_its_impulse() -> None:
+    platform = plant(stops=(-1.0, 1.0))
+    for k in range(1, 100):
+        for at, sample in ((k * PERIOD, k), ((k - 0.3) * PERIOD, k)):
+            blow = fault("stop contact", part="g", at=at, until=np.inf, impulse=3e-3)
+            out = simulation.flight(scenario(platform, faults=(blow,)), [], period=PERIOD, step=PERIOD)
+            np.testing.assert_array_equal(out.p[:, 1], np.where(np.arange(101) < sample, 0.0, 3e-3))
+
+
+def test_a_blow_on_a_free_platform_is_a_matter_between_gimbal_and_carrier() -> None:
+    platform = free_gyro(0.5)
+    free = {"mode": "stabilised", "duration": 0.02, "delay": 0.0, "rate": np.array([2.0, -1.0]), "q": [0.05, 0.1]}
+    blow = fault("stop contact", part="inner", at=0.01, until=np.inf, impulse=4e-3)
+    quiet, struck = (
+        simulation.flight(Scenario(platform=platform, faults=faults, **free), [], period=PERIOD)  # type: ignore[arg-type]
+        for faults in ((), (blow,))
+    )
+    np.testing.assert_allclose((struck.p - quiet.p)[10], [0.0, 4e-3], rtol=0, atol=1e-15)
+    for out in (quiet, struck):
+        momentum, _ = momentum_and_energy(platform, out)
+        np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=0, atol=1e-9)
+    assert struck.stop_contacts.tolist() == [0, 1]
+    assert np.abs(struck.Omega[10] - quiet.Omega[10]).max() > 0.1
+
+
+@pytest.mark.parametrize("mode", ["caged", "stabilised"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_a_blow_on_a_gimbal_that_is_pressed_against_its_stop_makes_it_meet_the_stop_anew(
+    mode: str, restitution: float
+) -> None:
+    stop, impulse = 0.06, 2e-3
+    platform = dataclasses.replace(plant(stops=(-stop, stop), restitution=restitution), root_inertia=1e3 * np.eye(3))
+    blow = fault("stop contact", part="g", at=0.03, until=np.inf, impulse=impulse)
+    # The push of 0.5 N m vanishes at 0.1 s and pulls from then on.
+    begin = {"mode": mode, "level": 0.5, "slope": -5.0, "q": [0.5, stop]}
+    quiet, struck = (flown(platform, *faults, duration=0.15, **begin) for faults in ((), (blow,)))
+    contacts = [flown(platform, *faults, duration=0.08, **begin).stop_contacts[1] for faults in ((), (blow,))]
+    assert contacts[1] > contacts[0]
+    assert struck.rate[30, 1] == pytest.approx(impulse / J, rel=1e-3)
+    back = struck.rate[31, 1]
+    if restitution == 0.0:
+        assert abs(back) < 1e-11
+    else:
+        assert back == pytest.approx(-restitution * impulse / J + 0.35 / J * PERIOD, rel=0.1)
+    resting, leaving = within(struck.t, 0.06, 0.099), struck.t > 0.103
+    for out in (quiet, struck):
+        np.testing.assert_array_equal(out.q[resting, 1], stop)
+        np.testing.assert_allclose(out.rate[resting, 1], 0.0, rtol=0, atol=1e-11)
+        assert out.q[leaving, 1].max() < stop
+        assert np.diff(out.q[leaving, 1]).max() < 0.0
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
+def test_a_gimbal_comes_to_rest_on_its_stop_alike_whether_the_root_is_held_or_heavy(restitution: float) -> None:
+    platform = dataclasses.replace(plant(stops=(-0.05, 0.06), restitution=restitution), root_inertia=1e9 * np.eye(3))
+    held, heavy = (
+        flown(platform, mode=mode, level=0.5, slope=-5.0, q=[0.5, 0.059], duration=0.15)
+        for mode in ("caged", "stabilised")
+    )
+    np.testing.assert_array_equal(held.stop_contacts, heavy.stop_contacts)
+    np.testing.assert_allclose(heavy.q, held.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(heavy.rate, held.rate, rtol=0, atol=1e-7)
+    assert restitution == 0.9 or not held.rate[within(held.t, 0.08, 0.099), 1].any()
+
+
+# Friction.
+
+
+def test_a_gimbal_sticks_up_to_the_breakaway_torque_and_slips_on_less() -> None:
+    coulomb, breakaway, slow, stribeck = 1e-3, 2e-3, 1e-3, 0.01
+    friction = pc.Friction(
+        gimbal="g", coulomb=(coulomb,) * 2, breakaway=(breakaway,) * 2, coulomb_rate=slow, stribeck_rate=stribeck
+    )
+    platform = dataclasses.replace(plant(), frictions=(friction,))
+    # Between the two levels it creeps where it is, or goes on.
+    resting = flown(platform, level=1.5e-3).rate[50:, 1]
+    dry = coulomb + (breakaway - coulomb) * np.exp(-((resting / stribeck) ** 2))
+    np.testing.assert_allclose(dry * np.tanh(resting / slow), 1.5e-3, rtol=1e-6)
+    assert resting.max() < 1.1 * slow
+    moving = flown(platform, level=1.5e-3, rate=[0.0, 1.0])
+    np.testing.assert_allclose(moving.rate[:, 1], 1.0 + 0.5e-3 / J * moving.t, rtol=1e-9)
+    # A torque that rises evenly: it is stuck until that is the breakaway torque, and then ever faster.
+    rising = flown(platform, level=0.0, slope=0.1)
+    assert np.abs(rising.rate[rising.t < 0.018, 1]).max() < 2.0 * slow
+    slipping = rising.t > 0.07
+    assert rising.rate[slipping, 1].min() > 5.0 * stribeck
+    accelerations = np.diff(rising.rate[slipping, 1]) / PERIOD
+    np.testing.assert_allclose(J * accelerations, rising.torque[slipping, 0][:-1] - coulomb, rtol=0, atol=1e-9)

@@ -1,0 +1,79 @@
+"""The house itself: linters, import contract, import cost, public names, the README's commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+import platform_ctrl as pc
+
+HOUSE = Path(__file__).resolve().parent.parent
+HEAVY = {"clarabel", "control", "cvxpy", "jinja2", "matplotlib", "numba", "pydantic", "rich", "scipy", "sympy", "typer"}
+
+TOOLS = {
+    "ruff": [sys.executable, "-m", "ruff", "check", "."],
+    "mypy": [sys.executable, "-m", "mypy"],
+    "import-linter": [str(Path(sysconfig.get_path("scripts")) / "lint-imports"), "--no-logo"],
+}
+
+
+def python(code: str) -> str:
+    """Run `code` in a fresh interpreter and return what it prints."""
+    done = subprocess.run([sys.executable, "-c", code], cwd=HOUSE, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_is_content(tool: str) -> None:
+    environment = os.environ | {"NO_COLOR": "1", "COLUMNS": "200", "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(TOOLS[tool], cwd=HOUSE, capture_output=True, encoding="utf-8", env=environment, check=False)
+    assert done.returncode == 0, f"{tool}:\n{done.stdout}\n{done.stderr}"
+
+
+def test_importing_the_package_loads_nothing_heavy_and_none_of_its_modules() -> None:
+    loaded = set(json.loads(python("import sys, json, platform_ctrl; print(json.dumps(list(sys.modules)))")))
+    assert not {name.partition(".")[0] for name in loaded} & HEAVY
+    assert {name for name in loaded if name.partition(".")[0] == "platform_ctrl"} == {"platform_ctrl"}
+
+
+def test_the_compiler_and_what_is_optional_are_loaded_by_what_uses_them_alone() -> None:
+    parts = ("analysis", "simulation", "campaign.engine", "campaign.rare_runs", "campaign.summary", "cli.commands")
+    modules = ", ".join(f"platform_ctrl.{part}" for part in parts)
+    code = f"import sys, json, {modules}; print(json.dumps(list(sys.modules)))"
+    assert not set(json.loads(python(code))) & {"numba", "pyarrow", "pandas", "dask", "distributed", "matplotlib"}
+
+
+@pytest.mark.parametrize("name", pc.__all__)
+def test_every_public_name_is_there_and_listed(name: str) -> None:
+    assert getattr(pc, name) is not None
+    assert name in dir(pc)
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="attribute lineariser"):
+        pc.lineariser  # noqa: B018
+    assert not hasattr(pc, "lineariser")
+
+
+def test_the_readme_gives_two_commands_and_the_verdict_runs_the_second() -> None:
+    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    commands = [line.strip() for line in readme.splitlines() if line.strip().startswith("python3 -m venv .venv && ")]
+    assert len(commands) == 2
+    assert "platform-ctrl design examples/three_gyro_platform.toml" in commands[0]
+    assert commands[1].endswith("pytest --cov")
+    assert commands[1] in (HOUSE / ".ci" / "run").read_text(encoding="utf-8").splitlines()
+
+
+def test_the_readme_names_files_that_exist() -> None:
+    readme = (HOUSE / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\b(?:examples|models|benchmarks|tests)/[\w/]+\.\w+", readme))
+    assert named
+    assert [name for name in sorted(named) if not (HOUSE / name).is_file()] == []

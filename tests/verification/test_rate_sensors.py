@@ -1,0 +1,205 @@
+"""Controllers that take rates in: loops so simple that poles, margins and noise stand on paper, and what is refused."""
+
+import copy
+import types
+
+import control
+import numpy as np
+import pytest
+
+from platform_ctrl import read_platform, verification
+from platform_ctrl.analysis import joined
+from platform_ctrl.errors import ArgumentError, InputError
+from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Spread
+from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.state_space import state_space
+from platform_ctrl.report.coupled_figures import platform_compliance, platform_disturbance_figure
+from platform_ctrl.verification.coupled import coupled_plant, measuring
+from platform_ctrl.verification.given import read_controllers
+
+PERIOD = 0.001
+ROOT = np.array([0.2, 0.3, 0.4])
+ARM = 0.01
+
+
+def plant(**more):
+    return {
+        "schema": 1,
+        "name": "base",
+        "root": {"name": "base", "inertia": ROOT.tolist()},
+        "torquer": [{"root_axis": axis} for axis in (1, 2, 3)],
+        "rate_sensor": [{"root_axis": axis, "noise_rms": 1e-4, "noise_bandwidth_hz": 500.0} for axis in (1, 2, 3)],
+        **more,
+    }
+
+
+def with_arm(**more):
+    """A wheelless arm about axis 1, with a torquer and sensors of its own."""
+    data = plant(gimbal=[{"name": "a", "parent": "base", "axis": [1, 0, 0], "inertia": [ARM, ARM, ARM]}])
+    data["torquer"].append({"gimbal": "a"})
+    data["pickoff"] = [{"gimbal": "a"}]
+    data["rate_sensor"].append({"gimbal": "a", "noise_rms": 1e-4, "noise_bandwidth_hz": 500.0})
+    return data | more
+
+
+def job_of(data, delay=0.0):
+    return Job(
+        name="rates",
+        plant="",
+        platform=read_platform(data),
+        Omega=np.zeros(3),
+        spread=Spread(),
+        sampling=Sampling(period=PERIOD, delay=delay),
+        loops=(),
+        coupled=CoupledLimits(),
+        manoeuvres=(),
+    )
+
+
+def gains(matrix, inputs, outputs):
+    return control.StateSpace([], [], [], matrix, PERIOD, inputs=inputs, outputs=outputs)
+
+
+OMEGA, M = ["Omega1", "Omega2", "Omega3"], ["M1", "M2", "M3"]
+SERVO = gains(-np.diag([10.0, 20.0, 30.0]), OMEGA, M)
+
+
+@pytest.mark.parametrize("delay", [0.0, PERIOD])
+def test_a_bare_platform_held_by_its_rate_sensors_has_the_poles_of_the_textbook(delay):
+    """J ω' = −k ω, sampled: z = 1 − k T/J; a period later z² − z + k T/J = 0."""
+    job = job_of(plant(), delay)
+    found = verification.coupled_check(job, linearise(job.platform), [SERVO])
+    ratio = np.array([10.0, 20.0, 30.0]) * PERIOD / ROOT
+    expected = 1 - ratio if delay == 0.0 else np.concatenate([np.roots([1, -1, r]) for r in ratio])
+    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(expected), atol=1e-12)
+    assert found.free
+    assert found.stable
+    assert found.plant.output_labels == OMEGA
+    # Without gimbals there is nothing that reacts, and nothing that coupling costs.
+    np.testing.assert_allclose(found.cost, 0.0, atol=1e-9)
+
+
+def test_a_torque_on_a_bare_platform_is_drawn_with_its_own_angle_alone():
+    job = job_of(plant())
+    model = linearise(job.platform)
+    result = types.SimpleNamespace(job=job, model=model, coupled=verification.coupled_check(job, model, [SERVO]))
+    [axes] = platform_disturbance_figure.__wrapped__(result).axes
+    assert "its own angle" in axes.get_title()
+
+
+def test_rate_noise_shakes_the_torque_as_an_autoregression_of_first_order():
+    """u = −k (ω + n), ω[i+1] = ω[i] + T/J u[i]: var u = k² σ² (1 + (kT/J)²/(1 − (1 − kT/J)²))."""
+    job = job_of(plant())
+    found = verification.coupled_check(job, linearise(job.platform), [SERVO])
+    k = np.array([10.0, 20.0, 30.0])
+    ratio = k * PERIOD / ROOT
+    # At 1 kHz the sample sees all of the 500 Hz that the noise is wide.
+    expected = k * 1e-4 * np.sqrt(1 + ratio**2 / (1 - (1 - ratio) ** 2))
+    np.testing.assert_allclose(found.torque_noise, expected, rtol=1e-9)
+
+
+def test_a_gimbals_rate_closes_a_loop_on_the_carried_platform():
+    job = job_of(with_arm())
+    damper = gains([[-2.0, -0.1]], ["q_a", "q_a_rate"], ["Qa"])
+    found = verification.coupled_check(job, linearise(job.platform), [damper])
+    assert not found.free
+    T = PERIOD
+    A, B = np.array([[1, T], [0, 1]]), np.array([[T**2 / 2], [T]]) / ARM
+    expected = np.linalg.eigvals(A + B @ [[-2.0, -0.1]])
+    np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(expected), atol=1e-9)
+
+
+def test_a_given_rate_of_the_platform_closes_no_loop():
+    """Omega is known on the carried platform: what is fed forward moves no pole and no margin."""
+    job = job_of(with_arm())
+    model = linearise(job.platform)
+    parts = [gains([[-2.0, -0.1, feed]], ["q_a", "q_a_rate", "Omega1"], ["Qa"]) for feed in (0.0, 5.0)]
+    still, fed = (verification.coupled_check(job, model, [K]) for K in parts)
+    np.testing.assert_allclose(np.sort_complex(fed.poles), np.sort_complex(still.poles), atol=1e-14)
+    np.testing.assert_allclose(fed.coupled, still.coupled, rtol=1e-12)
+    # Its sensor's noise reaches the torque all the same: 5 N m s times 1e-4 rad/s, and a little back through the arm.
+    assert np.hypot(still.torque_noise[0], 5.0 * 1e-4) <= fed.torque_noise[0] <= 1.2 * 5.0 * 1e-4
+
+
+def test_a_free_platform_and_its_arm_turn_as_two_bodies_on_one_axis():
+    """Q between them, M on the base: J_b ω' = M − Q and J_a (ω + q̇)' = Q, both torques proportional to rates."""
+    job = job_of(with_arm())
+    arm = gains([[-0.1]], ["q_a_rate"], ["Qa"])
+    found = verification.coupled_check(job, linearise(job.platform), [arm, SERVO])
+    mobility = np.array([[1 / ROOT[0], -1 / ROOT[0]], [-1 / ROOT[0], 1 / ROOT[0] + 1 / ARM]])  # of (ω, q̇) on (M, Q)
+    about_1 = np.linalg.eigvals(np.eye(2) - PERIOD * mobility @ np.diag([10.0, 0.1]))
+    # The arm takes part in the turning about the other axes.
+    others = 1 - PERIOD * np.array([20.0, 30.0]) / (ROOT[1:] + ARM)
+    expected = np.concatenate([[1.0], about_1, others])  # 1: its angle comes to rest anywhere
+    np.testing.assert_allclose(np.sort(found.poles.real), np.sort(expected), atol=1e-9)
+    np.testing.assert_allclose(found.poles.imag, 0.0, atol=1e-9)
+    assert found.plant.output_labels == ["q_a", *OMEGA, "q_a_rate"]
+
+
+def test_measured_rates_are_the_derivatives_of_the_angles():
+    model = linearise(read_platform("three_gyro_platform"), Omega=(0.1, -0.2, 0.3))
+    names = list(model.angle_names)
+    for system in (state_space(model), state_space(model, root="free"), state_space(model, gimbals=("9", "10"))):
+        angles = [name for name in names if name in system.output_labels]
+        torques = [name for name in system.input_labels if not name.startswith("Omega")]
+        rates = measuring(system, [f"{name}_rate" for name in angles])
+        s = 37.0j
+        np.testing.assert_allclose(
+            rates[:, torques](s), s * np.asarray(system[angles, torques](s)), rtol=1e-9, atol=1e-9
+        )
+
+
+def test_the_picture_of_what_turns_the_platform_knows_loops_closed_over_rates():
+    """A slow torque M meets k ω: the angle is M/(k s)."""
+    job = job_of(with_arm())
+    arm = gains([[-2.0, -0.1]], ["q_a", "q_a_rate"], ["Qa"])
+    model = linearise(job.platform)
+    found = verification.coupled_check(job, model, [arm, SERVO])
+    result = types.SimpleNamespace(job=job, model=model, coupled=found)
+    opened, closed = platform_compliance(result, np.array([0.01]))
+    assert opened.shape == closed.shape == (1, 4, 3)
+    np.testing.assert_allclose(np.diag(closed[0, 1:]), 1 / (np.array([10.0, 20.0, 30.0]) * 0.01), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["Omega2", "q_a_rate"])
+def test_a_rate_without_a_sensor_is_refused(name):
+    data = with_arm(rate_sensor=[{"root_axis": 1}])
+    job = job_of(data)
+    K = gains([[1.0]], [name], ["M1"])
+    with pytest.raises(
+        ArgumentError, match=rf"input '{name}' is a rate that no sensor measures; expected a rate se"
+    ) as e:
+        verification.coupled_check(job, linearise(job.platform), [K])
+    assert "\n" not in str(e.value)
+
+
+ENTRY = {
+    "name": "rates",
+    "dt": PERIOD,
+    "delay": 0.0,
+    "inputs": ["q_a", "Omega1"],
+    "outputs": ["M1"],
+    "A": [[]],
+    "B": [[]],
+    "C": [[]],
+    "D": [[0.0, -1.0]],
+}
+
+
+def test_a_file_of_controllers_may_name_rates_that_are_measured_and_no_others():
+    record = {"schema": 1, "controllers": [copy.deepcopy(ENTRY)]}
+    [K] = read_controllers(record, job_of(with_arm()))
+    assert K.input_labels == ["q_a", "Omega1"]
+    expected = r'inputs: "Omega1" is a rate that no sensor of the plant measures; expected \[\[rate_sensor\]\]'
+    with pytest.raises(InputError, match=expected) as caught:
+        read_controllers(record, job_of(with_arm(rate_sensor=[{"root_axis": 2}])))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sensor_that_no_controller_uses_changes_no_plant():
+    data = with_arm()
+    arm = gains([[-2.0]], ["q_a"], ["Qa"])
+    job = job_of(data)
+    system = coupled_plant(job, linearise(job.platform), [arm])
+    assert system.output_labels == ["q_a"]
+    assert joined([arm], ["q_a"], ["Qa"], PERIOD).input_labels == ["q_a"]

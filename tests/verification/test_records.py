@@ -1,0 +1,323 @@
+"""result.json out, controllers in: nothing is lost, nothing is believed, every mistake is one line."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import platform_ctrl as pc
+from platform_ctrl.design import loops
+from platform_ctrl.errors import InputError
+from platform_ctrl.job.job import Job
+from platform_ctrl.verification import JobResult, checked
+from platform_ctrl.verification.given import outcomes_from, read_controllers
+from platform_ctrl.verification.records import laid_out, result_record, write_record
+
+JOB: dict[str, Any] = {
+    "schema": 1,
+    "name": "three gyros, fixed numbers",
+    "plant": "three_gyro_platform",
+    "operation": {"Omega": [0.0, 0.0, 0.0], "seed": 7},
+    "sampling": {"rate_hz": 2000, "delay": 0.0005},
+    "loop": [
+        {
+            "name": "caging 4-5-7",
+            "kind": "caging",
+            "gimbals": ["4", "5", "7"],
+            "use": "classical",
+            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4},
+            "design": [{"name": "classical", "method": "classical", "crossover_hz": 30, "integral_hz": 2}],
+        },
+        {
+            "name": "caging 9-10",
+            "kind": "caging",
+            "gimbals": ["9", "10"],
+            "use": "classical",
+            "limits": {"bandwidth_hz": 20, "disk_margin": 0.4, "damping": 0.05, "torque_noise": 0.008},
+            "design": [
+                {"name": "slow", "method": "classical", "crossover_hz": 30, "integral_hz": 2},
+                {"name": "classical", "method": "classical", "crossover_hz": 40, "integral_hz": 2},
+            ],
+        },
+        {
+            "name": "stabilisation",
+            "kind": "stabilisation",
+            "use": "servo",
+            "design": [{"name": "servo", "method": "platform-servo", "crossover_hz": 4, "filter_hz": 50}],
+        },
+    ],
+    "coupled": {"disk_margin": 0.2, "coupling_cost": 0.05},
+    "manoeuvre": [
+        {
+            "name": "step",
+            "mode": "stabilised",
+            "axis": 2,
+            "torque": 0.1,
+            "duration": 0.02,
+            "limits": {"angle": 0.0005},
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return pc.read_job(JOB)
+
+
+@pytest.fixture(scope="module")
+def result(job: Job) -> JobResult:
+    return checked(job, loops(job))
+
+
+@pytest.fixture(scope="module")
+def record(result: JobResult) -> dict[str, Any]:
+    return result_record(result)
+
+
+def test_the_record_has_the_form_that_others_rely_on(record: dict[str, Any], job: Job) -> None:
+    assert (record["schema"], record["platform"], record["job"]) == (1, "three-gyro platform", job.name)
+    assert record["subsystems"] == [["4", "5", "7"], ["9", "10"]]
+    assert [one["name"] for one in record["controllers"]] == [loop["name"] for loop in JOB["loop"]]
+    caging = record["controllers"][1]
+    assert (caging["inputs"], caging["outputs"]) == (["alpha9", "beta10"], ["Q9", "Q10"])
+    assert (caging["dt"], caging["delay"], caging["method"]) == (0.0005, 0.0005, "classical")
+    assert np.shape(caging["D"]) == (2, 2)
+    assert [(one["name"], one["design"]) for one in record["alternatives"]] == [("caging 9-10", "slow")]
+    assert {one["stage"] for one in record["requirements"]} == {"decoupled", "coupled", "simulated"}
+    assert {"name", "value", "limit", "passed", "stage"} <= set(record["requirements"][0])
+    assert record["passed"] is all(one["passed"] for one in record["requirements"])
+    assert record["coupled"]["stable"] is True
+
+
+def test_figures_are_recomputed_from_plant_and_matrices_alone(record: dict[str, Any], job: Job) -> None:
+    import control
+
+    entry = record["controllers"][1]
+    matrices = [np.array(entry[name]) for name in "ABCD"]
+    K = control.ss(*matrices, entry["dt"], inputs=entry["inputs"], outputs=entry["outputs"])
+    gyro = pc.state_space(pc.linearise(job.platform), gimbals=("9", "10"))[entry["inputs"], entry["outputs"]]
+    plant = pc.analysis.sampled(gyro, entry["dt"], entry["delay"], 0.0002)
+    found = {one["name"]: one["value"] for one in record["requirements"] if one["subject"] == "caging 9-10"}
+    decay = -np.log(np.abs(np.linalg.eigvals(pc.analysis.closed_loop(plant, K).A)).max()) / entry["dt"]
+    assert found["slowest decay"] == pytest.approx(decay, rel=1e-9)
+    bandwidth = min(pc.analysis.bandwidth(plant, K, at=at) for at in ("input", "output"))
+    assert found["bandwidth"] == pytest.approx(bandwidth / (2.0 * np.pi), rel=1e-6)
+
+
+def alike(one: Any, other: Any) -> bool:
+    """Whether both say the same: norms are found to 1e-9, and LAPACK's last digits depend on where arrays lie."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(alike, one, other))
+    return bool(one == (pytest.approx(other, rel=3e-9) if isinstance(one, float) else other))
+
+
+def test_reading_what_was_written_gives_the_same_verdicts_and_figures(
+    record: dict[str, Any], job: Job, tmp_path: Path
+) -> None:
+    file = tmp_path / "result.json"
+    write_record(record, file)
+    assert json.loads(file.read_text(encoding="utf-8")) == record
+    again = outcomes_from(job, read_controllers(file, job), read_controllers(file, job, "alternatives"))
+    anew = result_record(checked(job, again))
+    for key in ("passed", "requirements", "coupled", "runs", "subsystems"):
+        assert alike(anew[key], record[key])
+    for key in ("controllers", "alternatives"):
+        for one, other in zip(anew[key], record[key], strict=True):
+            assert one["method"] == "given"
+            made = {"method", "options"}
+            assert {k: one[k] for k in "ABCD"} == {k: other[k] for k in "ABCD"}
+            assert alike(*({k: v for k, v in part.items() if k not in made} for part in (one, other)))
+
+
+def test_claims_of_a_file_are_not_believed(record: dict[str, Any], job: Job) -> None:
+    forged = copy.deepcopy(record)
+    forged["controllers"][1]["claims"] = {"disk_margin": 1.9, "gamma": 0.1}
+    [caging] = [o for o in outcomes_from(job, read_controllers(forged, job)) if o.spec.name == "caging 9-10"]
+    assert caging.closed.measures is not None
+    assert caging.closed.measures.disk_margin[0] == pytest.approx(record["controllers"][1]["claims"]["disk_margin"])
+    assert "gamma" not in caging.closed.claims
+
+
+def test_a_worse_controller_fails_the_check(record: dict[str, Any], job: Job) -> None:
+    worse = copy.deepcopy(record)
+    for letter in "CD":
+        worse["controllers"][1][letter] = (4.0 * np.array(worse["controllers"][1][letter])).tolist()
+    outcome = checked(job, outcomes_from(job, read_controllers(worse, job)))
+    assert not outcome.passed
+    failed = result_record(outcome)
+    assert failed["coupled"]["stable"] is False
+    assert {(r["subject"], r["name"]) for r in failed["requirements"] if not r["passed"]} >= {
+        ("caging 9-10", "disk margin"),
+        ("all loops closed", "slowest decay"),
+    }
+    json.dumps(failed, allow_nan=False)  # infinite noise and lost margins are null
+
+
+def test_signals_may_stand_in_another_order(record: dict[str, Any], job: Job) -> None:
+    turned = copy.deepcopy(record)
+    entry = turned["controllers"][1]
+    for key in ("inputs", "outputs", "C", "D"):
+        entry[key] = entry[key][::-1]
+    entry["B"] = [row[::-1] for row in entry["B"]]
+    entry["D"] = [row[::-1] for row in entry["D"]]
+    before, after = (outcomes_from(job, read_controllers(r, job))[1].closed.measures for r in (record, turned))
+    assert before is not None
+    assert after is not None
+    np.testing.assert_allclose(after.disk_margin, before.disk_margin, rtol=1e-9)
+
+
+def test_controllers_keep_the_order_of_the_file(record: dict[str, Any], job: Job) -> None:
+    other = copy.deepcopy(record)
+    other["controllers"][:2] = other["controllers"][1::-1]
+    names = [outcome.spec.name for outcome in outcomes_from(job, read_controllers(other, job))]
+    assert names == ["caging 9-10", "caging 4-5-7", "stabilisation"]
+
+
+def test_a_controller_without_states_is_read(record: dict[str, Any], job: Job) -> None:
+    bare = copy.deepcopy(record)
+    bare["controllers"][1] |= {"A": [[]], "B": [[]], "C": [[], []]}
+    K = read_controllers(bare, job)[1]
+    assert (K.nstates, K.ninputs, K.noutputs) == (0, 2, 2)
+
+
+def second(record: dict[str, Any]) -> Any:
+    return record["controllers"][1]
+
+
+Change = Callable[[dict[str, Any]], object]
+
+MISTAKES: dict[str, tuple[Change, str]] = {
+    "no schema": (lambda r: r.pop("schema"), 'missing key "schema"; expected 1'),
+    "another schema": (lambda r: r.update(schema=2), "schema = 2; expected 1"),
+    "schema is true": (lambda r: r.update(schema=True), "schema = true; expected 1"),
+    "no controllers": (lambda r: r.pop("controllers"), 'missing key "controllers"'),
+    "an empty list": (lambda r: r.update(controllers=[]), "controllers = []; expected a list"),
+    "no table": (lambda r: r["controllers"].insert(0, 3), "controllers 1: given 3; expected a table"),
+    "no name": (lambda r: second(r).pop("name"), 'controllers 2: missing key "name"'),
+    "no matrix": (lambda r: second(r).pop("D"), 'controllers 2 "caging 9-10": missing key "D"'),
+    "no delay": (lambda r: second(r).pop("delay"), 'missing key "delay"'),
+    "unknown input": (
+        lambda r: second(r).update(inputs=["alpha9", "betta10"]),
+        'inputs: "betta10" is no pick-off of the plant and no output of a controller before it; did you mean "beta10"?',
+    ),
+    "unknown output": (
+        lambda r: second(r).update(outputs=["Q9", "Q11"]),
+        'outputs: "Q11" is no torquer of the plant; did you mean',
+    ),
+    "input twice": (lambda r: second(r).update(inputs=["alpha9", "alpha9"]), "stands there twice"),
+    "input from a later controller": (
+        lambda r: r["controllers"].insert(0, r["controllers"].pop()),
+        "no output of a controller before it",
+    ),
+    "output set twice": (lambda r: r["controllers"].append(second(r)), "is set by controllers 2 already"),
+    "inputs no list": (lambda r: second(r).update(inputs="alpha9"), 'inputs: given "alpha9"; expected a list'),
+    "continuous": (lambda r: second(r).update(dt=0), "dt: given 0 s; expected the job's sample period, 0.0005 s"),
+    "dt is text": (lambda r: second(r).update(dt="x"), 'dt: given "x"; expected a finite number'),
+    "another delay": (lambda r: second(r).update(delay=0.0), "delay: given 0 s; expected the job's delay"),
+    "A not square": (lambda r: second(r)["A"].pop(), "A: row 1 has 4 elements; expected 3 x 3 (square)"),
+    "A no matrix": (lambda r: second(r).update(A=1.0), "A: given 1.0; expected a matrix"),
+    "B too short": (lambda r: second(r)["B"].pop(), "B: has 3 rows; expected 4 x 2"),
+    "C ragged": (lambda r: second(r)["C"][1].append(0.0), "C: row 2 has 5 elements; expected 2 x 4"),
+    "D no list of rows": (lambda r: second(r).update(D=[1.0, 2.0]), "D: row 1 is 1.0; expected 2 x 2"),
+    "D not finite": (lambda r: second(r)["D"][0].__setitem__(1, math.inf), "D: element (1, 2) is inf;"),
+    "D null": (lambda r: second(r)["D"][0].__setitem__(1, None), "D: element (1, 2) is None;"),
+    "D true": (lambda r: second(r)["D"][1].__setitem__(0, True), "D: element (2, 1) is true;"),
+    "D beyond floats": (lambda r: second(r)["D"][1].__setitem__(0, 10**400), "D: element (2, 1) is an integer"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_every_mistake_is_one_line_that_names_its_place(record: dict[str, Any], job: Job, mistake: str) -> None:
+    change, words = MISTAKES[mistake]
+    wrong = copy.deepcopy(record)
+    change(wrong)
+    with pytest.raises(InputError) as caught:
+        read_controllers(wrong, job)
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"{", "is not JSON: "),
+        (b"[1]", "given [1]; expected a table"),
+        (b"\xff\xfe", "is not UTF-8 text"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b'{"schema": ' + b"1" * 5000 + b"}", "cannot be read"),
+    ],
+)
+def test_a_file_that_is_no_result_is_refused_in_one_line(content: bytes, words: str, job: Job, tmp_path: Path) -> None:
+    file = tmp_path / "result.json"
+    file.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_controllers(file, job)
+    assert str(caught.value).startswith(str(file))
+    assert words in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_missing_file_and_a_folder_are_refused(job: Job, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        read_controllers(tmp_path / "none.json", job)
+    with pytest.raises(InputError, match="is a directory"):
+        read_controllers(tmp_path, job)
+
+
+def test_loops_and_controllers_that_do_not_match_are_named(record: dict[str, Any], job: Job) -> None:
+    controllers = read_controllers(record, job)
+    with pytest.raises(InputError, match='none closes the loop "stabilisation" of the job; expected one with'):
+        outcomes_from(job, controllers[:2])
+    with pytest.raises(InputError, match='both close the loop "caging 9-10"'):
+        outcomes_from(job, [*controllers, controllers[1]])
+    half = copy.deepcopy(record)
+    second(half).update(outputs=["Q9"], C=second(half)["C"][:1], D=second(half)["D"][:1])
+    del half["controllers"][2]
+    with pytest.raises(InputError, match="its outputs Q9 are those of no loop of the job; expected one of caging 4-5"):
+        outcomes_from(job, read_controllers(half, job))
+    more = copy.deepcopy(record)
+    more["controllers"][1]["inputs"] = ["alpha9", "beta7"]
+    with pytest.raises(InputError, match=r"inputs alpha9, beta7; the loop .* is measured with alpha9, beta10"):
+        outcomes_from(job, read_controllers(more, job))
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "result.json"
+    write_record({"first": 1}, file)
+
+    whole = Path.write_bytes
+
+    def broken(self: Path, content: bytes) -> int:
+        whole(self, content[:5])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", broken)
+    with pytest.raises(InputError, match=r"cannot be written: No space left on device"):
+        write_record({"second": 2}, file)
+    assert json.loads(file.read_bytes()) == {"first": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@settings(deadline=None)
+@given(plain)
+def test_the_layout_is_json_and_loses_nothing(data: Any) -> None:
+    assert json.loads(laid_out(data)) == data
