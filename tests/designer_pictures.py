@@ -149,6 +149,7 @@ def picture(gain: float = 4000.0, *, overlays: tuple[str, ...] = (), plants: int
             disk=0.3,
             worst_disk=0.25,
             worst_plant="plant 1",
+            worst_sampled=False,
             gain_up=np.inf,
             gain_down=0.0,
             phase=float(180.0 + np.interp(crossover, f, phase[0])),

@@ -125,7 +125,7 @@ def caged_parts(loop: CagedLoop, settings: Settings, kept: KeptMeasures) -> Part
         measures = kept(lambda: loop_measures(loop, whole))
         requirements, goals = judged(spec, loop.design, plants, measures)
         return Measured(
-            margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact)),
+            margins=_margins(loop, measures, shown, margins, _disk(loop, measures, shown, exact), exact),
             requirements=requirements,
             goals=goals,
             notes=()
@@ -350,7 +350,7 @@ def _disk(loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, exact: bo
 
 
 def _margins(
-    loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, channel: ChannelMargins, disk: float
+    loop: CagedLoop, measures: LoopMeasures, shown: LoopFigures, channel: ChannelMargins, disk: float, exact: bool
 ) -> Margins:
     plants = loop.plants
     inside = np.flatnonzero(plants.of(_BAND))
@@ -363,6 +363,7 @@ def _margins(
         disk=disk,
         worst_disk=float(measures.disk_margin[worst]),
         worst_plant=plants.labels[worst],
+        worst_sampled=not exact,
         **channel._asdict(),
         bandwidth=float(found),
         damping=float(minimum_damping(shown.poles, shown.plants.nutation / 10.0, plants.period)[0]),

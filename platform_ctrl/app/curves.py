@@ -11,21 +11,7 @@ from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.plant_set import BoolArray
 from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import compiled
 from platform_ctrl.report.loop_responses import followed
-
-
-@compiled
-def recur(A: FloatArray, x: FloatArray) -> None:
-    """Turn what drives N systems, x (N, T, n), into their states after it; `A` (N, n, n) are transposed matrices."""
-    N, T, n = x.shape
-    for i in range(N):
-        for k in range(1, T):
-            for column in range(n):
-                state = x[i, k - 1, column]
-                for row in range(n):
-                    x[i, k, row] += A[i, column, row] * state
-
 
 # A pole sharper than this is drawn as if it had this damping: no spike of one point.
 _SHARPEST = 2e-3
@@ -136,7 +122,7 @@ def held_responses(
     -----
     Exact: a power of A carries the state over whole intervals, within which the inputs count one by one.
     """
-    pass
+    from platform_ctrl.app.recurrence import recur  # loads numba: the page is to be there before
 
     count = (len(inputs) - 1) // every + 1
     with np.errstate(all="ignore"):

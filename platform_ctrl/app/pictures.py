@@ -218,6 +218,8 @@ class Margins:
         the stabilised platform at the torquer that is shown broken.
     worst_disk, worst_plant
         The least of the set, and the label of the plant that has it; of the plant shown without a band.
+    worst_sampled
+        Whether that is the least at the frequencies of a grid: between them it may be smaller.
     gain_up, gain_down
         Factors by which the shown channel's gain may rise and fall; inf and 0 where there is no bound.
     phase
@@ -241,6 +243,7 @@ class Margins:
     disk: float
     worst_disk: float
     worst_plant: str
+    worst_sampled: bool
     gain_up: float
     gain_down: float
     phase: float

@@ -26,8 +26,11 @@ Residual = Callable[[StateArrays], FloatArray]
 
 # Most steps along the way, and the share of a frequency that one of fewer may be.
 _WAY, _STRIDE = 8, 0.05
-# Gauss-Newton steps for each, and the largest change of a logarithm in one.
-_MOST, _LONGEST = 12, 0.3
+# Gauss-Newton steps for each, and the largest change of a logarithm in one: a knob may go from end to end of its range,
+# a factor of 20 to both sides and as much again below, and needs some more to converge.
+_MOST, _LONGEST = 45, 0.3
+# A full step that takes away less than this share of the distance: the place cannot be reached.
+_STALLED = 1e-3
 # Relative distance to the target that counts as there.
 _THERE = 1e-9
 # Relative gain that still counts as 1, and halvings between a frequency where it can be and one where it cannot.
@@ -382,19 +385,20 @@ def _reached(
             if not out.any():
                 break
             free[out] = 0.0
-        dx *= min(1.0, _LONGEST / max(float(np.abs(dx).max()), 1e-300))
-        better = False
+        share = min(1.0, _LONGEST / max(float(np.abs(dx).max()), 1e-300))
+        dx *= share
+        before, better = float(np.linalg.norm(r)), False
         for _ in range(6):
             new = np.clip(x + dx, low, high)
             try:
                 found = residual(reins.controller(new))
             except PlatformCtrlError:
                 found = np.full(len(r), np.inf)
-            if np.linalg.norm(found) < np.linalg.norm(r):
+            if np.linalg.norm(found) < before:
                 x, r, better = new, found, True
                 break
             dx = 0.5 * dx
-        if not better:
+        if not better or (share == 1.0 and np.linalg.norm(r) > (1.0 - _STALLED) * before):
             break
     return x
 

@@ -188,6 +188,7 @@ def stabilised_parts(loop: StabilisedLoop, settings: Settings, kept: Kept) -> Pa
                 disk=own,
                 worst_disk=min(own, worst) if inside else 0.0,
                 worst_plant=worst_plant if worst < own else settings.plant,
+                worst_sampled=banded,
                 **channel_own._asdict(),
                 bandwidth=_bandwidth(grid, S, [torquers.index(one) for one in roots]) if stable else 0.0,
                 damping=float(minimum_damping(z[None], 0.1 * reference, P.dt)[0]),

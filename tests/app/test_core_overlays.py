@@ -133,3 +133,12 @@ def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_an
     assert "the platform's axes" in tips["Bandwidth"]
     # All of the verdict's words have room beside the numbers.
     assert len(bar["words"]) < 36
+
+
+def test_the_worst_margin_of_the_set_is_called_sampled_where_it_is_the_least_on_a_grid(bench: Workbench) -> None:
+    labels: dict[str, list[str]] = {mode: [] for mode in ("caged", "stabilised")}
+    for loop in bench.offer().loops:
+        picture = bench.picture(bench.start(loop))
+        labels[picture.settings.mode] += [one["label"] for one in bar_told(picture)["figures"]]
+    assert "Worst of the set, sampled" not in labels["caged"]
+    assert "Worst of the set, sampled" in labels["stabilised"]

@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.pulling import constrained_least_squares
 from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.cli import main
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -57,6 +58,16 @@ def test_the_pole_that_took_the_bandwidth_along_goes_as_far_as_the_bandwidth_let
     assert "bandwidth" in told[-1]
     # It goes on along the limit: further than the first place where the way to the goal itself meets it.
     assert abs(nearest(after, pole) - goal) < abs(pole - goal) - 0.03 * abs(pole)
+
+
+def test_a_pole_that_few_knobs_move_little_is_brought_to_its_place_all_the_same(tmp_path: Path) -> None:
+    # Nutation at 1103 rad/s over a loop that crosses over at 0.41 Hz: two knobs have to go by a factor of ten and more.
+    assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
+    bench = Workbench(tmp_path / "mine.toml")
+    settings = bench.start()
+    pole = nearest(bench.picture(settings), 1103.0j)
+    there = nearest(bench.picture(bench.pulled_pole(settings, pole, 1.03 * pole, free=True)), 1.03 * pole)
+    assert abs(there - 1.03 * pole) < 1e-6 * abs(pole)
 
 
 def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Workbench, judge: Workbench) -> None:

@@ -235,10 +235,11 @@ def _figures(margins: Margins, stable: bool, mode: Mode) -> list[dict[str, Any]]
     return [
         figure("Disk margin", margins.disk, "", f"Of the plant shown, {channels}", not stable),
         figure(
-            "Worst of the set",
+            "Worst of the set, sampled" if margins.worst_sampled else "Worst of the set",
             margins.worst_disk,
             "",
-            f"Disk margin of {margins.worst_plant}",
+            f"Disk margin of {margins.worst_plant}"
+            + (", the least at the frequencies of a grid" if margins.worst_sampled else ""),
             margins.worst_disk <= 0.0,
         ),
         figure("Gain margin", _decibels(margins, stable), "dB", "How far the shown channel's gain may rise and fall"),
