@@ -26,7 +26,7 @@ from platform_ctrl import read_platform
 from platform_ctrl.errors import SimulationError
 from platform_ctrl.job.scenario import HalfCosine, Scenario
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.batch import flown, merged
+from platform_ctrl.simulation.batch import flown, merged_controller
 from platform_ctrl.simulation.device import expect_device
 from platform_ctrl.simulation.run_plan import Batch, batch, prepared
 
@@ -64,7 +64,7 @@ def manoeuvres(seconds: float) -> Batch:
             run=run,
         )
         members.append(prepared(scenario, PERIOD, STEP))
-    return batch(members, merged(platform, [caging(platform)], PERIOD, "caged"), PERIOD, True)
+    return batch(members, merged_controller(platform, [caging(platform)], PERIOD, "caged"), PERIOD, True)
 
 
 def repeated(batch: Batch, runs: int) -> Batch:

@@ -16,7 +16,7 @@ from platform_ctrl.design import loops
 from platform_ctrl.job.job import Job, LoopLimits, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.simulation import acting, flight, fly
+from platform_ctrl.simulation import simulate, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory
 
 JOB = Path(__file__).parent.parent / "examples" / "three_gyro_platform.toml"
@@ -42,7 +42,7 @@ def scenarios(job: Job, mode: str) -> list[Scenario]:
 
 
 def _alone(runs: list[Scenario], controllers: list[control.StateSpace], period: float) -> list[Trajectory]:
-    return [flight(one, controllers, period=period, step=STEP) for one in runs]
+    return [simulate(one, controllers, period=period, step=STEP) for one in runs]
 
 
 def _same_figures(ours: Any, theirs: Mapping[str, Any]) -> str:
@@ -54,16 +54,14 @@ def _same_figures(ours: Any, theirs: Mapping[str, Any]) -> str:
 
 
 def flights() -> Iterator[Comparison]:
-    """Compare flying side by side with flying one after another, in both modes."""
+    """Compare a batch with one run after another, in both modes."""
     for mode in ("caged", "stabilised"):
         job, controllers = closed()
         runs, period = scenarios(job, mode), job.sampling.period
-        used = acting(controllers, job.platform, runs[0].mode)
-
         yield Comparison(
             name=f"{RUNS} {mode} manoeuvres of {DURATION:g} s",
-            ours=partial(fly, runs, controllers, period=period, step=STEP),
-            theirs={"one after another": partial(_alone, runs, used, period)},
+            ours=partial(simulate_batch, runs, controllers, period=period, step=STEP),
+            theirs={"one after another": partial(_alone, runs, controllers, period)},
             check=_same_figures,
             unit="steps/s",
             work=RUNS * round(DURATION / STEP),

@@ -204,8 +204,8 @@ def trajectory() -> simulation.Trajectory:
     return result().runs[0].trajectory
 
 
-def stepper() -> simulation.Stepper:
-    return simulation.Stepper(scenario(), [], period=PERIOD)
+def stepper() -> simulation.Simulator:
+    return simulation.Simulator(scenario(), [], period=PERIOD)
 
 
 def limit() -> Any:
@@ -469,16 +469,10 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "requirements.hard_and_soft": {"limits": lambda: asked().loops[0].limits, "soft": job.LoopLimits},
     "requirements.loop_requirements": {"limits": lambda: asked().loops[0].limits},
     "requirements.requirement": of(kind="disk margin", limit=0.4),
-    "simulation.acting": {"controllers": lambda: [closed()], "platform": platform, **of(mode="caged")},
-    "simulation.flight": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
-    "simulation.fly": {"scenarios": lambda: [scenario()], "controllers": list, **of(period=PERIOD)},
+    "simulation.simulate": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
+    "simulation.simulate_batch": {"scenarios": lambda: [scenario()], "controllers": list, **of(period=PERIOD)},
     "simulation.rollout": {"platform": platform, **of(q=[Q] * 2, velocity=[V] * 2, step=1e-4, steps=2, every=1)},
-    "simulation.Stepper": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
-    "simulation.simulate": {
-        "platform": platform,
-        "controllers": list,
-        **of(period=PERIOD, delay=0.0, duration=0.002, mode="stabilised"),
-    },
+    "simulation.Simulator": {"scenario": scenario, "controllers": list, **of(period=PERIOD)},
     "state_space.gimbal_torquers": {"model": model, **of(gimbals=("9",))},
     "state_space.subsystems_of_all": {"models": lambda: [model()]},
     "state_space.whole_subsystems": {"model": model, **of(gimbals=("9", "10"))},
@@ -620,9 +614,9 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "scenario.Vibration": lambda: simulation.Vibration(
         kind="rate", axis=1, frequencies_hz=np.array([10.0, 20.0]), densities=np.array([1e-6, 1e-6])
     ),
-    "simulation.Figures": lambda: simulation.fly([scenario()], [], period=PERIOD),
+    "simulation.BatchResult": lambda: simulation.simulate_batch([scenario()], [], period=PERIOD),
     "simulation.Rollout": lambda: simulation.rollout(platform(), [Q], [V], step=1e-4, steps=2),
-    "simulation.Stepper": stepper,
+    "simulation.Simulator": stepper,
     "simulation.Trajectory": trajectory,
     "terms.Term": lambda: pc.terms(platform(), Omega=(1, 1, 1), rates=[0.01] * 5).terms[0],
     "variation.Range": lambda: ANY,
@@ -709,8 +703,8 @@ METHODS: dict[str, dict[str, Callable[[], Any]]] = {
     "requirements.Requirement.judge": of(measured=0.5, subject="a", stage="decoupled", evidence="b"),
     "requirements.Requirement.ratio": of(measured=0.5),
     "scenario.TimeTable.at": of(t=[0.5]),
-    "simulation.Stepper.advance": of(samples=1),
-    "simulation.Stepper.restore": {"snapshot": lambda: stepper().snapshot()},
+    "simulation.Simulator.advance": of(samples=1),
+    "simulation.Simulator.restore": {"snapshot": lambda: stepper().snapshot()},
     "variation.Range.holds": of(low=0.1, high=0.2, continuous=True),
 }
 # Their arguments come from the search, not from a user.

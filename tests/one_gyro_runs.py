@@ -11,7 +11,7 @@ import control
 from one_gyro_job import JOB
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.simulation import Trajectory, acting, flight
+from platform_ctrl.simulation import Trajectory, simulate
 
 MANOEUVRES = """
 [[manoeuvre]]
@@ -54,4 +54,4 @@ def flown(job: Job, controllers: list[control.StateSpace], name: str, **more: An
     """The whole run of a manoeuvre of the job."""
     [one] = [manoeuvre for manoeuvre in job.manoeuvres if manoeuvre.name == name]
     scenario = replace(manoeuvre_scenario(job, one), **more)
-    return flight(scenario, acting(controllers, job.platform, scenario.mode), period=job.sampling.period)
+    return simulate(scenario, controllers, period=job.sampling.period)

@@ -59,7 +59,7 @@ def scenario(platform: Platform, level: float = 1.0, slope: float = 0.0, **more:
 
 
 def flown(platform: Platform, *faults: Fault, step: float = 1e-4, **more: object) -> Trajectory:
-    return simulation.flight(scenario(platform, faults=faults, **more), [gain()], period=PERIOD, step=step)
+    return simulation.simulate(scenario(platform, faults=faults, **more), [gain()], period=PERIOD, step=step)
 
 
 def fault(kind: str, part: str | None = "Qg", at: float = 0.03, until: float = 0.07, **numbers: float) -> Fault:

@@ -56,15 +56,16 @@ def shaped() -> design.ComplexLoop:
     )
 
 
-def flown() -> simulation.Trajectory:
-    return simulation.simulate(PLATFORM, [], period=PERIOD, delay=0.0, duration=0.01, mode="stabilised")
+def trajectory() -> simulation.Trajectory:
+    scenario = simulation.Scenario(platform=PLATFORM, mode="stabilised", duration=0.01, delay=0.0)
+    return simulation.simulate(scenario, [], period=PERIOD)
 
 
-def figures() -> simulation.Figures:
+def batch() -> simulation.BatchResult:
     runs = [
         simulation.Scenario(platform=PLATFORM, mode="caged", duration=0.01, delay=0.0, seed=1, run=k) for k in range(3)
     ]
-    return simulation.fly(runs, [], period=PERIOD)
+    return simulation.simulate_batch(runs, [], period=PERIOD)
 
 
 def rolled() -> simulation.Rollout:
@@ -103,8 +104,8 @@ VALUES: dict[str, Callable[[], Any]] = {
     "LimitedLoop": limited,
     "Certificate": lambda: certificates.stability_certificate([[-1.0, 0.0], [0.0, -2.0]]),
     "Rollout": rolled,
-    "Trajectory": flown,
-    "Figures": figures,
+    "Trajectory": trajectory,
+    "BatchResult": batch,
     "RareResult": seldom,
 }
 

@@ -10,7 +10,8 @@ from platform_ctrl.design.plants import cases
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.simulation import rollout, simulate
+from platform_ctrl.simulation import rollout
+from single_runs import simulated
 from tree_cases import platforms
 
 pytestmark = pytest.mark.slow
@@ -56,7 +57,7 @@ def test_every_corner_of_the_spread_flies():
     controllers = [outcome.closed.controller for outcome in design.loops(job)]
     for outcome in job.loops[:2]:
         for case in cases(job, outcome.gimbals):
-            run = simulate(
+            run = simulated(
                 case.platform,
                 controllers[:2],
                 period=job.sampling.period,

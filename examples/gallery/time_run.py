@@ -28,8 +28,7 @@ job = pc.read_job(
 )
 controller = pc.design.loops(job)[0].closed.controller
 turn = pc.simulation.HalfCosine(axis=1, rate=1.0, rise=0.2, hold=0.2)
-run = pc.simulation.simulate(
-    job.platform, [controller], period=0.0005, delay=0.0005, duration=0.8, mode="caged", Omega_profile=turn
-)
+scenario = pc.simulation.Scenario(platform=job.platform, mode="caged", duration=0.8, delay=0.0005, profile=turn)
+run = pc.simulation.simulate(scenario, [controller], period=0.0005)
 
 figure = figures.time_run(run, job.platform, limits={"angle": 0.003, "torque_share": 0.8})

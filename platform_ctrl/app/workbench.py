@@ -304,7 +304,7 @@ class Workbench(Viewing):
         Returns
         -------
         Trajectory
-            As `simulation.flight` returns it.
+            As `simulation.simulate` returns it.
         """
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
         saved = self._closing.saved_controllers(settings)

@@ -49,7 +49,7 @@ def rare_probability(
     confidence
         As in `platform_ctrl.campaign.rare_event`, a probability.
     threads, device
-        As in `platform_ctrl.simulation.fly`.
+        As in `platform_ctrl.simulation.simulate_batch`.
     say
         As in `platform_ctrl.campaign.rare_event`.
 
@@ -99,9 +99,9 @@ def flown_ratios(
     plan: Plan, scenarios: Sequence[Scenario], requirement: str | None = None, *, threads: int = 1, device: str = "cpu"
 ) -> FloatArray:
     """Fly scenarios; return the largest figure over its limit of each, infinite where it diverged."""
-    from platform_ctrl.simulation import fly
+    from platform_ctrl.simulation import simulate_batch
 
-    flown = fly(
+    flown = simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
     names = tuple(FIGURES) if requirement is None else (requirement,)

@@ -15,7 +15,7 @@ from platform_ctrl.plant.mistakes import one_line
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
     from platform_ctrl.job.scenario import Scenario
-    from platform_ctrl.simulation import Figures, Trajectory
+    from platform_ctrl.simulation import BatchResult, Trajectory
 
 
 def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu") -> dict[str, Array]:
@@ -43,7 +43,7 @@ def fly(plan: Plan, runs: Sequence[int], *, threads: int = 1, device: str = "cpu
 
     columns = inputs_of(plan, runs)
     scenarios = plan.scenarios_with(columns, runs)
-    flown = simulation.fly(
+    flown = simulation.simulate_batch(
         scenarios, plan.controllers, period=plan.job.sampling.period, step=plan.step, threads=threads, device=device
     )
     return {**columns, **_outcomes(scenarios, flown)}
@@ -61,11 +61,10 @@ def trajectory(plan: Plan, scenario: Scenario) -> Trajectory:
     """Fly one scenario and return all that it recorded."""
     from platform_ctrl import simulation
 
-    used = simulation.acting(plan.controllers, scenario.platform, scenario.mode)
-    return simulation.flight(scenario, used, period=plan.job.sampling.period, step=plan.step)
+    return simulation.simulate(scenario, plan.controllers, period=plan.job.sampling.period, step=plan.step)
 
 
-def _outcomes(scenarios: Sequence[Scenario], flown: Figures) -> dict[str, Array]:
+def _outcomes(scenarios: Sequence[Scenario], flown: BatchResult) -> dict[str, Array]:
     """What the runs came to, by the names of the columns."""
     done = flown.completed
     found = {

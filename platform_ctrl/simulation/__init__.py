@@ -4,24 +4,22 @@ numba is loaded, and the kernel compiled or taken from its cache, with the first
 """
 
 from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
-from platform_ctrl.simulation.batch import Figures, acting, fly
-from platform_ctrl.simulation.closed_loop import Trajectory, flight, simulate
+from platform_ctrl.simulation.batch import BatchResult, simulate_batch
+from platform_ctrl.simulation.closed_loop import Trajectory, simulate
 from platform_ctrl.simulation.free_motion import Rollout, rollout
-from platform_ctrl.simulation.stepping import Stepper
+from platform_ctrl.simulation.stepping import Simulator
 
 __all__ = [
+    "BatchResult",
     "Fault",
-    "Figures",
     "HalfCosine",
     "Rollout",
     "Scenario",
-    "Stepper",
+    "Simulator",
     "TimeTable",
     "Trajectory",
     "Vibration",
-    "acting",
-    "flight",
-    "fly",
     "rollout",
     "simulate",
+    "simulate_batch",
 ]

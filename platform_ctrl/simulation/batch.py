@@ -1,4 +1,4 @@
-"""Many scenarios at once: those that are alike fly side by side, and only their figures are kept."""
+"""Many scenarios at once: those that are alike are computed side by side, and only their metrics are kept."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 
 @value
-class Figures:
-    """What came of N runs, all at their sample instants until they ended.
+class BatchResult:
+    """The metrics of N runs, over the sample instants until they ended.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ class Figures:
     stop_contacts : (N, n)
         How often each gimbal came up against a stop.
     samples : (N,)
-        How many samples were flown before the run ended or diverged.
-    asked : (N,)
-        How many there should have been.
+        Number of samples before the run ended or diverged.
+    requested : (N,)
+        Number of samples of a complete run.
     period
         Sample period, s.
     """
@@ -64,25 +64,25 @@ class Figures:
     saturated: NDArray[np.int64]
     stop_contacts: NDArray[np.int64]
     samples: NDArray[np.int64]
-    asked: NDArray[np.int64]
+    requested: NDArray[np.int64]
     period: float
 
     @property
     def completed(self) -> NDArray[np.bool_]:
         """Which runs reached their ends, (N,)."""
-        return np.asarray(self.samples == self.asked)
+        return np.asarray(self.samples == self.requested)
 
     @property
     def ended(self) -> tuple[str, ...]:
         """How each run ended."""
         return tuple(
-            "completed" if done == asked else f"diverged at t = {done * self.period:.6g} s"
-            for done, asked in zip(self.samples.tolist(), self.asked.tolist(), strict=True)
+            "completed" if done == requested else f"diverged at t = {done * self.period:.6g} s"
+            for done, requested in zip(self.samples.tolist(), self.requested.tolist(), strict=True)
         )
 
 
 @check_arguments
-def fly(
+def simulate_batch(
     scenarios: Sequence[Scenario],
     controllers: Sequence[control.StateSpace],
     *,
@@ -91,24 +91,24 @@ def fly(
     noise: bool = True,
     threads: int = 1,
     device: str = "cpu",
-) -> Figures:
-    """Fly many scenarios and return their figures.
+) -> BatchResult:
+    """Simulate many scenarios and return their metrics.
 
-    A run's figures depend on its scenario alone, to the last bit: not on which others fly beside it, on their order or
-    on the number of threads.
+    A run's metrics depend on its scenario alone, to the last bit: not on which others are computed beside it, on their
+    order or on the number of threads.
 
     Parameters
     ----------
     scenarios
-        What is flown; all plants have the same gimbals, torquers and sensors.
+        The runs; all plants have the same gimbals, torquers and sensors.
     controllers
-        As for `simulate`. In mode ``"caged"`` controllers that act on the root are left out.
+        As for `simulate`.
     period
         Sample period, s.
     step
         Longest substep, s.
     noise
-        Whether the sensors' noise is there.
+        Whether the sensors' noise is simulated.
     threads
         Number of threads that share the scenarios.
     device
@@ -116,15 +116,15 @@ def fly(
 
     Returns
     -------
-    Figures
+    BatchResult
         In the order of the scenarios.
 
     Raises
     ------
     ArgumentError
-        As `simulate`; the plants differ in what they are made of.
+        As `simulate`; the plants differ in gimbals, torquers or sensors.
     SimulationError
-        The device is not there.
+        The device is not available.
 
     References
     ----------
@@ -147,28 +147,27 @@ def fly(
         own = [members[place] for place in places]
         platform, mode = own[0].scenario.platform, own[0].scenario.mode
         if mode not in modes:
-            modes[mode] = merged(platform, acting(controllers, platform, mode), period, mode)
+            modes[mode] = merged_controller(platform, controllers, period, mode)
         return batch(own, modes[mode], period, noise)
 
-    asked = np.array([member.timing.samples for member in members], dtype=np.int64)
     if len({_kind(one.scenario.platform) for one in {member.skeleton: member for member in members}.values()}) > 1:
         raise ArgumentError(
             "scenarios: their plants differ in gimbals, torquers or sensors; expected one kind of plant"
         )
     n, nu = (members[0].skeleton.at.n, len(members[0].skeleton.targets)) if members else (0, 0)
     rows = np.empty((len(members), figure_slots(n, nu)))
-    # What cannot be flown is told before anything is.
+    # All batches are put together, and with that checked, before the first one is computed.
     for places, together in [(places, put_together(places)) for places in groups.values()]:
         rows[places] = flown(together, threads, device)
     angle, attitude, share, saturated, contacts, samples = np.split(rows, np.cumsum([n, 3, nu, nu, n]), axis=1)
-    return Figures(
+    return BatchResult(
         angle=angle,
         attitude=attitude,
         torque_share=share,
         saturated=np.rint(saturated).astype(np.int64),
         stop_contacts=np.rint(contacts).astype(np.int64),
         samples=np.rint(samples[:, 0]).astype(np.int64),
-        asked=asked,
+        requested=np.array([member.timing.samples for member in members], dtype=np.int64),
         period=period,
     )
 
@@ -182,45 +181,17 @@ def _kind(platform: Platform) -> tuple[object, ...]:
     )
 
 
-@check_arguments
-def acting(controllers: Sequence[control.StateSpace], platform: Platform, mode: Mode) -> list[control.StateSpace]:
-    """Return the controllers that act in a mode: caged, those on the root do not.
+def merged_controller(
+    platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode
+) -> Controller:
+    """Return one state space from all sensors to all torquers, in the kernel's form.
 
-    Parameters
-    ----------
-    controllers
-        Outputs named as the platform's torquers.
-    platform
-        The plant.
-    mode
-        ``"caged"`` or ``"stabilised"``.
-
-    Returns
-    -------
-    list of control.StateSpace
-        In the given order.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
+    Where Omega is prescribed controllers that act on the root are left out.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    # What is no controller stays: where they are joined it is told.
-    return [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
-
-
-def merged(platform: Platform, controllers: Sequence[control.StateSpace], period: float, mode: Mode) -> Controller:
-    """Return one state space from all sensors to all torquers, in the kernel's form."""
-    K = joined_arrays(controllers, [s.name for s in platform.sensors], [t.name for t in platform.torquers], period)
-    roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    for k, system in enumerate(controllers):
-        on_root = [name for name in system.output_labels if name in roots]
-        if on_root and mode == "caged":
-            raise ArgumentError(
-                f"controller {k + 1} ({system.name!r}): output {on_root[0]!r} acts on the root, whose rate is "
-                "prescribed in mode 'caged'; leave the controller out or use mode 'stabilised'"
-            )
+    # What is no controller stays: `joined_arrays` refuses it.
+    active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
+    K = joined_arrays(active, [s.name for s in platform.sensors], [t.name for t in platform.torquers], period)
     return controller_rows(K.A, K.B, K.C, K.D)
 
 

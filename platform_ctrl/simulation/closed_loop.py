@@ -6,18 +6,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import HalfCosine, Mode, Scenario
-from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation.batch import merged, recorded
+from platform_ctrl.job.scenario import Mode, Scenario
+from platform_ctrl.simulation.batch import merged_controller, recorded
 from platform_ctrl.simulation.run_plan import prepared
-from platform_ctrl.simulation.scenarios import expect_several, steps, unit_quaternions
-from platform_ctrl.simulation.servo_rotors import initial_spins, servo_rotors
+from platform_ctrl.simulation.scenarios import expect_several, steps
+from platform_ctrl.simulation.servo_rotors import servo_rotors
 
 if TYPE_CHECKING:
     import control
@@ -97,31 +94,20 @@ class Trajectory:
 
 @check_arguments
 def simulate(
-    platform: Platform,
+    scenario: Scenario,
     controllers: Sequence[control.StateSpace],
     *,
     period: float,
-    delay: float,
-    duration: float,
-    mode: Mode,
-    Omega_profile: HalfCosine | None = None,
-    root_torque: ArrayLike | None = None,
-    seed: int = 0,
+    step: float = 1e-4,
     noise: bool = True,
-    step: float | None = None,
-    q: ArrayLike | None = None,
-    rate: ArrayLike | None = None,
-    Omega: ArrayLike | None = None,
-    attitude: ArrayLike | None = None,
-    spin: ArrayLike | None = None,
 ) -> Trajectory:
     """Run sampled controllers on the exact non-linear plant: force elements act, servo rotors run their speed loops.
 
     At t = k `period` pick-offs and rate sensors are read (angle or rate + white noise, then quantisation) and the
-    controllers are evaluated in their order, u = K y with no hidden sign. `delay` seconds later their torque command
-    takes effect and is held until the next one does: it is limited to ± the torquer's limit first; the limited command
-    is followed no faster than the torquer's rate limit, and then passes its first-order lag. Before the first command
-    takes effect the torquers are silent; controllers start at rest. The plant is integrated by the classical
+    controllers are evaluated in their order, u = K y (positive feedback). The scenario's `delay` later their torque
+    command takes effect and is held until the next one does: it is limited to ± the torquer's limit first; the limited
+    command is followed no faster than the torquer's rate limit, and then passes its first-order lag. Before the first
+    command takes effect the torquers are silent; controllers start at rest. The plant is integrated by the classical
     Runge-Kutta method; sample instants and the instants at which commands take effect always lie on its grid, and the
     lag is integrated exactly.
 
@@ -132,35 +118,19 @@ def simulate(
 
     Parameters
     ----------
-    platform
-        The plant.
+    scenario
+        The run: plant, mode, duration, delay, motion, faults, initial values, seed.
     controllers
         Discrete state spaces with dt = `period`. Inputs: angles and rates that sensors measure, or outputs of a
         controller earlier in the list (that step's value, before limiting). Outputs: torquers, or signals that a later
-        controller takes in.
-    period, delay, duration
-        Sample period, delay from sample to torque (may exceed a period), length of the run, s.
-    mode
-        ``"caged"``: Omega is prescribed by `Omega_profile`, states [q, p], the platform does not react;
-        ``"stabilised"``: the platform is free and `root_torque` acts on it.
-    Omega_profile
-        Caged: platform rate; default zero.
-    root_torque : (3,), optional
-        Stabilised: constant torque on the platform in its own axes from t = 0 on, N m.
-    seed, noise
-        Seed of the sensors' noise; whether there is any.
+        controller takes in. In mode ``"caged"`` those that act on the root are left out.
+    period
+        Sample period, s.
     step
-        Longest substep, s; default 1e-4. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor,
-        2.7 times the shortest time constant of friction and cages.
-    q, rate : (n,), optional
-        Initial gimbal angles, rad, and rates, rad/s; default zero.
-    Omega : (3,), optional
-        Initial platform rate (stabilised only), rad/s.
-    attitude : (4,), optional
-        Initial unit quaternion w, x, y, z of the platform, dimensionless; default identity.
-    spin : (servo rotors,), optional
-        Initial spins of the servo rotors against their carriers, rad/s; default the nominal ones. Their loops start in
-        the steady state of the nominal spin: with no torque.
+        Longest substep, s. Stiff elements need short ones: less than 2.7 C/speed_gain for a servo rotor, 2.7 times the
+        shortest time constant of friction and cages.
+    noise
+        Whether the sensors' noise is simulated.
 
     Returns
     -------
@@ -171,81 +141,8 @@ def simulate(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong shape, is out of range, or names something that the plant does not have; if the
-        step is too long for a speed loop, a spring, a cage or friction.
-
-    References
-    ----------
-    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7.
-
-    See docs/simulation.md.
-    """
-    n = len(platform.gimbals)
-    period = positive("period", period)
-    delay = positive("delay", delay, zero=True)
-    duration = positive("duration", duration, zero=True)
-    longest = 1e-4 if step is None else positive("step", step)
-    if mode not in ("caged", "stabilised"):
-        raise ArgumentError(f"mode: given {mode!r}; expected 'caged' or 'stabilised'")
-    free = mode == "stabilised"
-    if free and Omega_profile is not None:
-        raise ArgumentError("Omega_profile: given in mode 'stabilised', where the root is free; expected root_torque")
-    if not free and (root_torque is not None or Omega is not None):
-        given = "root_torque" if root_torque is not None else "Omega"
-        raise ArgumentError(f"{given}: given in mode 'caged', where Omega is prescribed; expected Omega_profile")
-    angles = real_array("q", q, (n,), 0.0)
-    rates = real_array("rate", rate, (n,), 0.0)
-    torque = real_array("root_torque", root_torque, (3,), 0.0)
-    scenario = Scenario(
-        platform=platform,
-        mode=mode,
-        duration=duration,
-        delay=delay,
-        profile=Omega_profile,
-        torque=torque,
-        q=angles,
-        rate=rates,
-        Omega=real_array("Omega", Omega, (3,), 0.0),
-        attitude=unit_quaternions(attitude, (4,)),
-        spin=initial_spins(platform, spin, (len(servo_rotors(platform)),)),
-        seed=seed,
-    )
-    return flight(scenario, controllers, period=period, step=longest, noise=noise)
-
-
-@check_arguments
-def flight(
-    scenario: Scenario,
-    controllers: Sequence[control.StateSpace],
-    *,
-    period: float,
-    step: float = 1e-4,
-    noise: bool = True,
-) -> Trajectory:
-    """Fly one scenario and record it: `simulate` with all that a scenario may hold.
-
-    Parameters
-    ----------
-    scenario
-        What is flown.
-    controllers
-        As for `simulate`.
-    period
-        Sample period, s.
-    step
-        Longest substep, s.
-    noise
-        Whether the sensors' noise is there.
-
-    Returns
-    -------
-    Trajectory
-        As of `simulate`.
-
-    Raises
-    ------
-    ArgumentError
-        As `simulate`.
+        If a part of the scenario has the wrong shape, is out of range, or names something that the plant does not
+        have; if the step is too long for a speed loop, a spring, a cage or friction.
 
     References
     ----------
@@ -256,7 +153,8 @@ def flight(
     period, step = steps(period, step)
     expect_several("controllers", controllers)
     member = prepared(scenario, period, step)
-    record, figures = recorded(member, merged(scenario.platform, controllers, period, scenario.mode), period, noise)
+    controller = merged_controller(scenario.platform, controllers, period, scenario.mode)
+    record, figures = recorded(member, controller, period, noise)
     done = int(np.rint(figures[-1]))
     ended = "completed" if done == len(record) else f"diverged at t = {done * period:.6g} s"
     return trajectory_of(record[:done], figures, scenario, first=0, period=period, step=step, ended=ended)

@@ -41,10 +41,10 @@ def compile_kernel() -> None:
     """Fly one scenario for an instant, for which the kernel is compiled or taken from its cache."""
     from platform_ctrl.job.scenario import Scenario
     from platform_ctrl.plant.reading import read_platform
-    from platform_ctrl.simulation.batch import fly
+    from platform_ctrl.simulation.batch import simulate_batch
 
     platform = read_platform("gimballed_gyro")
-    fly([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
+    simulate_batch([Scenario(platform=platform, mode="caged", duration=0.0, delay=0.0)], [], period=1e-3)
 
 
 def heeding_interrupts(work: Callable[[], object]) -> None:

@@ -1,7 +1,6 @@
-"""A run that is flown sample by sample, with inputs that change on the way: for co-simulation and hardware in the loop.
+"""A run advanced sample by sample, with inputs that change on the way: for co-simulation and hardware in the loop.
 
-The compiled kernel that flies whole runs flies these, piece by piece, in a memory that is kept: the numbers are those
-of `flight`.
+The compiled kernel is that of whole runs, and its memory is kept between calls: the numbers are those of `simulate`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Scenario
-from platform_ctrl.simulation.batch import columns_of_record, merged
+from platform_ctrl.simulation.batch import columns_of_record, merged_controller
 from platform_ctrl.simulation.closed_loop import Trajectory, trajectory_of
 from platform_ctrl.simulation.compilation import wait_until_warm
 from platform_ctrl.simulation.kernel import arrays as layout
@@ -27,25 +26,24 @@ from platform_ctrl.simulation.scenarios import expect_several, steps
 if TYPE_CHECKING:
     import control
 
-# Samples that compiled code flies before Python has its turn, and an interrupt takes effect.
-_AT_ONCE = 1000
-# Samples of one call: what is recorded of them has to fit into the memory.
-_MOST = 10_000_000
+# Samples of one call of compiled code, between which an interrupt takes effect.
+_CHUNK = 1000
+# Samples of one call of `advance`: their record has to fit into the memory.
+_MAX_SAMPLES = 10_000_000
 # Numbers of a snapshot before the kernel's memory: sample, whether going, Omega reached, slope, M, gimbals' torques.
 _HEAD = 2 + 3 + 3 + 3
 
 
-class Stepper:
+class Simulator:
     """The sampled closed loop around the non-linear plant, advanced by as many samples at a time as wanted.
 
-    Sample 0 is taken at once; the run has no end of its own (`duration` of the scenario is not looked at). What is
-    given to `advance` acts from the last sample on. Without any of it the run is that of `flight`, bit for bit, however
-    it is cut into pieces.
+    Sample 0 is taken at once; the scenario's `duration` is ignored. Inputs of `advance` act from the last sample on.
+    Without inputs the run is that of `simulate`, bit for bit, however many samples each call advances it by.
 
     Parameters
     ----------
     scenario
-        What is flown: plant, mode, delay, manoeuvre, faults, initial values, seed.
+        The run: plant, mode, delay, manoeuvre, faults, initial values, seed.
     controllers
         As for `simulate`.
     period
@@ -53,14 +51,14 @@ class Stepper:
     step
         Longest substep, s.
     noise
-        Whether the sensors' noise is there.
+        Whether the sensors' noise is simulated.
     Omega : (3,), optional
         Caged: platform rate at t = 0 beside the manoeuvre's, rad/s; default zero.
 
     Attributes
     ----------
     scenario
-        What is flown.
+        As given.
     period, step
         Sample period and longest substep, s.
     sample
@@ -94,7 +92,7 @@ class Stepper:
         member = prepared(scenario, self.period, self.step)
         self.scenario = scenario
         self._free = scenario.mode == "stabilised"
-        controller = merged(scenario.platform, controllers, self.period, scenario.mode)
+        controller = merged_controller(scenario.platform, controllers, self.period, scenario.mode)
         together = batch([member], controller, self.period, noise)
         self._packed, self._shared, self._flight = together.packed, together.shared, together.flight
         self._keys = np.repeat(together.keys[None], LANES, axis=1)
@@ -120,7 +118,7 @@ class Stepper:
     @property
     def now(self) -> Trajectory:
         """The last sample, a trajectory of one row."""
-        return self._told(self._row, self.sample)
+        return self._trajectory(self._row, self.sample)
 
     def advance(
         self,
@@ -131,7 +129,7 @@ class Stepper:
         torque: ArrayLike | None = None,
         gimbal_torque: ArrayLike | None = None,
     ) -> Trajectory:
-        """Fly on by a number of samples and return them.
+        """Advance the run by a number of samples and return them.
 
         Parameters
         ----------
@@ -150,7 +148,7 @@ class Stepper:
         Returns
         -------
         Trajectory
-            The samples that were flown, without the one before them. A run that diverges ends with the last sound one,
+            The new samples. A run that diverges ends with the last sound one,
             and `going` is False then; counts of saturated samples and of contacts are those since t = 0.
 
         Raises
@@ -160,7 +158,7 @@ class Stepper:
         SimulationError
             The run has diverged before.
         """
-        samples = whole("samples", samples, 1, _MOST)
+        samples = whole("samples", samples, 1, _MAX_SAMPLES)
         n = len(self.scenario.platform.gimbals)
         for name, given, mode in (
             ("Omega", Omega, "caged"),
@@ -182,9 +180,9 @@ class Stepper:
         first, parts = self.sample + 1, []
         nothing = np.zeros((1, 0, 0))
         while self.going and self.sample + 1 < first + samples:
-            parts.append(self._move(min(_AT_ONCE, first + samples - self.sample - 1), course, nothing, nothing))
+            parts.append(self._move(min(_CHUNK, first + samples - self.sample - 1), course, nothing, nothing))
         self._reached = start + slope * (end - begin)
-        return self._told(np.concatenate(parts), first)
+        return self._trajectory(np.concatenate(parts), first)
 
     def _put(self, jump: FloatArray, moment_jump: FloatArray, joints: FloatArray) -> None:
         """Let inputs act from now on: where the last step ended the next begins, so that there they jump."""
@@ -215,7 +213,7 @@ class Stepper:
     def _move(
         self, samples: int, course: tuple[layout.Shared, float], plants: FloatArray, given: FloatArray
     ) -> FloatArray:
-        """Fly `samples` samples and return their record, as far as the run is sound."""
+        """Advance by `samples` samples and return their record, up to where the run diverges."""
         from platform_ctrl.simulation.kernel.loop import fly_groups
 
         shared, scale = course
@@ -249,7 +247,7 @@ class Stepper:
             self._row = record[-1:]
         return record
 
-    def _told(self, record: FloatArray, first: int) -> Trajectory:
+    def _trajectory(self, record: FloatArray, first: int) -> Trajectory:
         ended = "completed" if self.going else f"diverged at t = {(self.sample + 1) * self.period:.6g} s"
         return trajectory_of(
             record, self._figures[0, :, 0], self.scenario, first=first, period=self.period, step=self.step, ended=ended

@@ -11,7 +11,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
 from platform_ctrl.job.job import Job, Manoeuvre, manoeuvre_scenario
 from platform_ctrl.job.requirements import CheckResult, Requirement
-from platform_ctrl.simulation import Trajectory, acting, flight
+from platform_ctrl.simulation import Trajectory, simulate
 
 if TYPE_CHECKING:
     import control
@@ -60,8 +60,7 @@ def fly(job: Job, manoeuvre: Manoeuvre, controllers: Sequence[control.StateSpace
         The controllers do not fit the plant.
     """
     scenario = manoeuvre_scenario(job, manoeuvre)
-    used = acting(controllers, job.platform, scenario.mode)
-    trajectory = flight(scenario, used, period=job.sampling.period)
+    trajectory = simulate(scenario, controllers, period=job.sampling.period)
     return Run(manoeuvre=manoeuvre, trajectory=trajectory, results=judged(job, manoeuvre, trajectory))
 
 

@@ -21,7 +21,8 @@ from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.simulation import HalfCosine, simulate
+from platform_ctrl.simulation import HalfCosine
+from single_runs import simulated
 
 J, PERIOD, LIMIT, STOP = 2e-4, 5e-4, 0.25, 0.0087
 LOAD = 0.15  # N m for each rad/s
@@ -236,9 +237,9 @@ def test_the_caging_loop_survives_on_the_non_linear_plant_what_is_proved(job: Jo
     assert "L11+10%" in first.spread_label
 
     def run(rate: float) -> bool:
-        out = simulate(
+        out = simulated(
             job.platform, [caging], period=job.sampling.period, delay=job.sampling.delay, duration=2.0, mode="caged",
-            Omega_profile=HalfCosine(axis=1, rate=rate, rise=first.rise, hold=0.7), noise=False, step=2.5e-4,
+            profile=HalfCosine(axis=1, rate=rate, rise=first.rise, hold=0.7), noise=False, step=2.5e-4,
         )  # fmt: skip
         held = [list(out.angle_names).index(name) for name in ("alpha9", "beta10")]
         return bool(not out.stop_contacts[held].any() and np.abs(out.q[-1, held]).max() < 1e-4)

@@ -108,7 +108,7 @@ def test_commands_are_those_of_the_simulated_controllers_sample_by_sample(
         control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
         for e in entries
     ]
-    flown = simulation.flight(scenario, controllers, period=job.sampling.period)
+    flown = simulation.simulate(scenario, controllers, period=job.sampling.period)
     assert flown.completed
     assert flown.saturated.sum() == 0
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
@@ -149,7 +149,7 @@ def test_without_anti_windup_it_is_the_simulated_controller_at_the_limits_too(
         control.StateSpace(*(np.array(e[k]) for k in "ABCD"), e["dt"], inputs=e["inputs"], outputs=e["outputs"])
         for e in entries[:2]
     ]
-    flown = simulation.flight(scenario, controllers, period=job.sampling.period)
+    flown = simulation.simulate(scenario, controllers, period=job.sampling.period)
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10"]
     columns = [flown.torquer_names.index(name) for name in torquers]
     assert flown.saturated[columns].max() > 100

@@ -371,7 +371,7 @@ def test_the_generated_job_commands_what_the_simulated_controllers_do(tmp_path: 
         for e in entries
     ]
     scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[3]), duration=0.2)
-    flown = simulation.flight(scenario, controllers, period=job.sampling.period)
+    flown = simulation.simulate(scenario, controllers, period=job.sampling.period)
     torquers = ["Q4", "Q5", "Q7", "Q9", "Q10", "M1", "M2", "M3"]
     command = flown.command[:, [flown.torquer_names.index(name) for name in torquers]]
     limits = np.array([0.25] * 5 + [2.0] * 3)

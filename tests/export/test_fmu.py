@@ -26,7 +26,7 @@ from platform_ctrl.export import write_fmu
 from platform_ctrl.export.fmu.signals import inputs_of, outputs_of, parameters_of, variable_name
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.simulation import HalfCosine, Scenario, Trajectory, acting, flight
+from platform_ctrl.simulation import HalfCosine, Scenario, Trajectory, simulate
 
 COLUMNS = {
     "angle": ("q", "angle_names"),
@@ -200,7 +200,7 @@ def test_parameters_are_those_of_the_scenario(gyro, unit):
         q=manoeuvre_scenario(job, job.manoeuvres[0]).q + np.eye(5)[0] * 1e-4,
         rate=np.eye(5)[4] * 1e-3,
     )
-    expected = flight(scenario, acting(controllers, job.platform, "caged"), period=period, step=2e-4, noise=False)
+    expected = simulate(scenario, controllers, period=period, step=2e-4, noise=False)
     given = {"manoeuvre": 3, "noise": False, "delay": 0.0008, "step": 2e-4, "spin.'11'": 1000.0}
     given |= {"initial.alpha4": 1e-4, "initial.beta10_rate": 1e-3}
     stop = float(expected.t[-1])
@@ -213,7 +213,7 @@ def test_a_rate_given_sample_by_sample_comes_close_to_the_same_manoeuvre(gyro, u
     period = job.sampling.period
     profile = HalfCosine(axis=1, rate=1.0, rise=0.02, hold=0.01)
     scenario = Scenario(platform=job.platform, mode="caged", duration=0.06, delay=job.sampling.delay, profile=profile)
-    expected = flight(scenario, acting(controllers, job.platform, "caged"), period=period, noise=False)
+    expected = simulate(scenario, controllers, period=period, noise=False)
     t = period * np.arange(122)
     rate = np.append(expected.Omega[:, 0], 0.0)
     slope = np.append(np.diff(rate), 0.0) / period

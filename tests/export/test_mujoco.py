@@ -25,6 +25,7 @@ from platform_ctrl.export.mujoco.writing import REGULATED
 from platform_ctrl.job.job import Faults, Job, Spread, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import shipped_models
+from single_runs import simulated
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo (package mujoco) is not installed")
 
@@ -100,14 +101,14 @@ def test_a_prescribed_root_turns_as_told_whatever_reacts(name: str, tmp_path: Pa
     n = len(platform.gimbals)
     q, rate = 0.1 * np.cos(np.arange(n)), 0.2 * np.sin(1.0 + np.arange(n))
     profile = simulation.HalfCosine(axis=2, rate=1.5, rise=0.02, hold=0.01)
-    ours = simulation.simulate(
+    ours = simulated(
         platform,
         [],
         period=1e-4,
         delay=0.0,
         duration=0.0201,
         mode="caged",
-        Omega_profile=profile,
+        profile=profile,
         q=q,
         rate=rate,
         step=1e-5,
@@ -156,9 +157,7 @@ def test_unbalance_falls_in_the_models_gravity(name: str, tmp_path: Path) -> Non
     platform = pc.read_platform(name)
     platform = dataclasses.replace(smooth(platform), specific_force=platform.specific_force)
     q = 0.1 * np.arange(1, 1 + len(platform.gimbals))
-    ours = simulation.simulate(
-        platform, [], period=1e-4, delay=0.0, duration=0.0201, mode="caged", q=q, noise=False, step=1e-4
-    )
+    ours = simulated(platform, [], period=1e-4, delay=0.0, duration=0.0201, mode="caged", q=q, noise=False, step=1e-4)
     run = Run(platform, tmp_path, root="fixed", step=1e-4)
     run.data.qpos[run.angles] = q
     mujoco.mj_step(run.model, run.data, 200)
@@ -221,7 +220,7 @@ def test_caging_controllers_run_on_mujocos_plant_as_on_ours(
     caging = [K for K in controllers if not {"M1", "M2", "M3"} & set(K.output_labels)]
     assert len(caging) == 2
     scenario = dataclasses.replace(manoeuvre_scenario(job, job.manoeuvres[0]), duration=0.1)
-    ours = simulation.flight(scenario, caging, period=job.sampling.period, step=1e-5, noise=False)
+    ours = simulation.simulate(scenario, caging, period=job.sampling.period, step=1e-5, noise=False)
     profile = scenario.profile
     assert profile is not None
 
@@ -247,7 +246,7 @@ def test_all_loops_hold_mujocos_free_platform_as_ours(
     job, controllers = main_job
     manoeuvre = next(one for one in job.manoeuvres if one.mode == "stabilised")
     scenario = dataclasses.replace(manoeuvre_scenario(job, manoeuvre), duration=0.1)
-    ours = simulation.flight(scenario, controllers, period=job.sampling.period, step=1e-4, noise=False)
+    ours = simulation.simulate(scenario, controllers, period=job.sampling.period, step=1e-4, noise=False)
     run = Run(job.platform, tmp_path, step=1e-4)
     angles, _ = closed_loop(run, controllers, job.sampling.period, len(ours.t), torque=manoeuvre.torque)
     assert np.allclose(angles, ours.q, rtol=0.0, atol=1e-6 * np.abs(ours.q).max())

@@ -16,6 +16,7 @@ from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report import figures
 from platform_ctrl.report.quantities import signal_series
 from platform_ctrl.report.style import SERIES
+from single_runs import simulated
 
 # A loop with delay-like lag, the same with less gain, and a plant of two inputs and outputs.
 FAST = control.ss(control.tf([40.0, 80.0], [1.0, 12.0, 20.0, 0.0]))
@@ -83,14 +84,14 @@ def test_each_signal_has_one_colour_and_a_torque_that_of_its_angle(platform: Pla
 
 def test_a_recorded_run_has_the_colours_of_its_signals_in_every_panel(platform: Platform) -> None:
     series = signal_series(platform)
-    run = pc.simulation.simulate(
+    run = simulated(
         platform,
         [],
         period=1e-3,
         delay=0.0,
         duration=0.01,
         mode="stabilised",
-        root_torque=[0.01, 0.0, 0.0],
+        torque=[0.01, 0.0, 0.0],
         noise=False,
     )
     drawn = figures.time_run(run, platform)

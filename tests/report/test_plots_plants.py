@@ -21,6 +21,7 @@ from platform_ctrl.job.job import Manoeuvre
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report import figures, style
 from platform_ctrl.report.style import BEYOND, LIMIT, SERIES
+from single_runs import simulated
 
 HZ = 1.0 / (2.0 * np.pi)
 RPM = 60.0 * HZ
@@ -196,9 +197,7 @@ def test_the_tree_draws_a_lone_root_and_odd_names(gyro):
 @pytest.fixture(scope="module")
 def flown(gyro):
     turn = pc.simulation.HalfCosine(axis=1, rate=0.01, rise=0.01, hold=0.0)
-    return pc.simulation.simulate(
-        gyro, [], period=0.001, delay=0.0, duration=0.05, mode="caged", Omega_profile=turn, noise=False
-    )
+    return simulated(gyro, [], period=0.001, delay=0.0, duration=0.05, mode="caged", profile=turn, noise=False)
 
 
 def shaded(axes):

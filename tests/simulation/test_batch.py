@@ -57,14 +57,14 @@ def mixed() -> list[Scenario]:
     ]
 
 
-def rows(figures: simulation.Figures) -> np.ndarray:
+def rows(figures: simulation.BatchResult) -> np.ndarray:
     names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts")
-    counts = np.column_stack([figures.samples, figures.asked])
+    counts = np.column_stack([figures.samples, figures.requested])
     return np.concatenate([*(getattr(figures, name) for name in names), counts], axis=1)
 
 
 def fly(scenarios: list[Scenario], threads: int = 1) -> np.ndarray:
-    return rows(simulation.fly(scenarios, LOOP, period=PERIOD, threads=threads))
+    return rows(simulation.simulate_batch(scenarios, LOOP, period=PERIOD, threads=threads))
 
 
 def test_a_run_is_the_same_to_the_bit_alone_and_among_others_in_any_order_on_any_threads() -> None:
@@ -81,7 +81,7 @@ def test_a_run_is_the_same_to_the_bit_alone_and_among_others_in_any_order_on_any
 def test_figures_are_those_of_the_recorded_run() -> None:
     scenarios = mixed()
     for one, row in zip(scenarios, fly(scenarios), strict=True):
-        out = simulation.flight(one, LOOP, period=PERIOD)
+        out = simulation.simulate(one, LOOP, period=PERIOD)
         np.testing.assert_array_equal(row[:2], np.abs(out.q).max(axis=0))
         np.testing.assert_allclose(row[2:5], np.abs(out.attitude_angles).max(axis=0), rtol=1e-14, atol=1e-18)
         limit = one.platform.torquers[0].limit
@@ -98,9 +98,9 @@ def test_a_run_that_diverges_is_told_and_leaves_those_beside_it_alone(place: int
     light = dataclasses.replace(sound[0].platform.gimbals[1], inertia=1e-9 * np.eye(3))
     gimbals = (sound[0].platform.gimbals[0], light)
     lost = dataclasses.replace(sound[0], platform=dataclasses.replace(sound[0].platform, gimbals=gimbals))
-    together = simulation.fly([*sound[:place], lost, *sound[place:]], LOOP, period=PERIOD)
+    together = simulation.simulate_batch([*sound[:place], lost, *sound[place:]], LOOP, period=PERIOD)
     assert together.completed.tolist() == [k != place for k in range(8)]
-    recorded = simulation.flight(lost, LOOP, period=PERIOD)
+    recorded = simulation.simulate(lost, LOOP, period=PERIOD)
     assert together.ended[place] == recorded.ended
     assert together.ended[place].startswith("diverged at t = 0.00")
     np.testing.assert_array_equal(rows(together)[place], fly([lost])[0])
@@ -111,7 +111,7 @@ def test_a_run_that_diverges_is_told_and_leaves_those_beside_it_alone(place: int
 
 
 def test_no_scenarios_have_no_figures() -> None:
-    none = simulation.fly([], [], period=PERIOD)
+    none = simulation.simulate_batch([], [], period=PERIOD)
     assert (none.angle.shape, none.attitude.shape, none.samples.shape, none.ended) == ((0, 0), (0, 3), (0,), ())
 
 
@@ -128,9 +128,9 @@ def test_no_scenarios_have_no_figures() -> None:
 def test_absurd_sizes_are_refused(changed: dict[str, float], message: str) -> None:
     one = scenario(plant(), **changed)
     with pytest.raises(ArgumentError, match=f"^{re.escape(message)}"):
-        simulation.fly([one], [gain()], period=PERIOD)
+        simulation.simulate_batch([one], [gain()], period=PERIOD)
     with pytest.raises(ArgumentError, match=f"^{re.escape(message)}"):
-        simulation.flight(one, [gain()], period=PERIOD)
+        simulation.simulate(one, [gain()], period=PERIOD)
 
 
 def test_plants_of_different_parts_are_refused_together() -> None:
@@ -139,4 +139,4 @@ def test_plants_of_different_parts_are_refused_together() -> None:
     fewer = dataclasses.replace(other, rate_sensors=())
     for different in (moved, fewer):
         with pytest.raises(ArgumentError, match=r"^scenarios: their plants differ in gimbals, torquers or sensors"):
-            simulation.fly([scenario(other), scenario(different)], [gain()], period=PERIOD)
+            simulation.simulate_batch([scenario(other), scenario(different)], [gain()], period=PERIOD)

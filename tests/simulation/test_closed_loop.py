@@ -10,7 +10,8 @@ import pytest
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
-from platform_ctrl.simulation import HalfCosine, simulate
+from platform_ctrl.simulation import HalfCosine
+from single_runs import simulated
 
 J, L, C = 2e-3, 0.15, 1.2e-4
 PERIOD = 1e-3
@@ -78,7 +79,7 @@ def controller(D=None, inputs="alpha", outputs="Qg", A=(), B=(), C=(), dt=PERIOD
 
 
 def run(platform, controllers=(), *, mode="caged", period=PERIOD, delay=PERIOD, duration=0.1, **more):
-    return simulate(platform, controllers, period=period, delay=delay, duration=duration, mode=mode, **more)
+    return simulated(platform, controllers, period=period, delay=delay, duration=duration, mode=mode, **more)
 
 
 def held(t0, t1, changes, torque):
@@ -158,7 +159,7 @@ def test_a_gyro_on_a_fixed_platform_nutates_at_its_frequency():
 @pytest.mark.parametrize("axis", [1, 2, 3])
 def test_a_prescribed_manoeuvre_turns_the_platform_by_its_integral(axis):
     profile = HalfCosine(axis=axis, rate=0.8, rise=0.05, hold=0.1)
-    out = run(two_axis_gyro(), Omega_profile=profile, duration=0.3)
+    out = run(two_axis_gyro(), profile=profile, duration=0.3)
     expected = np.interp(out.t, [0.05, 0.15], [0.8, 0.8])
     expected *= np.where(out.t < 0.05, np.sin(0.5 * np.pi * out.t / 0.05) ** 2, 1.0)
     expected *= np.where(out.t > 0.15, np.cos(0.5 * np.pi * np.minimum(out.t - 0.15, 0.05) / 0.05) ** 2, 1.0)
@@ -178,7 +179,7 @@ def test_prescribed_and_free_root_agree_when_the_root_is_too_heavy_to_react():
     gains = controller([[-0.05, -0.2], [0.2, -0.05]], inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"])
     start = {"q": [0.1, -0.2], "rate": [0.5, 1.0], "duration": 0.05}
     steady = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=1.0)
-    caged = run(gyro, [gains], Omega_profile=steady, **start)
+    caged = run(gyro, [gains], profile=steady, **start)
     stabilised = run(heavy, [gains], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
     assert np.abs(caged.q[-1] - caged.q[0]).max() > 0.01
     for name in ("q", "rate", "p", "torque", "attitude"):
@@ -186,7 +187,7 @@ def test_prescribed_and_free_root_agree_when_the_root_is_too_heavy_to_react():
 
 
 def test_a_gyro_free_on_a_turning_platform_keeps_its_direction():
-    out = run(two_axis_gyro(), Omega_profile=HalfCosine(axis=3, rate=0.05, rise=0.1, hold=0.1), duration=0.3)
+    out = run(two_axis_gyro(), profile=HalfCosine(axis=3, rate=0.05, rise=0.1, hold=0.1), duration=0.3)
     assert out.attitude_angles[-1, 2] == pytest.approx(0.01)
     assert out.q[-1, 0] == pytest.approx(-0.01, rel=0.02)
 
@@ -201,13 +202,13 @@ def test_a_caged_gyro_measures_the_platform_rate(axis, expected):
         inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], name="caging",
     )  # fmt: skip
     profile = HalfCosine(axis=axis, rate=rate, rise=0.05, hold=1.0)
-    out = run(two_axis_gyro(), [pd], period=period, delay=period, Omega_profile=profile, duration=0.15)
+    out = run(two_axis_gyro(), [pd], period=period, delay=period, profile=profile, duration=0.15)
     # What is left is of the order J Omega^2.
     assert out.torque[-1] == pytest.approx(rate * np.array(expected), abs=2e-3 * rate * L)
 
 
 def test_a_constant_torque_accelerates_the_free_platform():
-    out = run(one_gimbal(), mode="stabilised", root_torque=[0.02, 0.0, 0.0])
+    out = run(one_gimbal(), mode="stabilised", torque=[0.02, 0.0, 0.0])
     inertia = 1.0 + J
     assert out.Omega[:, 0] == pytest.approx(0.02 / inertia * out.t, abs=1e-15)
     assert out.attitude_angles[:, 0] == pytest.approx(0.01 / inertia * out.t**2, abs=1e-12)
@@ -215,7 +216,7 @@ def test_a_constant_torque_accelerates_the_free_platform():
 
 def test_a_bare_root_without_sensors_and_torquers_can_be_simulated():
     block = Platform(name="block", root_name="case", root_inertia=np.diag([1.0, 2.0, 3.0]), gimbals=())
-    out = run(block, mode="stabilised", root_torque=[0.0, 0.0, 0.3])
+    out = run(block, mode="stabilised", torque=[0.0, 0.0, 0.3])
     assert out.Omega[:, 2] == pytest.approx(0.1 * out.t, abs=1e-15)
     assert out.q.shape == out.command.shape == out.reading.shape == (101, 0)
 
@@ -297,7 +298,7 @@ def test_readings_carry_the_pick_offs_noise_and_quantisation():
 
 def test_a_shorter_substep_changes_nothing_that_matters():
     profile = HalfCosine(axis=1, rate=0.5, rise=0.05, hold=0.0)
-    coarse, fine = (run(two_axis_gyro(), Omega_profile=profile, step=step) for step in (1e-4, 2e-5))
+    coarse, fine = (run(two_axis_gyro(), profile=profile, step=step) for step in (1e-4, 2e-5))
     assert coarse.q == pytest.approx(fine.q, abs=1e-7 * np.abs(fine.q).max())
 
 
@@ -316,15 +317,21 @@ def test_columns_are_named_in_the_plants_order():
         ([controller(1.0, dt=True)], "without a sample period"),
         ([controller(np.nan)], "not finite"),
         ([controller(1.0, inputs="beta")], "input 'beta' is neither a pick-off nor"),
-        ([controller(1.0, inputs="Qg", outputs="M1"), controller(1.0)], "input 'Qg' is neither"),
+        ([controller(1.0, inputs="Qg", outputs="later"), controller(1.0)], "input 'Qg' is neither"),
         ([controller(1.0, outputs="Qh")], "output 'Qh' is neither a torquer nor"),
         ([controller(1.0), controller(1.0)], "output 'Qg' exists already"),
-        ([controller(1.0, outputs="M1")], "output 'M1' acts on the root"),
     ],
 )
 def test_controllers_that_do_not_fit_are_refused(bad, complaint):
     with pytest.raises(ArgumentError, match=complaint):
         run(one_gimbal(), bad)
+
+
+def test_where_omega_is_prescribed_controllers_that_act_on_the_root_are_left_out():
+    caging, stabilisation = controller(-1.0), controller(1.0, outputs="M1")
+    with_both = run(one_gimbal(), [caging, stabilisation], q=[0.01])
+    assert np.array_equal(with_both.q, run(one_gimbal(), [caging], q=[0.01]).q)
+    assert not with_both.command[:, 1].any()
 
 
 @pytest.mark.parametrize(
@@ -334,15 +341,15 @@ def test_controllers_that_do_not_fit_are_refused(bad, complaint):
         ({"period": "fast"}, "period"),
         ({"delay": -1e-3}, "delay"),
         ({"duration": np.inf}, "duration"),
-        ({"mode": "loose"}, "mode"),
+        ({"mode": "loose"}, "Scenario: mode"),
         ({"step": -1.0}, "step"),
-        ({"root_torque": [1.0, 0.0, 0.0]}, "root_torque"),
+        ({"torque": [1.0, 0.0, 0.0]}, "torque"),
         ({"Omega": [1.0, 0.0, 0.0]}, "Omega"),
-        ({"mode": "stabilised", "Omega_profile": HalfCosine(axis=1, rate=1.0, rise=1.0, hold=1.0)}, "Omega_profile"),
-        ({"mode": "stabilised", "root_torque": [1.0]}, "root_torque"),
+        ({"mode": "stabilised", "profile": HalfCosine(axis=1, rate=1.0, rise=1.0, hold=1.0)}, "profile"),
+        ({"mode": "stabilised", "torque": [1.0]}, "torque"),
         ({"q": [0.1, 0.2]}, "q"),
         ({"q": [0.5]}, "q"),
-        ({"rate": [np.nan]}, "rate"),
+        ({"rate": [np.nan]}, "Scenario: rate"),
         ({"attitude": [1.0, 1.0, 0.0, 0.0]}, "attitude"),
         ({"attitude": [1.0, 0.0, 0.0]}, "attitude"),
     ],

@@ -16,7 +16,7 @@ import pytest
 from platform_ctrl import read_platform
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, Vibration
-from platform_ctrl.simulation import Figures, fly, rollout
+from platform_ctrl.simulation import BatchResult, rollout, simulate_batch
 
 # Rounding alone differs: where products and sums are fused, which multiplies by what a run makes of small differences.
 ROUNDING = 1e-11
@@ -118,8 +118,8 @@ def some_scenarios(mode: str, runs: int, duration: float) -> dict[str, object]:
     return {"scenarios": scenarios, "controllers": [damped], "period": 5e-4, "step": 2e-4}
 
 
-def agree(ours: Figures, theirs: Figures) -> None:
-    """Figures equal to rounding, and the same counts."""
+def agree(ours: BatchResult, theirs: BatchResult) -> None:
+    """BatchResult equal to rounding, and the same counts."""
     for name in ("angle", "attitude", "torque_share"):
         close(getattr(ours, name), getattr(theirs, name))
     for name in ("saturated", "stop_contacts", "samples", "asked"):
@@ -160,16 +160,16 @@ def test_a_thread_of_the_simulator_flies_its_scenario_as_the_processor_does(tmp_
 
         sys.path.insert(0, "tests")
         from simulation.test_cuda import some_scenarios
-        from platform_ctrl.simulation import fly
+        from platform_ctrl.simulation import simulate_batch
 
-        figures = fly(**some_scenarios({mode!r}, 2, 3e-3), device="cuda")
+        figures = simulate_batch(**some_scenarios({mode!r}, 2, 3e-3), device="cuda")
         names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "asked")
         np.savez(out, **{{name: getattr(figures, name) for name in names}})
         """,
     )
-    here = fly(**some_scenarios(mode, 2, 3e-3))
+    here = simulate_batch(**some_scenarios(mode, 2, 3e-3))
     assert here.stop_contacts.any()
-    agree(Figures(**there, period=5e-4), here)
+    agree(BatchResult(**there, period=5e-4), here)
 
 
 @pytest.mark.skipif(find_spec("numba_cuda") is None, reason="numba-cuda is not installed")
@@ -199,7 +199,7 @@ def test_the_device_code_compiles_without_a_gpu_and_keeps_what_it_knows_of_the_p
 @needs_gpu
 @pytest.mark.parametrize("mode", ["caged", "stabilised"])
 def test_the_gpu_flies_scenarios_as_the_processor_does(mode):
-    there, here = (fly(**some_scenarios(mode, 40, 0.05), device=device) for device in ("cuda", "cpu"))
+    there, here = (simulate_batch(**some_scenarios(mode, 40, 0.05), device=device) for device in ("cuda", "cpu"))
     agree(there, here)
 
 

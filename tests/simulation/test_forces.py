@@ -14,7 +14,8 @@ from kernel_entries import derivatives, momenta, whole_state
 from platform_ctrl.mechanics import element_forces, forward_dynamics, kinematics, matrices
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
-from platform_ctrl.simulation import HalfCosine, rollout, simulate
+from platform_ctrl.simulation import HalfCosine, rollout
+from single_runs import simulated
 from tree_cases import platforms
 
 J, L, GRAVITY = 2e-3, 0.15, 9.81
@@ -245,7 +246,7 @@ def test_springs_exchange_energy_with_a_free_platform_and_lose_none():
 def test_a_gimballed_pendulum_keeps_its_energy_in_gravity():
     platform = three_gimbals(springs=SPRINGS, unbalances=UNBALANCES, specific_force=np.array([1.0, 2.0, GRAVITY]))
     run = {"period": 0.02, "delay": 0.0, "duration": 3.0, "step": 5e-4}
-    out = simulate(platform, [], mode="caged", q=[0.6, -0.3, 0.5], rate=[0.5, 0.0, 1.0], **run)
+    out = simulated(platform, [], mode="caged", q=[0.6, -0.3, 0.5], rate=[0.5, 0.0, 1.0], **run)
     kept = energies(platform, out.q, np.hstack([out.Omega, out.rate]))
     kinetic = energies(
         dataclasses.replace(platform, springs=(), unbalances=()), out.q, np.hstack([out.Omega, out.rate])
@@ -272,8 +273,8 @@ def test_the_elements_act_alike_whether_the_root_is_held_or_too_heavy_to_react()
     heavy = dataclasses.replace(platform, root_inertia=1e9 * np.eye(3))
     start = {"q": [0.1, -0.2, 0.3], "rate": [0.5, 1.0, -0.4], "period": 0.01, "delay": 0.0, "duration": 0.5}
     steady = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=1.0)
-    caged = simulate(platform, [], mode="caged", Omega_profile=steady, **start)
-    free = simulate(heavy, [], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
+    caged = simulated(platform, [], mode="caged", profile=steady, **start)
+    free = simulated(heavy, [], mode="stabilised", Omega=[0.0, 0.0, 0.7], **start)
     assert np.abs(caged.q[-1] - caged.q[0]).max() > 0.1
     for name in ("q", "rate", "p", "attitude"):
         np.testing.assert_allclose(getattr(free, name), getattr(caged, name), rtol=1e-6, atol=1e-7)
@@ -302,7 +303,7 @@ def one_gimbal(**more) -> Platform:
 
 def caged(platform, duration, q=0.0, rate=0.0, gain=None):
     gains = [] if gain is None else [control.ss([], [], [], [[gain]], 1e-3, inputs="alpha", outputs="Qg", name="K")]
-    return simulate(platform, gains, period=1e-3, delay=0.0, duration=duration, mode="caged", q=[q], rate=[rate])
+    return simulated(platform, gains, period=1e-3, delay=0.0, duration=duration, mode="caged", q=[q], rate=[rate])
 
 
 @pytest.mark.parametrize(("rate", "level"), [(2.0, 4e-3), (-2.0, 1e-2)])
@@ -388,7 +389,7 @@ def vertical_gyro(gain, limit=None, specific_force=GRAVITY) -> Platform:
 
 
 def leaning(platform, pitch, duration):
-    return simulate(platform, [], period=0.01, delay=0.0, duration=duration, mode="caged", q=[0.0, pitch])
+    return simulated(platform, [], period=0.01, delay=0.0, duration=duration, mode="caged", q=[0.0, pitch])
 
 
 def test_an_erection_precesses_a_gyro_upright_at_its_gain_over_the_momentum():
@@ -415,7 +416,7 @@ def test_an_unbalanced_gyro_precesses_at_weight_moment_over_momentum():
     platform = dataclasses.replace(
         vertical_gyro(1e-9), erections=(), unbalances=(unbalance,), specific_force=np.array([GRAVITY, 0.0, 0.0])
     )
-    out = simulate(platform, [], period=0.01, delay=0.0, duration=5.0, mode="caged")
+    out = simulated(platform, [], period=0.01, delay=0.0, duration=5.0, mode="caged")
     # Gravity along −1: the top stands out horizontally and turns about axis 1, the outer gimbal's.
     assert np.abs(out.q[-1, 0]) == pytest.approx(1e-4 * GRAVITY / L * 5.0, rel=1e-3)
 

@@ -13,7 +13,7 @@ from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.simulation import fly
+from platform_ctrl.simulation import simulate_batch
 from platform_ctrl.simulation.packing import numbers, pack, skeleton
 
 MODELS = sorted(shipped_models())
@@ -101,6 +101,6 @@ def test_of_many_plants_the_one_whose_step_is_too_long_is_found():
     stiff = replace(platform, cages=(replace(platform.cages[0], stiffness=3e4),))
     run = Scenario(platform=platform, mode="caged", duration=0.001, delay=0.0)
     runs = [replace(run, run=k) for k in range(9)]
-    assert fly(runs, [], period=1e-3, step=1e-4).completed.all()
+    assert simulate_batch(runs, [], period=1e-3, step=1e-4).completed.all()
     with pytest.raises(ArgumentError, match=r"step: 0.0001 s is too long for the cage of gimbal '4'; expected at most"):
-        fly([*runs, replace(run, platform=stiff), *runs], [], period=1e-3, step=1e-4)
+        simulate_batch([*runs, replace(run, platform=stiff), *runs], [], period=1e-3, step=1e-4)

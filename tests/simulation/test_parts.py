@@ -167,7 +167,7 @@ def test_rate_sensors_read_the_rates_of_gimbal_and_root() -> None:
     np.testing.assert_array_equal(out.reading, truth(out))
     np.testing.assert_allclose(out.reading[:, 3], 3.0 * out.t, rtol=0, atol=1e-15)
     free = scenario(platform, mode="stabilised", Omega=[0.1, 0.2, -0.3], slope=0.4)
-    out = simulation.flight(free, [gain(1e-3, of="signal_rate")], period=PERIOD)
+    out = simulation.simulate(free, [gain(1e-3, of="signal_rate")], period=PERIOD)
     np.testing.assert_array_equal(out.reading, truth(out))
     np.testing.assert_array_equal(out.command[:, 0], 1e-3 * out.rate[:, 0])
     assert np.ptp(out.Omega[:, 1]) > 1e-3
@@ -240,7 +240,7 @@ def test_in_a_missed_sample_command_and_controller_stay() -> None:
     count = control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], PERIOD, inputs=["signal"], outputs=["Qg"], name="count")
     missing = fault("controller overrun", part=None, at=1.0, until=9.0, probability=0.2)
     one = scenario(plant(limit=1e-6), faults=(missing,), duration=10.0, level=1.0)
-    out = simulation.flight(one, [count], period=PERIOD, step=PERIOD)
+    out = simulation.simulate(one, [count], period=PERIOD, step=PERIOD)
     command = out.command[:, 0]
     np.testing.assert_array_equal(command[:1001], np.arange(1001.0))
     # A sample that is met shows the state that the last one met left behind.
@@ -279,7 +279,7 @@ def test_a_run_of_small_signals_is_that_of_the_linear_sampled_loop(delay: float)
         delay=delay * period,
         torque=push,
     )
-    out = simulation.flight(small, controllers, period=period, step=2e-5)
+    out = simulation.simulate(small, controllers, period=period, step=2e-5)
 
     G = pc.state_space(pc.linearise(platform), root="free")
     signals = [t.signal for t in platform.torquers]

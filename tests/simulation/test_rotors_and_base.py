@@ -123,7 +123,7 @@ def test_a_rotor_that_changes_speed_turns_a_free_platform_by_its_reaction(kind: 
     scenario = Scenario(
         platform=platform, mode="stabilised", duration=END, delay=0.0, faults=(fault,), Omega=RATE, **START
     )
-    out = simulation.flight(scenario, [], period=PERIOD, step=2.5e-5)
+    out = simulation.simulate(scenario, [], period=PERIOD, step=2.5e-5)
     np.testing.assert_allclose(out.q[-1], expected[:2], rtol=0, atol=2e-6)
     np.testing.assert_allclose(np.concatenate([out.Omega[-1], out.rate[-1]]), expected[2:], rtol=0, atol=2e-5)
 
@@ -150,7 +150,7 @@ def test_a_rotor_that_changes_speed_turns_gimbals_on_a_base_that_is_turned(kind:
     scenario = Scenario(
         platform=GYRO, mode="caged", duration=END, delay=0.0, Omega_table=table, faults=(fault,), **START
     )
-    out = simulation.flight(scenario, [], period=PERIOD, step=2.5e-5)
+    out = simulation.simulate(scenario, [], period=PERIOD, step=2.5e-5)
     np.testing.assert_allclose(out.q[-1], expected[:2], rtol=0, atol=2e-6)
     np.testing.assert_allclose(out.rate[-1], expected[2:], rtol=0, atol=5e-5)
 
@@ -158,7 +158,7 @@ def test_a_rotor_that_changes_speed_turns_gimbals_on_a_base_that_is_turned(kind:
 def test_a_rotor_that_runs_down_hands_its_momentum_to_the_platform() -> None:
     fault = Fault(name="f", kind="rotor run-down", part="R", at=0.01, time_constant=0.01, share=0.0)
     scenario = Scenario(platform=GYRO, mode="stabilised", duration=0.2, delay=0.0, faults=(fault,), **START)
-    out = simulation.flight(scenario, [], period=PERIOD, step=2e-5)
+    out = simulation.simulate(scenario, [], period=PERIOD, step=2e-5)
 
     def inertial(k: int, share: float) -> np.ndarray:
         v = np.concatenate([out.Omega[k], out.rate[k]])
@@ -177,7 +177,7 @@ def test_a_servo_rotor_that_runs_down_follows_its_falling_set_point() -> None:
     rotor = dataclasses.replace(GYRO.rotors[0], control="servo", speed_gain=0.01, axis=np.array([0.0, 1.0, 0.0]))
     platform = dataclasses.replace(GYRO, rotors=(rotor,))
     fault = Fault(name="f", kind="rotor run-down", part="R", at=0.0, time_constant=0.2, share=0.5)
-    out = simulation.flight(
+    out = simulation.simulate(
         Scenario(platform=platform, mode="caged", duration=0.5, delay=0.0, faults=(fault,)), [], period=PERIOD
     )
     lag = rotor.axial_inertia / rotor.speed_gain
@@ -196,7 +196,7 @@ def test_the_base_turns_as_the_table_says_and_stays_at_its_ends() -> None:
             scenario = Scenario(
                 platform=GYRO, mode="caged", duration=END, delay=0.0, Omega_table=table, profile=profile
             )
-            out = simulation.flight(scenario, [], period=PERIOD)
+            out = simulation.simulate(scenario, [], period=PERIOD)
             risen = np.clip(np.minimum(out.t, 0.05 - out.t) / 0.02, 0.0, 1.0)
             expected = table.at(out.t)
             expected[:, 1] += 0.3 * (0.5 - 0.5 * np.cos(np.pi * risen))
@@ -205,7 +205,7 @@ def test_the_base_turns_as_the_table_says_and_stays_at_its_ends() -> None:
 
 def test_a_rate_that_jumps_is_there_from_the_start() -> None:
     profile = HalfCosine(axis=3, rate=0.7, rise=0.0, hold=0.05)
-    out = simulation.flight(
+    out = simulation.simulate(
         Scenario(platform=GYRO, mode="caged", duration=END, delay=0.0, profile=profile), [], period=PERIOD
     )
     np.testing.assert_array_equal(out.Omega[out.t < 0.0495, 2], 0.7)
@@ -217,7 +217,7 @@ def test_a_torque_table_turns_a_body_by_its_integral() -> None:
     scenario = Scenario(
         platform=BLOCK, mode="stabilised", duration=END, delay=0.0, torque=np.array([0.5, 0, 0]), torque_table=table
     )
-    out = simulation.flight(scenario, [], period=PERIOD)
+    out = simulation.simulate(scenario, [], period=PERIOD)
     # Trapezia, over the inertia of 2 kg m².
     assert out.Omega[-1, 0] == pytest.approx((0.04 + 0.03 + 0.05) / 2.0, abs=1e-12)
     assert out.Omega[40, 0] == pytest.approx((0.04 + 0.02) / 2.0, abs=1e-12)
@@ -237,7 +237,7 @@ def shaken(seed: int = 3, run: int = 5, **changes: object) -> Scenario:
 
 
 def test_vibration_has_the_lines_of_its_density_and_only_these() -> None:
-    out = simulation.flight(shaken(), [], period=PERIOD)
+    out = simulation.simulate(shaken(), [], period=PERIOD)
     omega, amplitude = SHAKE.amplitudes
     waves = np.concatenate([np.cos(np.outer(out.t, omega)), np.sin(np.outer(out.t, omega))], axis=1)
     found, residual, *_ = np.linalg.lstsq(waves, out.Omega[:, 1], rcond=None)
@@ -253,7 +253,7 @@ def test_vibration_has_the_lines_of_its_density_and_only_these() -> None:
 
 def test_phases_depend_on_seed_and_run_alone() -> None:
     scenarios = [shaken(), shaken(run=6), shaken(seed=4), shaken()]
-    peaks = simulation.fly(scenarios, [], period=PERIOD).attitude[:, 1]
+    peaks = simulation.simulate_batch(scenarios, [], period=PERIOD).attitude[:, 1]
     assert peaks[0] == peaks[3]
     assert len(set(peaks.tolist())) == 3
 
@@ -261,8 +261,8 @@ def test_phases_depend_on_seed_and_run_alone() -> None:
 def test_a_shaken_specific_force_turns_what_is_out_of_balance() -> None:
     # The same seed gives the same phases: the rate of one run shows what the force of the other was.
     step = 2e-5
-    rate = simulation.flight(shaken(), [], period=step, step=step)
-    force = simulation.flight(shaken(kind="force", axis=3), [], period=step, step=step)
+    rate = simulation.simulate(shaken(), [], period=step, step=step)
+    force = simulation.simulate(shaken(kind="force", axis=3), [], period=step, step=step)
     assert np.abs(force.q).max() < 1e-3  # small enough for sines to be angles
     # J q'' = −((m r) × f) · e_y = m r f_3
     turned = cumulative_trapezoid(rate.Omega[:, 1], dx=step, initial=0.0) * 1e-3 / 2e-3

@@ -7,7 +7,7 @@ import pytest
 
 import platform_ctrl as pc
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration, flight, fly
+from platform_ctrl.simulation import Fault, HalfCosine, Scenario, TimeTable, Vibration, simulate, simulate_batch
 
 PERIOD = 5e-4
 
@@ -125,28 +125,45 @@ REFUSED = {
 @pytest.mark.parametrize(("other", "message"), REFUSED.values(), ids=REFUSED.keys())
 def test_what_cannot_be_flown_is_refused_in_one_line(other: dict, message: str) -> None:
     for refused in (
-        lambda: flight(scenario(**other), [], period=PERIOD),
-        lambda: fly([scenario(**other)], [], period=PERIOD),
+        lambda: simulate(scenario(**other), [], period=PERIOD),
+        lambda: simulate_batch([scenario(**other)], [], period=PERIOD),
     ):
         with pytest.raises(ArgumentError, match=message) as caught:
             refused()
         assert str(caught.value).isprintable()
 
 
+def single(one, controllers, period=PERIOD, **options) -> object:
+    return simulate(one, controllers, period=period, **options)
+
+
+def batch(several, controllers, **options) -> object:
+    return simulate_batch(several, controllers, period=PERIOD, **options)
+
+
 @pytest.mark.parametrize(
     ("refused", "message"),
     [
-        (lambda: flight(3, [], period=PERIOD), "scenario: given 3; expected a Scenario"),
-        (lambda: fly(scenario(), [], period=PERIOD), "scenarios: given a Scenario; expected a sequence"),
-        (lambda: fly([scenario()], [3], period=PERIOD), "controllers: given 3 among the items; expected a seq"),
-        (lambda: fly(None, [], period=PERIOD), "scenarios: given None; expected a sequence"),
-        (lambda: fly([], None, period=PERIOD), "controllers: given None; expected a sequence"),
-        (lambda: flight(scenario(), 3, period=PERIOD), "controllers: given 3; expected a sequence"),
-        (lambda: flight(scenario(), [], period=1e300), "step: 0.0001 s is too short for a period of 1e[+]300 s"),
-        (lambda: fly([scenario()], [], period=PERIOD, step=1e-320), "step: .* s is too short for a period of 0.0005 s"),
-        (lambda: fly([scenario()], [], period=PERIOD, threads=0), "threads: given 0; expected a whole number >= 1"),
-        (lambda: flight(scenario(), [], period=0.0), "period: given 0.0; expected a finite number > 0"),
-        (lambda: flight(scenario(), [], period=PERIOD, step=-1.0), "step: given -1.0; expected a finite number > 0"),
+        (lambda: single(3, []), "scenario: given 3; expected a Scenario"),
+        (lambda: batch(scenario(), []), "scenarios: given a Scenario; expected a sequence"),
+        (
+            lambda: simulate_batch([scenario()], [3], period=PERIOD),
+            "controllers: given 3 among the items; expected a seq",
+        ),
+        (lambda: batch(None, []), "scenarios: given None; expected a sequence"),
+        (lambda: batch([], None), "controllers: given None; expected a sequence"),
+        (lambda: single(scenario(), 3), "controllers: given 3; expected a sequence"),
+        (lambda: single(scenario(), [], period=1e300), "step: 0.0001 s is too short for a period of 1e[+]300 s"),
+        (
+            lambda: simulate_batch([scenario()], [], period=PERIOD, step=1e-320),
+            "step: .* s is too short for a period of 0.0005 s",
+        ),
+        (
+            lambda: simulate_batch([scenario()], [], period=PERIOD, threads=0),
+            "threads: given 0; expected a whole number >= 1",
+        ),
+        (lambda: single(scenario(), [], period=0.0), "period: given 0.0; expected a finite number > 0"),
+        (lambda: single(scenario(), [], step=-1.0), "step: given -1.0; expected a finite number > 0"),
         (
             lambda: scenario(platform="three_gyro_platform"),
             "platform: given 'three_gyro_platform'; expected a Platform",

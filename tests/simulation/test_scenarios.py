@@ -16,7 +16,7 @@ from platform_ctrl import simulation
 from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.mechanics.kinematics import kinematics, upright
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.simulation import Figures
+from platform_ctrl.simulation import BatchResult
 
 PERIOD, STEP = 5e-4, 1e-4
 
@@ -104,11 +104,11 @@ def motley() -> tuple[Scenario, ...]:
     return tuple(out)
 
 
-def together(runs: Sequence[Scenario], threads: int = 1, controllers: Sequence[control.StateSpace] = ()) -> Figures:
-    return simulation.fly(runs, controllers or [caging(model())], period=PERIOD, step=STEP, threads=threads)
+def together(runs: Sequence[Scenario], threads: int = 1, controllers: Sequence[control.StateSpace] = ()) -> BatchResult:
+    return simulation.simulate_batch(runs, controllers or [caging(model())], period=PERIOD, step=STEP, threads=threads)
 
 
-def rows(figures: Figures) -> np.ndarray:
+def rows(figures: BatchResult) -> np.ndarray:
     names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "asked")
     return np.column_stack([getattr(figures, name) for name in names])
 
@@ -164,8 +164,8 @@ def other_wiring() -> list[Scenario]:
 
 def test_plants_whose_rotors_and_erections_sit_elsewhere_do_not_get_mixed_up() -> None:
     runs = other_wiring()
-    among = rows(simulation.fly(runs, [], period=PERIOD, step=STEP))
-    alone = np.concatenate([rows(simulation.fly([run], [], period=PERIOD, step=STEP)) for run in runs])
+    among = rows(simulation.simulate_batch(runs, [], period=PERIOD, step=STEP))
+    alone = np.concatenate([rows(simulation.simulate_batch([run], [], period=PERIOD, step=STEP)) for run in runs])
     np.testing.assert_array_equal(among, alone)
 
 
@@ -240,7 +240,7 @@ def test_small_signals_move_as_in_the_linear_sampled_loop(mode: str, delay: floa
         Omega=size * rng.normal(size=3) * (mode == "stabilised"),
     )
     controllers = [caging(platform)]
-    out = simulation.flight(run, controllers, period=PERIOD, step=STEP / 2)
+    out = simulation.simulate(run, controllers, period=PERIOD, step=STEP / 2)
     free = mode == "stabilised"
     angles, torques = linear_loop(platform, "free" if free else "prescribed", controllers, run)
     ours = np.hstack([out.q, out.Omega]) if free else out.q

@@ -14,7 +14,8 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics, matrices, with_rotors_as_gimbals
 from platform_ctrl.plant.force_elements import Spring, Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.simulation import HalfCosine, rollout, simulate
+from platform_ctrl.simulation import HalfCosine, rollout
+from single_runs import simulated
 from tree_cases import platforms
 
 C = 0.3
@@ -157,7 +158,7 @@ def test_with_a_prescribed_rate_servo_rotors_move_as_bodies_driven_by_their_moto
         return np.array([0.0, rate * (0.5 - 0.5 * np.cos(angle)), 0.0]), np.array([0.0, slope, 0.0])
 
     start = {"q": START["q"], "rate": START["velocity"][3:], "spin": spins, "step": 2e-4}
-    out = simulate(platform, [], period=0.05, delay=0.0, duration=1.0, mode="caged", Omega_profile=profile, **start)
+    out = simulated(platform, [], period=0.05, delay=0.0, duration=1.0, mode="caged", profile=profile, **start)
     velocity = np.concatenate([np.zeros(3), START["velocity"][3:]])
     expected = driven_bodies(platform, START["q"], velocity, spins, 1.0, Omega)
     got = np.concatenate([out.q[-1], out.Omega[-1], out.rate[-1], out.rotor_spin[-1]])
@@ -169,7 +170,7 @@ def test_with_a_prescribed_rate_servo_rotors_move_as_bodies_driven_by_their_moto
 def test_a_simulation_and_a_rollout_of_servo_rotors_agree():
     platform = gyro_on_a_block(**integrating(30.0))
     out = rollout(platform, [START["q"]], [START["velocity"]], step=2e-4, steps=1000, every=100, spin=[[21.0, -5.0]])
-    same = simulate(
+    same = simulated(
         platform, [], period=0.02, delay=0.0, duration=0.2, mode="stabilised", step=2e-4, spin=[21.0, -5.0],
         q=START["q"], rate=START["velocity"][3:], Omega=START["velocity"][:3],
     )  # fmt: skip
@@ -207,7 +208,7 @@ def test_ideal_speed_control_is_the_limit_of_a_fast_loop(mode, loop, order):
     def run(platform):
         platform = dataclasses.replace(platform, **elements)
         start = {"q": START["q"], "rate": START["velocity"][3:], "step": 4e-4}
-        out = simulate(platform, [], period=0.02, delay=0.0, duration=1.0, mode=mode, **start)
+        out = simulated(platform, [], period=0.02, delay=0.0, duration=1.0, mode=mode, **start)
         return np.hstack([out.q, out.attitude_angles])
 
     ideal = run(gyro_on_a_block(control="regulated"))
@@ -223,7 +224,7 @@ def test_spinning_a_wheel_up_turns_the_free_root_the_other_way():
     platform = dataclasses.replace(gyro_on_a_block(**integrating(20.0)), gimbals=())
     wheel = dataclasses.replace(platform.rotors[1], axis=np.array([0.0, 0.0, 1.0]))
     platform = dataclasses.replace(platform, rotors=(wheel,))
-    out = simulate(platform, [], period=0.01, delay=0.0, duration=1.0, mode="stabilised", spin=[5.0])
+    out = simulated(platform, [], period=0.01, delay=0.0, duration=1.0, mode="stabilised", spin=[5.0])
     assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-4)
     assert 6.0 * out.Omega[:, 2] + C * (out.rotor_spin[:, 0] + out.Omega[:, 2]) == pytest.approx(C * 5.0, rel=1e-10)
 
@@ -232,7 +233,7 @@ def spin_up(limit):
     """A wheel on a held root that starts far below its nominal spin."""
     platform = dataclasses.replace(gyro_on_a_block(**integrating(20.0), torque_limit=limit), gimbals=())
     platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
-    out = simulate(platform, [], period=0.005, delay=0.0, duration=3.0, mode="caged", spin=[5.0])
+    out = simulated(platform, [], period=0.005, delay=0.0, duration=3.0, mode="caged", spin=[5.0])
     return out, platform.rotors[0]
 
 
@@ -260,7 +261,7 @@ def test_a_limited_motor_holds_its_limit_where_the_load_is_too_large_and_recover
     platform = dataclasses.replace(gyro_on_a_block(**integrating(50.0), torque_limit=0.05), gimbals=())
     platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
     profile = HalfCosine(axis=1, rate=1.0, rise=0.5, hold=10.0)
-    out = simulate(platform, [], period=0.005, delay=0.0, duration=4.0, mode="caged", Omega_profile=profile)
+    out = simulated(platform, [], period=0.005, delay=0.0, duration=4.0, mode="caged", profile=profile)
     spin = platform.rotors[0].spin
     assert np.abs(out.rotor_torque).max() == 0.05
     assert np.abs(out.rotor_spin - spin).max() > 0.3
@@ -273,7 +274,7 @@ def test_an_integral_at_the_limit_unwinds_as_soon_as_the_error_changes_its_sign(
     platform = dataclasses.replace(gyro_on_a_block(speed_integral=swing**2 * C, torque_limit=limit), gimbals=())
     platform = dataclasses.replace(platform, rotors=platform.rotors[1:])
     spin = platform.rotors[0].spin
-    out = simulate(
+    out = simulated(
         platform, [], period=0.001, delay=0.0, duration=2.0, mode="caged", spin=[spin + start], step=2e-5
     )  # fmt: skip
     error, largest = out.rotor_spin[:, 0] - spin, limit / (C * swing)
@@ -296,7 +297,7 @@ def test_a_stop_that_catches_the_gimbal_leaves_the_rotors_momentum_alone(mode):
     rotor = dataclasses.replace(platform.rotors[0], carrier="outer", axis=axis)
     spring = Spring(gimbal="outer", stiffness=1.0, rest=0.5)
     platform = dataclasses.replace(platform, gimbals=(gimbal,), rotors=(rotor,), springs=(spring,))
-    out = simulate(platform, [], period=0.01, delay=0.0, duration=0.1, mode=mode, rate=[1.0])
+    out = simulated(platform, [], period=0.01, delay=0.0, duration=0.1, mode=mode, rate=[1.0])
     assert out.stop_contacts[0] == 1
     assert out.rate[[0, -1], 0] == pytest.approx([1.0, 0.0], abs=1e-12)
     absolute = out.rotor_spin[:, 0] + out.rate[:, 0] + out.Omega[:, 2]
@@ -314,8 +315,8 @@ def test_a_step_too_long_for_a_speed_loop_is_refused_with_the_one_that_would_do(
     out = rollout(platform, [START["q"]], [START["velocity"]], step=0.99 * enough, steps=2000)
     assert out.spin[0] == pytest.approx([20.0, -2.0 / C], rel=1e-3)
     with pytest.raises(ArgumentError, match=message):
-        simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
-    simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged", step=0.99 * enough)
+        simulated(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
+    simulated(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged", step=0.99 * enough)
 
 
 def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
@@ -327,19 +328,19 @@ def test_a_step_is_judged_by_what_the_motor_turns_the_wheel_against():
     )  # fmt: skip
     common = {"period": 0.1, "delay": 0.0, "duration": 2.0, "spin": [wheel.spin + 1.0]}
     step = 2.0 * C / gain
-    out = simulate(platform, [], mode="caged", step=step, **common)
+    out = simulated(platform, [], mode="caged", step=step, **common)
     assert out.rotor_spin[-1, 0] == pytest.approx(wheel.spin, abs=1e-6)
     with pytest.raises(ArgumentError, match=rf"decays at {2.0 * gain / C:g} 1/s; expected at most 0.0135 s$"):
-        simulate(platform, [], mode="stabilised", step=step, **common)
+        simulated(platform, [], mode="stabilised", step=step, **common)
     with pytest.raises(ArgumentError, match=rf"decays at {gain / C:g} 1/s; expected at most 0.027 s$"):
-        simulate(platform, [], mode="caged", step=2.5 * step, **common)
+        simulated(platform, [], mode="caged", step=2.5 * step, **common)
 
 
 @pytest.mark.parametrize("spin", [[20.0], [20.0, np.nan], "fast", [[20.0, 1.0]]])
 def test_spins_that_make_no_sense_are_refused_and_named(spin):
     platform = gyro_on_a_block()
-    with pytest.raises(ArgumentError, match=r"^spin: given "):
-        simulate(platform, [], period=1e-3, delay=0.0, duration=0.0, mode="caged", spin=spin)
+    with pytest.raises(ArgumentError, match=r"^(Scenario: )?spin: given "):
+        simulated(platform, [], period=1e-3, delay=0.0, duration=0.0, mode="caged", spin=spin)
     with pytest.raises(ArgumentError, match=r"^spin: given "):
         rollout(platform, np.zeros((2, 2)), np.zeros((2, 5)), spin=spin)
 
@@ -348,5 +349,5 @@ def test_platforms_without_servo_rotors_have_empty_columns_for_them():
     platform = gyro_on_a_block(control="regulated")
     out = rollout(platform, [START["q"]] * 3, [START["velocity"]] * 3, steps=4, every=2)
     assert (out.spin.shape, out.spin_history.shape) == ((3, 0), (3, 3, 0))
-    run = simulate(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
+    run = simulated(platform, [], period=1e-3, delay=0.0, duration=1e-3, mode="caged")
     assert (run.rotor_spin.shape, run.rotor_torque.shape, run.rotor_names) == ((2, 0), (2, 0), ())

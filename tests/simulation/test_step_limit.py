@@ -5,7 +5,8 @@ import pytest
 
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.reading import read_platform
-from platform_ctrl.simulation import rollout, simulate
+from platform_ctrl.simulation import rollout
+from single_runs import simulated
 
 J = 1e-3
 
@@ -29,7 +30,7 @@ def energy(platform, q, rate):
 
 
 def caged(platform, step, duration=0.5):
-    return simulate(platform, [], period=1e-3, delay=0.0, duration=duration, mode="caged", rate=[0.5], step=step)
+    return simulated(platform, [], period=1e-3, delay=0.0, duration=duration, mode="caged", rate=[0.5], step=step)
 
 
 def test_a_cage_keeps_the_energy_at_the_step_that_is_allowed_and_is_refused_beyond():
@@ -74,7 +75,7 @@ def test_dry_friction_stops_a_gimbal_where_the_equation_says():
 
 def test_no_controllers_and_no_pickoffs_is_a_run_like_any_other():
     platform = gimbal(torquer=[{"gimbal": "a"}])
-    run = simulate(platform, [], period=1e-3, delay=0.0, duration=0.1, mode="caged", rate=[0.5])
+    run = simulated(platform, [], period=1e-3, delay=0.0, duration=0.1, mode="caged", rate=[0.5])
     np.testing.assert_allclose(run.q[:, 0], 0.5 * run.t, rtol=1e-12)
 
 
@@ -84,5 +85,5 @@ def test_more_threads_than_runs_are_not_started():
 
 
 def test_a_profile_that_is_none_is_refused():
-    with pytest.raises(ArgumentError, match="Omega_profile: given 'x'; expected a HalfCosine"):
-        simulate(gimbal(), [], period=1e-3, delay=0.0, duration=0.1, mode="caged", Omega_profile="x")
+    with pytest.raises(ArgumentError, match="profile: given 'x'; expected a HalfCosine"):
+        simulated(gimbal(), [], period=1e-3, delay=0.0, duration=0.1, mode="caged", profile="x")

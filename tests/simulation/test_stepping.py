@@ -11,7 +11,7 @@ import pytest
 from one_gyro_runs import flown, one_gyro
 from platform_ctrl.errors import ArgumentError, SimulationError
 from platform_ctrl.job.job import Job, manoeuvre_scenario
-from platform_ctrl.simulation import Scenario, Stepper, TimeTable, acting, flight
+from platform_ctrl.simulation import Scenario, Simulator, TimeTable, simulate
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_a_run_in_pieces_is_the_run_to_the_last_bit(gyro, name):
     job, controllers = gyro
     whole = flown(job, controllers, name)
     scenario = manoeuvre_scenario(job, next(one for one in job.manoeuvres if one.name == name))
-    stepper = Stepper(scenario, acting(controllers, job.platform, scenario.mode), period=job.sampling.period)
+    stepper = Simulator(scenario, controllers, period=job.sampling.period)
     parts = [stepper.now, stepper.advance(1), stepper.advance(7)]
     kept = stepper.snapshot()
     once = stepper.advance(11)
@@ -44,11 +44,11 @@ def test_Omega_held_or_sloping_is_a_time_table_flown_step_by_step(gyro):
     points = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.3, 0.1, 0.0], [0.3, 0.1, 0.0]]
     table = TimeTable(t=np.array([0.0, 10 * period, 25 * period, 40 * period]), values=np.array(points))
     scenario = Scenario(platform=job.platform, mode="caged", duration=40 * period, delay=job.sampling.delay)
-    expected = flight(replace(scenario, Omega_table=table), controllers, period=period)
+    expected = simulate(replace(scenario, Omega_table=table), controllers, period=period)
     # On a table of the scenario's own, input and table add up: half of each.
     half = replace(scenario, Omega_table=replace(table, scale=0.5))
     for stepped, share in ((scenario, 1.0), (half, 0.5)):
-        stepper = Stepper(stepped, controllers, period=period)
+        stepper = Simulator(stepped, controllers, period=period)
         found = [stepper.now]
         for a, b, samples in ((0, 1, 10), (1, 2, 15), (2, 3, 15)):
             slope = (np.array(points[b]) - points[a]) / (samples * period)
@@ -60,7 +60,7 @@ def test_Omega_held_or_sloping_is_a_time_table_flown_step_by_step(gyro):
 
 def test_a_jump_of_Omega_leaves_angles_and_joint_momenta(gyro):
     job, _ = gyro
-    stepper = Stepper(
+    stepper = Simulator(
         Scenario(platform=job.platform, mode="caged", duration=1.0, delay=0.0), [], period=1e-5, step=1e-5
     )
     before = stepper.advance(3)
@@ -79,25 +79,27 @@ def test_torques_given_on_the_way_are_those_of_the_scenario(gyro):
     job, controllers = gyro
     period, n = job.sampling.period, len(job.platform.gimbals)
     scenario = Scenario(platform=job.platform, mode="stabilised", duration=20 * period, delay=job.sampling.delay)
-    expected = flight(replace(scenario, torque=np.array([0.1, 0.0, -0.2])), controllers, period=period)
-    stepper = Stepper(scenario, controllers, period=period)
+    expected = simulate(replace(scenario, torque=np.array([0.1, 0.0, -0.2])), controllers, period=period)
+    stepper = Simulator(scenario, controllers, period=period)
     assert np.array_equal(stepper.advance(20, torque=[0.1, 0.0, -0.2]).q, expected.q[1:])
     # A torquer that is commanded a constant torque, and a torque beside it that takes it away again.
     pushed = control.ss([], [], [], [[0.0]], period, inputs=["alpha9"], outputs=["Q9"])
-    stepper = Stepper(replace(scenario, delay=0.0), [pushed], period=period)
+    stepper = Simulator(replace(scenario, delay=0.0), [pushed], period=period)
     acting_on = np.zeros(n)
     acting_on[job.platform.gimbal_names.index("9")] = 1e-3
     moved = stepper.advance(10, gimbal_torque=acting_on).q[-1]
     assert abs(moved[job.platform.angle_names.index("alpha9")]) > 1e-6
     held = stepper.advance(10)
-    free = Stepper(replace(scenario, delay=0.0), [pushed], period=period).advance(20, gimbal_torque=acting_on)
+    free = Simulator(replace(scenario, delay=0.0), [pushed], period=period).advance(20, gimbal_torque=acting_on)
     assert np.array_equal(held.q[-1], free.q[-1])
 
 
 def test_a_stepper_says_what_it_cannot_do(gyro):
     job, controllers = gyro
     period = job.sampling.period
-    caged = Stepper(Scenario(platform=job.platform, mode="caged", duration=0.0, delay=0.0), controllers, period=period)
+    caged = Simulator(
+        Scenario(platform=job.platform, mode="caged", duration=0.0, delay=0.0), controllers, period=period
+    )
     with pytest.raises(ArgumentError, match="torque: given in mode 'caged'"):
         caged.advance(1, torque=[0.0, 0.0, 0.0])
     with pytest.raises(ArgumentError, match="samples: given 0"):
@@ -108,7 +110,7 @@ def test_a_stepper_says_what_it_cannot_do(gyro):
         caged.restore([1.0])
     free = Scenario(platform=job.platform, mode="stabilised", duration=0.0, delay=0.0)
     with pytest.raises(ArgumentError, match="Omega: given in mode 'stabilised'"):
-        Stepper(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
+        Simulator(free, controllers, period=period, Omega=[0.0, 0.0, 0.0])
     assert caged.sample == 0
     ended = caged.advance(5, gimbal_torque=np.full(len(job.platform.gimbals), 1e300))
     assert not caged.going

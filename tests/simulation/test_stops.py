@@ -20,7 +20,7 @@ from signal_and_gimbal import PERIOD, J, fault, flown, gain, plant, scenario, wi
 def bouncing(restitution: float, **more: object) -> Trajectory:
     platform = plant(stops=(-0.05, 0.05), restitution=restitution)
     one = scenario(platform, **({"rate": [0.0, 3.0], "level": 0.0} | more))
-    return simulation.flight(one, [gain()], period=PERIOD)
+    return simulation.simulate(one, [gain()], period=PERIOD)
 
 
 @pytest.mark.parametrize("restitution", [1.0, 0.7, 0.25, 0.0])
@@ -115,7 +115,7 @@ def test_bounces_keep_the_angular_momentum_of_a_free_platform(restitution: float
     one = Scenario(
         platform=platform, mode="stabilised", duration=0.1, delay=0.0, rate=np.array([12.0, -9.0]), Omega=np.ones(3)
     )
-    out = simulation.flight(one, [], period=PERIOD, step=5e-5)
+    out = simulation.simulate(one, [], period=PERIOD, step=5e-5)
     assert out.stop_contacts.min() >= 1
     momentum, energy = momentum_and_energy(platform, out)
     np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=0, atol=1e-9)
@@ -137,7 +137,7 @@ def test_two_gimbals_that_come_to_their_stops_at_once_stay_there(free: bool) -> 
     outer = dataclasses.replace(inner, name="s", parent="case", angle="signal", inertia=3.0 * J * np.eye(3))
     platform = dataclasses.replace(plant(), gimbals=(outer, inner), torquers=())
     one = scenario(platform, level=0.0, slope=2.0, mode="stabilised" if free else "caged", rate=[2.0, 2.0])
-    out = simulation.flight(one, [], period=PERIOD)
+    out = simulation.simulate(one, [], period=PERIOD)
     last = out.t > 0.03
     np.testing.assert_array_equal(out.stop_contacts, [1, 1])
     np.testing.assert_array_equal(out.q[last], 0.05)
@@ -152,7 +152,7 @@ def test_a_blow_falls_once_whenever_it_is_due_and_changes_the_momentum_by_its_im
     for k in range(1, 100):
         for at, sample in ((k * PERIOD, k), ((k - 0.3) * PERIOD, k)):
             blow = fault("stop contact", part="g", at=at, until=np.inf, impulse=3e-3)
-            out = simulation.flight(scenario(platform, faults=(blow,)), [], period=PERIOD, step=PERIOD)
+            out = simulation.simulate(scenario(platform, faults=(blow,)), [], period=PERIOD, step=PERIOD)
             np.testing.assert_array_equal(out.p[:, 1], np.where(np.arange(101) < sample, 0.0, 3e-3))
 
 
@@ -161,7 +161,7 @@ def test_a_blow_on_a_free_platform_is_a_matter_between_gimbal_and_carrier() -> N
     free = {"mode": "stabilised", "duration": 0.02, "delay": 0.0, "rate": np.array([2.0, -1.0]), "q": [0.05, 0.1]}
     blow = fault("stop contact", part="inner", at=0.01, until=np.inf, impulse=4e-3)
     quiet, struck = (
-        simulation.flight(Scenario(platform=platform, faults=faults, **free), [], period=PERIOD)  # type: ignore[arg-type]
+        simulation.simulate(Scenario(platform=platform, faults=faults, **free), [], period=PERIOD)  # type: ignore[arg-type]
         for faults in ((), (blow,))
     )
     np.testing.assert_allclose((struck.p - quiet.p)[10], [0.0, 4e-3], rtol=0, atol=1e-15)

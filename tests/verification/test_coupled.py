@@ -10,9 +10,9 @@ from platform_ctrl import analysis, design, verification
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.simulation import simulate
 from platform_ctrl.verification.coupled import coupled_plant
 from platform_ctrl.verification.simulated import largest
+from single_runs import simulated
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
@@ -141,7 +141,7 @@ def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
     )
     closed = analysis.closed_loop(plant, K)
     tilt = np.array([0, 0, 0, 1e-6, 0])
-    run = simulate(
+    run = simulated(
         job.platform,
         controllers,
         period=job.sampling.period,

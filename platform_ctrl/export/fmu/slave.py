@@ -35,7 +35,7 @@ from platform_ctrl.export.fmu.signals import UNITS, Signal, inputs_of, output_va
 from platform_ctrl.job.job import Job, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.scenario import Mode, Scenario
-from platform_ctrl.simulation import Stepper, acting
+from platform_ctrl.simulation import Simulator
 from platform_ctrl.verification.given import read_controllers
 
 JOB, CONTROLLERS, PLANT, ABOUT = "job.toml", "controllers.json", "plant.toml", "about.json"
@@ -90,7 +90,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self._outputs = outputs_of(self._job)
         self._given: dict[str, Any] = {one.name: one.start for one in (*self._parameters, *self._inputs)}
         self._values: list[float | int] = [math.nan if s.kind == "Float64" else 0 for s in self._outputs]
-        self._stepper: Stepper | None = None
+        self._stepper: Simulator | None = None
         # Between instantiation and the end of initialisation parameters may still change.
         self._begun, self._ended, self._stale = False, False, True
         self._failure = ""
@@ -253,7 +253,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         return Fmi3Status.ok
 
     def _acting(self, mode: Mode) -> dict[str, FloatArray]:
-        """The inputs that belong to a mode, as `Stepper.advance` takes them."""
+        """The inputs that belong to a mode, as `Simulator.advance` takes them."""
         Omega, slope, moment, joints = self._input_values()
         if mode == "caged":
             if moment.any():
@@ -285,7 +285,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self._failure = text
         self.log(text, Fmi3Status.error)
 
-    def _current(self) -> Stepper | None:
+    def _current(self) -> Simulator | None:
         """The run, put at t = 0 anew if a parameter has changed; None where it cannot be flown or has ended."""
         if self._ended or (self._begun and self._failure):
             return None
@@ -302,13 +302,13 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
             self._current()
         return self._values[k]
 
-    def _at_start(self) -> Stepper:
+    def _at_start(self) -> Simulator:
         scenario = self._scenario()
         Omega, _, _, _ = self._input_values()
         caged = scenario.mode == "caged"
-        stepper = Stepper(
+        stepper = Simulator(
             scenario,
-            acting(self._controllers, scenario.platform, scenario.mode),
+            self._controllers,
             period=self._job.sampling.period,
             step=self._given["step"],
             noise=bool(self._given["noise"]),

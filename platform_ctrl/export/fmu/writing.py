@@ -25,7 +25,7 @@ from platform_ctrl.export.json_systems import write_controllers
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.scenario import Mode
 from platform_ctrl.report.record import job_data, plant_data, toml
-from platform_ctrl.simulation.batch import acting, merged
+from platform_ctrl.simulation.batch import merged_controller
 from platform_ctrl.verification.given import read_controllers
 from platform_ctrl.verification.records import laid_out
 
@@ -124,7 +124,7 @@ def write_fmu(
 ) -> Path:
     """Write plant and sampled controllers as a functional mock-up unit (FMI 3.0, co-simulation).
 
-    The unit steps the kernel that `simulation.flight` flies: the same manoeuvre comes to the same numbers. It runs in a
+    The unit steps the kernel of `simulation.simulate`: the same manoeuvre comes to the same numbers. It runs in a
     Python with `platform_ctrl` on the machine of the importing tool.
 
     Parameters
@@ -164,7 +164,7 @@ def write_fmu(
         raise ArgumentError("controllers: none given; expected one at least")
     modes: tuple[Mode, ...] = ("caged", "stabilised")
     for mode in modes:
-        merged(job.platform, acting(controllers, job.platform, mode), job.sampling.period, mode)
+        merged_controller(job.platform, controllers, job.sampling.period, mode)
     hashed = None if result is None else _hash_of(Path(result))
     with tempfile.TemporaryDirectory(prefix="platform_ctrl_") as made:
         folder = Path(made)
