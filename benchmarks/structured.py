@@ -19,7 +19,7 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.partition import Partition, Realisation, channels, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
@@ -196,7 +196,7 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
         channel = channels(model, rows_of(model, spec.gimbals))
         given = next(design.options for design in spec.designs if design.method == "hinf")
         weighted = weighted_plant(default_options(given, channel, plants.nutation), channel, plants)
-        out.append((spec.name, state_space(weighted.arrays, *signal_names(weighted.size)), weighted, plants.period))
+        out.append((spec.name, named_system(weighted.arrays, *signal_names(weighted.size)), weighted, plants.period))
     return out
 
 

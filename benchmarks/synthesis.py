@@ -27,7 +27,7 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.partition import Partition, channels, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
@@ -86,7 +86,7 @@ def platform_plants() -> list[Case]:
         given = next((d.options for d in spec.designs if d.method == "hinf"), {})
         weighted = weighted_plant(default_options(given, channel, plants.nutation), channel, plants)
         k = weighted.size
-        P = state_space(weighted.arrays, [f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
+        P = named_system(weighted.arrays, [f"w{i}" for i in range(3 * k)], [f"z{i}" for i in range(4 * k)])
         out.append((spec.name, P, k, k))
     return out
 

@@ -289,7 +289,7 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "analysis.intersample_h2": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
     "analysis.intersample_norm": CALL | {"P": lambda: general(False), "K": lambda: one(0.1)},
     "analysis.is_stable": {"system": one},
-    "analysis.joined": {
+    "analysis.interconnect_controllers": {
         "controllers": lambda: [closed()],
         **of(inputs=["alpha9", "beta10"], outputs=["Q9", "Q10"], period=PERIOD),
     },
@@ -304,14 +304,14 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "analysis.response_arrays": SYSTEM | of(z=1j * W),
     "analysis.sampled": {"system": one, **of(period=0.1)},
     "analysis.sampled_arrays": SYSTEM | of(period=0.1),
-    "analysis.sensitivities": of(loop=np.ones((3, 2, 2), dtype=complex)),
+    "analysis.sensitivity_functions": of(loop=np.ones((3, 2, 2), dtype=complex)),
     "analysis.series_arrays": of(
         **{f"{name}{k}": item for k in (1, 2) for name, item in matrices().items()},
     ),
     "analysis.spectral_abscissa": of(poles=np.array([-0.5, -0.1 + 0.2j])),
     "analysis.spectral_radius": of(poles=np.array([-0.5, -0.1 + 0.2j])),
     "analysis.state_arrays": {"system": one, **of(where="a test")},
-    "analysis.state_space": {"arrays": arrays, **of(inputs=["u"], outputs=["y"])},
+    "analysis.named_system": {"arrays": arrays, **of(inputs=["u"], outputs=["y"])},
     "analysis.time_response": {"system": one, **of(timepts=[0.0, 0.1, 0.2], inputs=[[0.0, 1.0, 1.0]])},
     "baselines.accepted": {"result": result},
     "baselines.compare": {"result": result, "baseline": baseline},

@@ -32,7 +32,7 @@ def entries() -> tuple[Any, Any]:
 
 def space(plant: Packed) -> np.ndarray:
     """Return a memory that holds the plant and what is around it."""
-    from platform_ctrl.mechanics.lanes import memory
+    from platform_ctrl.common.simd import memory
 
     mem = memory(plant.at.end)
     mem[: len(plant.constants)] = plant.constants[:, None]

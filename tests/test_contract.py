@@ -27,7 +27,10 @@ PARTS = ("analysis", "campaign", "design", "export", "report", "others")
 ANSWERED = {
     ("requirements.Requirement.judge", "measured"): "a value that is no number does not meet its limit",
     ("requirements.Requirement.ratio", "measured"): "a value that is no number does not meet its limit",
-    ("analysis.sensitivities", "loop"): "a matrix that is not finite has no sensitivity, and leaves the others alone",
+    (
+        "analysis.sensitivity_functions",
+        "loop",
+    ): "a matrix that is not finite has no sensitivity, and leaves the others alone",
     ("analysis.spectral_abscissa", "poles"): "numbers are poles, whole or complex ones",
     ("certificates.proved", "problem"): "any object: it is handed on",
     ("analysis.Channel", "input_weight"): "kinds of systems are told apart where it is used",

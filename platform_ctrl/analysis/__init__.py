@@ -6,7 +6,7 @@ those that take poles or responses) work on plain arrays with leading batch axes
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.bandwidth import bandwidth, bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import (
@@ -15,11 +15,11 @@ from platform_ctrl.analysis.feedback import (
     closed_loop_arrays,
     gang,
     loop_transfer,
-    sensitivities,
+    sensitivity_functions,
     series_arrays,
 )
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.intersample import intersample_h2, intersample_norm
-from platform_ctrl.analysis.joining import joined
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.margins import (
     DiskMargin,
@@ -75,14 +75,15 @@ __all__ = [
     "h2_norm",
     "hinf_norm",
     "hinf_norm_arrays",
+    "interconnect_controllers",
     "intersample_h2",
     "intersample_norm",
     "is_stable",
-    "joined",
     "loop_margins",
     "loop_transfer",
     "measure",
     "minimum_damping",
+    "named_system",
     "noise_rms",
     "noise_rms_arrays",
     "pole_arrays",
@@ -90,11 +91,10 @@ __all__ = [
     "response_arrays",
     "sampled",
     "sampled_arrays",
-    "sensitivities",
+    "sensitivity_functions",
     "series_arrays",
     "spectral_abscissa",
     "spectral_radius",
     "state_arrays",
-    "state_space",
     "time_response",
 ]

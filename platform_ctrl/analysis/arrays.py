@@ -132,7 +132,7 @@ def all_finite(array: FloatArray) -> bool:
 
 
 @check_arguments
-def state_space(
+def named_system(
     arrays: StateArrays,
     inputs: Sequence[str],
     outputs: Sequence[str],
@@ -164,14 +164,14 @@ def state_space(
     """
     import control
 
-    arrays = system_arrays("state_space", *arrays)
+    arrays = system_arrays("named_system", *arrays)
     for kind, names, size in (
         ("inputs", inputs, arrays.B.shape[-1]),
         ("outputs", outputs, arrays.C.shape[-2]),
         ("states", states, len(arrays.A)),
     ):
         if names is not None and len(names) != size:
-            raise ArgumentError(f"state_space: {kind} must be {size} names, got {len(names)}")
+            raise ArgumentError(f"named_system: {kind} must be {size} names, got {len(names)}")
     # python-control keeps the full stop to itself.
     options = {} if name is None else {"name": name.replace(".", "_")}
     if states is not None:
@@ -196,7 +196,7 @@ def selected(system: control.StateSpace, outputs: Sequence[str], inputs: Sequenc
     columns = [list(system.input_labels).index(name) for name in inputs]
     A, B, C, D, dt = state_arrays(system, "selected")
     arrays = StateArrays(A, B[:, columns], C[rows], D[np.ix_(rows, columns)], dt)
-    return state_space(arrays, inputs, outputs, list(system.state_labels))
+    return named_system(arrays, inputs, outputs, list(system.state_labels))
 
 
 def _distinct(names: Sequence[str]) -> list[str]:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, square_responses
-from platform_ctrl.analysis.axis import FrequencyAxis, largest
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
+from platform_ctrl.analysis.singular_values import FrequencyAxis, largest
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 

@@ -25,12 +25,12 @@ from platform_ctrl.analysis.arrays import (
     StateArrays,
     batch_shape,
     frequencies,
+    named_system,
     square_responses,
-    state_space,
     system_arrays,
 )
-from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import indices, number, one_of
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -108,7 +108,7 @@ def loop_transfer(plant: StateSystem, controller: StateSystem, at: At = "input")
         first, second, names = K, P, list(controller.input_labels)
     of_plant, of_controller = _states(plant, P, controller, K)
     states = of_plant + of_controller if first is P else of_controller + of_plant
-    return state_space(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names, states)
+    return named_system(StateArrays(*series_arrays(*first[:4], *second[:4], sign=-1.0), dt=P.dt), names, names, states)
 
 
 def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpace:
@@ -143,7 +143,7 @@ def closed_loop(plant: StateSystem, controller: StateSystem) -> control.StateSpa
     measured = [plant.output_labels[i] for i in angles]
     commanded = [plant.input_labels[i] for i in torques]
     of_plant, of_controller = _states(plant, P, controller, K)
-    return state_space(
+    return named_system(
         StateArrays(*arrays, dt=P.dt),
         list(plant.input_labels) + [f"noise_{name}" for name in measured],
         commanded + list(plant.output_labels),
@@ -385,7 +385,7 @@ def _matched(
     return P, K, list(range(P.D.shape[1])), list(range(P.D.shape[0]))
 
 
-def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def sensitivity_functions(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I + L)^-1 and T = I - S for given responses of the loop.
 
     For a tuner that keeps the plant's response and changes the controller only: L = -K P by `numpy.matmul`.
@@ -411,7 +411,7 @@ def sensitivities(loop: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """
     from platform_ctrl.analysis.kernels import invert
 
-    loop = square_responses("sensitivities: loop", loop, nan=True)
+    loop = square_responses("sensitivity_functions: loop", loop, nan=True)
     eye = np.eye(loop.shape[-1])
     S = np.ascontiguousarray(eye + loop, dtype=np.complex128)
     invert(S.reshape(-1, *S.shape[-2:]))

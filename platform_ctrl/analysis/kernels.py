@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     LANES,
     Number,
     anywhere,
@@ -21,6 +20,7 @@ from platform_ctrl.mechanics.lanes import (
     root,
     store,
 )
+from platform_ctrl.common.values import FloatArray
 
 SWEEPS = 30
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.axis import largest
 from platform_ctrl.analysis.bandwidth import LEVEL, bandwidth_arrays, bandwidth_of_response
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities_of_plants
@@ -28,6 +27,7 @@ from platform_ctrl.analysis.peaks import TOLERANCE, WHOLE, Band, exceeds, peak
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.singular_values import largest
 from platform_ctrl.common.values import FloatArray, value
 
 # Figures that are the largest singular value over frequency.

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies
-from platform_ctrl.analysis.axis import largest_gains
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.mu import SLACK, MuPeak, disk_factors, mu_bounds, perturbation, search_grid, worst_factors
 from platform_ctrl.analysis.norms import hinf_norm_arrays, peak_gain
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
-from platform_ctrl.analysis.rational import LinearSystem, StateSystem, linear_arrays
+from platform_ctrl.analysis.singular_values import largest_gains
+from platform_ctrl.analysis.transfer_function import LinearSystem, StateSystem, linear_arrays
 from platform_ctrl.common.arguments import number, positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value

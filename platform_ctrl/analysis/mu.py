@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
-from platform_ctrl.analysis.axis import FrequencyAxis, largest_gains
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.norms import resonances
+from platform_ctrl.analysis.singular_values import FrequencyAxis, largest_gains
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 
@@ -260,7 +260,7 @@ def worst_factors(factors: ComplexArray, frequency: float, skew: float, dt: floa
         dt,
     )
     names = [f"f{i + 1}" for i in range(len(delta))]
-    return state_space(arrays, [f"{name}_in" for name in names], [f"{name}_out" for name in names])
+    return named_system(arrays, [f"{name}_in" for name in names], [f"{name}_out" for name in names])
 
 
 def _all_pass(delta: complex, real: bool, at: float, dt: float) -> tuple[float, float, float, float]:

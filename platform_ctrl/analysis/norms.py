@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, system_arrays
-from platform_ctrl.analysis.axis import PORTS, FrequencyAxis, boundary_poles, largest_gains
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa, spectral_radius
-from platform_ctrl.analysis.rational import StateSystem, linear_arrays
 from platform_ctrl.analysis.response import LARGE, ON_A_GRID, frequency_response_arrays, plain
+from platform_ctrl.analysis.singular_values import PORTS, FrequencyAxis, boundary_poles, largest_gains
+from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import not_negative, positive, within
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray

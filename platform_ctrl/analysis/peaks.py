@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.axis import FrequencyAxis
 from platform_ctrl.analysis.norms import hinf_norm_arrays, level_frequencies, resonances
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
+from platform_ctrl.analysis.singular_values import FrequencyAxis
 from platform_ctrl.common.values import FloatArray
 
 # Relative error of a peak: what is returned is the upper end.

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal, dgeev
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.axis import DOUBTFUL, EPSILON
-from platform_ctrl.analysis.chains import reduce
+from platform_ctrl.analysis.hessenberg_form import reduce
+from platform_ctrl.analysis.hessenberg_recurrence import quick
 from platform_ctrl.analysis.kernels import largest_of_columns
-from platform_ctrl.analysis.resolvent import quick
 from platform_ctrl.analysis.response import TOLERATED, plain
+from platform_ctrl.analysis.singular_values import DOUBTFUL, EPSILON
+from platform_ctrl.common.simd import LANES, compiled, internal
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import LANES, compiled, internal
 
 # Safety factor on phases, for errors of the poles.
 GRANTED = 1.05

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
@@ -103,7 +103,7 @@ class PlantSet:
         k = whole("PlantSet.system: k", k, 0, len(self.labels) - 1)
         B, D = np.hstack([self.B[k], self.B_Omega[k]]), np.hstack([self.D[k], np.zeros((len(self.angles), 3))])
         arrays = StateArrays(self.A[k], B, self.C[k], D, self.period)
-        return state_space(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
+        return named_system(arrays, [*self.torques, *OMEGA_NAMES], self.angles, self.states)
 
     def joined(self, controller: control.StateSpace | StateArrays) -> StateArrays:
         """Return the arrays of a controller in the order of this set's angles and torques.

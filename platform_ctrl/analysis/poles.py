@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, all_finite, scaled
-from platform_ctrl.analysis.rational import StateSystem, linear_arrays
+from platform_ctrl.analysis.transfer_function import StateSystem, linear_arrays
 from platform_ctrl.common.arguments import complex_numbers, number, positive, real_numbers
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value

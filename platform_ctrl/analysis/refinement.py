@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     LANES,
     Mask,
     Number,
@@ -31,6 +30,7 @@ from platform_ctrl.mechanics.lanes import (
     store,
     store_pairs,
 )
+from platform_ctrl.common.values import FloatArray
 
 # Solutions at most, the first one among them: each gains what the condition leaves of 16 digits.
 STEPS = 11

@@ -1,7 +1,7 @@
 """Responses over frequency, accurate for every system matrix.
 
-A compiled recurrence does most of the work (`platform_ctrl.analysis.resolvent`). It says where it is not good enough,
-and what takes its place there goes on until it is.
+A compiled recurrence (`hessenberg_recurrence`) does most of the work and bounds its own error. Points where the bound
+is too large are solved again by iterative refinement.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, frequencies, scaled, state_arrays, system_arrays
-from platform_ctrl.analysis.rational import LinearSystem, is_rational, rational_response
+from platform_ctrl.analysis.transfer_function import LinearSystem, is_rational, rational_response
 from platform_ctrl.common.arguments import complex_numbers, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -22,8 +22,8 @@ from platform_ctrl.errors import ArgumentError
 if TYPE_CHECKING:
     import control
 
-    from platform_ctrl.analysis.chains import Chains
-    from platform_ctrl.analysis.hessenberg import HessenbergRefinement
+    from platform_ctrl.analysis.hessenberg_form import Chains
+    from platform_ctrl.analysis.hessenberg_refinement import HessenbergRefinement
     from platform_ctrl.analysis.refinement import Band, Refinement
 
 
@@ -344,13 +344,13 @@ class Resolvent:
 
     @cached_property
     def _chains(self) -> Chains:
-        from platform_ctrl.analysis.chains import chains
+        from platform_ctrl.analysis.hessenberg_form import chains
 
         return chains(self._A, self._B, self._C)
 
     @cached_property
     def _hessenberg(self) -> HessenbergRefinement:
-        from platform_ctrl.analysis.hessenberg import HessenbergRefinement
+        from platform_ctrl.analysis.hessenberg_refinement import HessenbergRefinement
 
         return HessenbergRefinement(self._A, self._B, self._C, self._D, self._lacks, *self._chains.hessenberg())
 
@@ -380,7 +380,7 @@ class Resolvent:
             # Elimination in a narrow band takes less than the recurrence and its preparation.
             poor = np.arange(len(z))
         else:
-            from platform_ctrl.analysis.resolvent import respond
+            from platform_ctrl.analysis.hessenberg_recurrence import respond
 
             bound = tolerated * (AVERAGED * n if n >= LARGE else 1.0)
             poor = respond(self._chains, self._D, z, H, self._turned, bound, least)

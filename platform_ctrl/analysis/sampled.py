@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, scaled, state_arrays, state_scaling, state_space, system_arrays
+from platform_ctrl.analysis.arrays import StateArrays, named_system, scaled, state_arrays, state_scaling, system_arrays
 from platform_ctrl.common.arguments import not_negative, positive
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -70,7 +70,7 @@ def sampled(
     A, B, C, D, lags = _sampled(arrays.A, arrays.B, arrays.C, arrays.D, period, delay, lag)
     inputs = list(system.input_labels)
     states = sampled_states(list(system.state_labels), inputs, lags, A.shape[-1])
-    return state_space(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
+    return named_system(StateArrays(A, B, C, D, float(period)), inputs, list(system.output_labels), states)
 
 
 def sampled_states(states: Sequence[str], inputs: Sequence[str], lags: FloatArray, order: int) -> list[str]:
@@ -298,7 +298,7 @@ def _mapped(
     A, B, C = arrays.A * s / s[:, None], arrays.B / s[:, None], arrays.C * s
     A, B, C, D = bilinear(A, B, C, arrays.D, period)
     out = StateArrays(A * s[:, None] / s, B * s[:, None], C / s, D, dt)
-    return state_space(out, list(system.input_labels), list(system.output_labels), list(system.state_labels))
+    return named_system(out, list(system.input_labels), list(system.output_labels), list(system.state_labels))
 
 
 def to_w_plane(

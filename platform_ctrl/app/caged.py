@@ -9,7 +9,7 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.bandwidth import bandwidth_of_response
-from platform_ctrl.analysis.feedback import sensitivities
+from platform_ctrl.analysis.feedback import sensitivity_functions
 from platform_ctrl.analysis.loop_figures import LoopFigures, Own
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
@@ -191,7 +191,7 @@ def _grid(plant: PlantSet, s: ComplexArray) -> FloatArray:
 def shown_channel(plant: PlantSet, K: StateArrays, grid: FloatArray, channel: int) -> ComplexArray:
     """Return the loop of the first plant broken at one channel, at the frequencies of `grid`, complex (F,)."""
     P = frequency_response_arrays(plant.A[0], plant.B[0], plant.C[0], plant.D[0], plant.period, grid, ON_A_GRID)
-    return channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+    return channel_response(sensitivity_functions(-frequency_response_arrays(*K, grid) @ P)[0], channel)
 
 
 def _locus(loop: CagedLoop, s: ComplexArray, every: LoopFigures | None, exact: bool) -> Locus:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.loop_measures import LoopMeasures
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.app.caged import CagedLoop, KeptMeasures
@@ -306,7 +306,7 @@ class Closing:
     ) -> tuple[list[control.StateSpace], tuple[str, ...]]:
         """Return the controller of every loop in the job's order, and lines about them."""
         saved = self.saved_controllers(settings, strict=strict)
-        out = [state_space(one.controller, one.inputs, one.outputs, name=f"{one.loop}, {one.design}") for one in saved]
+        out = [named_system(one.controller, one.inputs, one.outputs, name=f"{one.loop}, {one.design}") for one in saved]
         return out, tuple(one.note for one in saved if one.note)
 
     def saved_controllers(self, settings: Settings, strict: bool = False) -> list[SavedController]:
@@ -353,7 +353,7 @@ class Closing:
         job = dataclasses.replace(self.read, sampling=self.plants.sampling(settings))
         made = platform_servo(job, self.plants.model(settings), spec, mine).controller
         K = state_arrays(made, design.name)
-        return state_space(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
+        return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 
     def caging(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> tuple[StateArrays, str]:
         """Return the controller of a caging loop, and a line about it or an empty text."""

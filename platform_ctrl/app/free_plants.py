@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
-from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.peaks import peak
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import ON_A_GRID, AxisResponse, frequency_response_arrays
@@ -287,8 +287,8 @@ class StabilisedLoop:
         """Return all controllers as one, the plants' inputs that it sets, and its torquers."""
         used = {name for K in self.controllers for name in K.output_labels}
         torquers = [name for name in plants.torquers if name in used]
-        K = joined_arrays(self.controllers, plants.sensors, torquers, plants.period)
-        return K, [plants.torquers.index(name) for name in torquers], tuple(torquers)
+        K = interconnect_controllers(self.controllers, plants.sensors, torquers, plants.period)
+        return state_arrays(K, "controllers"), [plants.torquers.index(name) for name in torquers], tuple(torquers)
 
 
 def used_arrays(arrays: StateArrays, k: int, at: list[int]) -> StateArrays:
@@ -316,7 +316,7 @@ class Sensitivity:
 
     def at(self, w: FloatArray) -> ComplexArray:
         """Return S at `w` (F,), rad/s, complex (F, m, m)."""
-        return sensitivities(-self._K.at(w) @ self._P.at(w))[0]
+        return sensitivity_functions(-self._K.at(w) @ self._P.at(w))[0]
 
 
 def disk_margins(P: StateArrays, K: StateArrays, channels: Sequence[int]) -> FloatArray:

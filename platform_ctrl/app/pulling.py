@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.app.curves import channel_response
@@ -294,7 +294,7 @@ def crossover_pulled(
         P = frequency_response_arrays(*plant, grid)
 
         def of(K: StateArrays) -> FloatArray:
-            L = channel_response(sensitivities(-frequency_response_arrays(*K, grid) @ P)[0], channel)
+            L = channel_response(sensitivity_functions(-frequency_response_arrays(*K, grid) @ P)[0], channel)
             return np.log(np.maximum(np.abs(L), 1e-300))
 
         return of

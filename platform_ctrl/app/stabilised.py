@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
-from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivities
+from platform_ctrl.analysis.feedback import closed_loop_arrays, sensitivity_functions
 from platform_ctrl.analysis.poles import continuous_poles, minimum_damping, pole_arrays, spectral_abscissa
 from platform_ctrl.analysis.response import ON_A_GRID, frequency_response_arrays
 from platform_ctrl.app.curves import channel_response, degrees, gain_locus, held_responses, moved_by_gain, sample_times
@@ -249,7 +249,9 @@ def _roots(loop: StabilisedLoop, settings: Settings, torquers: tuple[str, ...]) 
 def _band(loop: StabilisedLoop, K: StateArrays, at: list[int], channel: int) -> tuple[Band, float, str]:
     """Return the loops of all plants broken at a channel, and the least of their margins there with its plant."""
     w = loop.plants.frequency
-    S = sensitivities(-frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at])[0]
+    S = sensitivity_functions(
+        -frequency_response_arrays(*K, w) @ loop.plants.response[..., : len(loop.plants.sensors), at]
+    )[0]
     peaks = np.abs(S[..., channel, channel] - 0.5).max(axis=-1)
     k = int(np.argmax(peaks))
     return Band(loop.plants.labels, w, channel_response(S, channel)), 1.0 / float(peaks[k]), loop.plants.labels[k]

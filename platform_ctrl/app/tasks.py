@@ -128,7 +128,7 @@ class ServoTuning:
 
     def worst_ratio(self) -> Callable[[dict[str, float]], float]:
         """Return what gives the largest ratio of the coupled limits for some options; beyond 10 where unstable."""
-        from platform_ctrl.analysis.arrays import state_space
+        from platform_ctrl.analysis.arrays import named_system
         from platform_ctrl.app.free_measures import requirements
         from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
         from platform_ctrl.design.classical.stabilisation import platform_servo
@@ -138,7 +138,7 @@ class ServoTuning:
         spec = next(one for one in self.job.loops if one.name == self.loop)
         design = next(one for one in spec.designs if one.name == self.design)
         model = linearise(self.job.platform)
-        others = [state_space(K, inputs, outputs, name=loop) for K, inputs, outputs, loop in self.caging]
+        others = [named_system(K, inputs, outputs, name=loop) for K, inputs, outputs, loop in self.caging]
         models = free_models(self.job, corners(self.job)[:1], sensed_rates(self.job, others))
         plants = free_plants(models, self.job.sampling, False)
         known: dict[str, dict[str, float]] = {}
@@ -240,10 +240,10 @@ class Flying:
 
     def worked_out(self, say: Say) -> Trajectory:
         """Return the run."""
-        from platform_ctrl.analysis.arrays import state_space
+        from platform_ctrl.analysis.arrays import named_system
         from platform_ctrl.verification.simulated import fly
 
-        controllers = [state_space(K, inputs, outputs, name=name) for K, inputs, outputs, name in self.controllers]
+        controllers = [named_system(K, inputs, outputs, name=name) for K, inputs, outputs, name in self.controllers]
         manoeuvre = next(one for one in self.job.manoeuvres if one.name == self.manoeuvre)
         return fly(self.job, manoeuvre, controllers).trajectory
 

@@ -21,7 +21,7 @@ from platform_ctrl.simulation.device import processors
 if TYPE_CHECKING:
     from platform_ctrl.campaign.plan import Plan
 
-# Runs that the kernel computes side by side, as in `platform_ctrl.mechanics.lanes`, which would load numba: a piece of
+# Runs that the kernel computes side by side, as in `platform_ctrl.common.simd`, which would load numba: a piece of
 # fewer costs as much.
 LANES = 8
 # Smallest and largest piece by device: a GPU wants many runs at once.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, plant_set_certificates
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
@@ -90,7 +90,7 @@ class LoopDesign:
 def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     """Return the nominal sampled plant (or plant `k` of the set) with its signal names."""
     arrays = StateArrays(plants.A[k], plants.B[k], plants.C[k], plants.D[k], plants.period)
-    return state_space(arrays, plants.torques, plants.angles, plants.states)
+    return named_system(arrays, plants.torques, plants.angles, plants.states)
 
 
 def certified(
@@ -116,7 +116,7 @@ def certified(
         loop=spec.name,
         name=design.name,
         method=design.method,
-        controller=state_space(K, plants.angles, plants.torques, name=f"{spec.name}, {design.name}"),
+        controller=named_system(K, plants.angles, plants.torques, name=f"{spec.name}, {design.name}"),
         options=options,
         plants=plants,
         measures=measures,
@@ -167,7 +167,7 @@ def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants
         loop=spec.name,
         name=name,
         method="given",
-        controller=state_space(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
+        controller=named_system(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,
         results=results,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis import continuous_poles, gang, joined, poles
+from platform_ctrl.analysis import continuous_poles, gang, interconnect_controllers, poles
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
@@ -180,7 +180,7 @@ def _all_closed(job: Job, controllers: Sequence[control.StateSpace]) -> tuple[co
     used = {name for K in controllers for name in K.output_labels}
     torquers = [name for name in plant.input_labels if name in used]
     seen = [sensor.name for sensor in job.platform.sensors if sensor.name in plant.output_labels]
-    return plant, joined(controllers, seen, torquers, job.sampling.period)
+    return plant, interconnect_controllers(controllers, seen, torquers, job.sampling.period)
 
 
 def _broken(

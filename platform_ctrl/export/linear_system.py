@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -66,7 +66,7 @@ class LinearSystem:
     def state_space(self) -> control.StateSpace:
         """The system for python-control; its delay is not in it."""
         arrays = StateArrays(self.A, self.B, self.C, self.D, self.dt)
-        return state_space(arrays, self.inputs, self.outputs, self.states, name=self.name)
+        return named_system(arrays, self.inputs, self.outputs, self.states, name=self.name)
 
 
 @check_arguments

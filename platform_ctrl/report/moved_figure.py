@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.feedback import closed_loop_arrays, gang
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.common.files import write_whole
@@ -184,6 +184,6 @@ def _poles(loop: LoopMatrices) -> ComplexArray:
 
 def _sensitivity(loop: LoopMatrices, frequency: FloatArray) -> FloatArray:
     P, K = _matrices(loop)
-    found = gang(state_space(P, loop.outputs, loop.inputs), state_space(K, loop.inputs, loop.outputs), frequency)
+    found = gang(named_system(P, loop.outputs, loop.inputs), named_system(K, loop.inputs, loop.outputs), frequency)
     sizes = [np.linalg.svd(np.moveaxis(S, -1, 0), compute_uv=False)[:, 0] for S in (found.S_input, found.S_output)]
     return np.asarray(np.maximum(*sizes), dtype=np.float64)

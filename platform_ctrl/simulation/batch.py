@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.joining import joined_arrays
+from platform_ctrl.analysis.arrays import state_arrays
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.common.arguments import whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
@@ -189,9 +190,10 @@ def merged_controller(
     Where Omega is prescribed controllers that act on the root are left out.
     """
     roots = {t.name for t in platform.torquers if t.root_axis is not None}
-    # What is no controller stays: `joined_arrays` refuses it.
+    # What is no controller stays: `interconnect_controllers` refuses it.
     active = [K for K in controllers if mode == "stabilised" or not roots & set(getattr(K, "output_labels", ()))]
-    K = joined_arrays(active, [s.name for s in platform.sensors], [t.name for t in platform.torquers], period)
+    sensors, torquers = [s.name for s in platform.sensors], [t.name for t in platform.torquers]
+    K = state_arrays(interconnect_controllers(active, sensors, torquers, period), "controllers")
     return controller_rows(K.A, K.B, K.C, K.D)
 
 
@@ -201,7 +203,7 @@ def flown(together: Batch, threads: int = 1, device: str = "cpu") -> FloatArray:
         from platform_ctrl.simulation.device import flown_on_cuda
 
         return flown_on_cuda(together)
-    from platform_ctrl.mechanics.lanes import LANES, memory
+    from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()
@@ -255,7 +257,7 @@ def columns_of_record(together: Batch) -> int:
 
 def recorded(member: Prepared, controller: Controller, period: float, noise: bool) -> tuple[FloatArray, FloatArray]:
     """Fly one scenario alone; return its record, a row a sample, and its figures (slots,)."""
-    from platform_ctrl.mechanics.lanes import LANES, memory
+    from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.loop import fly_groups
 
     wait_until_warm()

@@ -147,7 +147,7 @@ def rollout(
     check_elements([platform], step, free=True)
     expect_device(device)
 
-    from platform_ctrl.mechanics.lanes import LANES, memory
+    from platform_ctrl.common.simd import LANES, memory
     from platform_ctrl.simulation.kernel.advance import advance
 
     plant = pack(platform)

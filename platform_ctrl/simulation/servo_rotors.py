@@ -68,7 +68,7 @@ def _carrier_rates(plant: Packed, states: FloatArray) -> FloatArray:
     """Rates of the servo rotors' carriers about their spin axes, (..., m)."""
     rates = np.empty((*states.shape[:-1], plant.at.servos))
     if rates.size:
-        from platform_ctrl.mechanics.lanes import memory
+        from platform_ctrl.common.simd import memory
         from platform_ctrl.simulation.kernel.advance import carrier_rates
 
         flat = np.ascontiguousarray(states).reshape(-1, plant.at.size)

@@ -85,7 +85,7 @@ class Simulator:
         noise: bool = True,
         Omega: ArrayLike | None = None,
     ) -> None:
-        from platform_ctrl.mechanics.lanes import LANES, memory
+        from platform_ctrl.common.simd import LANES, memory
 
         self.period, self.step = steps(period, step)
         expect_several("controllers", controllers)

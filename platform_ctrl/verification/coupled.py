@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop, loop_transfer
-from platform_ctrl.analysis.joining import joined
+from platform_ctrl.analysis.interconnection import interconnect_controllers
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin, loop_margins
 from platform_ctrl.analysis.norms import noise_rms_arrays
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
@@ -26,8 +26,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.requirements import STABLE, CheckResult, Method, Requirement
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import state_space as linear_state_space
-from platform_ctrl.mechanics.state_space import subsystems
+from platform_ctrl.mechanics.state_space import state_space, subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES, gimbal_rate
 
 if TYPE_CHECKING:
@@ -152,20 +151,20 @@ def coupled_plant(job: Job, model: LinearModel, controllers: Sequence[control.St
     counts as carried by the vehicle, Omega given, and only the subsystems that a controller acts on are closed.
     """
     if acts_on_root(job, controllers):
-        system = linear_state_space(model, root="free")
+        system = state_space(model, root="free")
         torquers, angles = list(job.platform.torquers), list(model.angle_names)
     else:
         used = {name for K in controllers for name in K.output_labels}
         held = {t.gimbal for t in job.platform.torquers if t.name in used}
         gimbals = [name for group in subsystems(model) if held & set(group) for name in group]
-        system = linear_state_space(model, gimbals=gimbals)
+        system = state_space(model, gimbals=gimbals)
         torquers = [t for t in job.platform.torquers if t.gimbal in gimbals]
         angles = [g.angle for g in job.platform.gimbals if g.name in gimbals]
     rates = [name for name in sensed_rates(job, controllers) if name in OMEGA_NAMES or name in map(gimbal_rate, angles)]
     outputs = [*angles, *rates]
     part = measuring(system, outputs)[outputs, [t.signal for t in torquers]]
     arrays = StateArrays(part.A, part.B, part.C, part.D, 0.0)
-    named = state_space(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
+    named = named_system(arrays, [t.name for t in torquers], outputs, list(system.state_labels))
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 
 
@@ -180,7 +179,7 @@ def measuring(system: control.StateSpace, signals: Sequence[str]) -> control.Sta
     rows |= dict(zip(system.output_labels, system.C, strict=True))
     C = np.array([rows[name] for name in signals]).reshape(len(signals), system.nstates)
     arrays = StateArrays(system.A, system.B, C, np.zeros((len(C), system.ninputs)), 0.0)
-    return state_space(arrays, system.input_labels, signals, list(system.state_labels))
+    return named_system(arrays, system.input_labels, signals, list(system.state_labels))
 
 
 def sensed_rates(job: Job, controllers: Sequence[control.StateSpace]) -> list[str]:
@@ -205,7 +204,7 @@ def one_controller(
     used = {name for K in controllers for name in K.output_labels}
     torquers = [name for name in plant.input_labels if name in used]
     seen = [s.name for s in job.platform.sensors if s.name in plant.output_labels]
-    return joined(controllers, seen, torquers, job.sampling.period)
+    return interconnect_controllers(controllers, seen, torquers, job.sampling.period)
 
 
 def _decoupled_margins(
@@ -228,7 +227,7 @@ def _decoupled_margins(
 
 def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control.StateSpace:
     """The platform turns under M alone, J ω' = M, and the gimbals see its rate: no reaction."""
-    system = linear_state_space(model)
+    system = state_space(model)
     n, torquers = system.nstates, job.platform.torquers
     B_Omega = system.B[:, [system.input_labels.index(name) for name in OMEGA_NAMES]]
     mobility = np.linalg.inv(model.root_inertia)
@@ -242,7 +241,7 @@ def one_way_plant(job: Job, model: LinearModel, rates: Sequence[str]) -> control
     C = np.block([[system.C, np.zeros((system.noutputs, 3))], [np.zeros((3, n)), np.eye(3)]])
     arrays = StateArrays(A, B, C, np.zeros((len(C), len(torquers))), 0.0)
     states = [*system.state_labels, *OMEGA_NAMES]
-    named = state_space(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
+    named = named_system(arrays, [t.name for t in torquers], [*model.angle_names, *OMEGA_NAMES], states)
     named = measuring(named, [*model.angle_names, *rates])
     return sampled(named, job.sampling.period, job.sampling.delay, [t.lag for t in torquers])
 

@@ -101,7 +101,7 @@ class _Entry:
 
     def controller(self, job: Job, known: Sequence[str]) -> control.StateSpace:
         """Return the controller, its inputs among `known`."""
-        from platform_ctrl.analysis.arrays import StateArrays, state_space
+        from platform_ctrl.analysis.arrays import StateArrays, named_system
 
         name = self._text("name")
         inputs = self._names("inputs")
@@ -136,7 +136,7 @@ class _Entry:
         )
         design = self.data.get("design")
         title = f"{name}, {design}" if isinstance(design, str) and design else name
-        return state_space(arrays, inputs, outputs, name=title)
+        return named_system(arrays, inputs, outputs, name=title)
 
     def _mistake(self, key: str, text: str) -> InputError:
         return InputError(one_line(f"{self.where}: {key}: {text}"))

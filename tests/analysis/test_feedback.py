@@ -62,7 +62,7 @@ def test_closed_loop_agrees_with_gang_and_with_the_loop_transfer(seed: int, dt: 
     np.testing.assert_allclose(H[3:, 3:], -g.T_output, atol=size)
     for at, S in (("input", g.S_input), ("output", g.S_output)):
         L = stacked(analysis.frequency_response(analysis.loop_transfer(plant, controller, at=at), W))
-        from_L, _ = analysis.sensitivities(L)
+        from_L, _ = analysis.sensitivity_functions(L)
         np.testing.assert_allclose(from_L, stacked(S), atol=1e-7 * max(1.0, np.abs(S).max() ** 2))
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.chains import chains
+from platform_ctrl.analysis.hessenberg_form import chains
+from platform_ctrl.analysis.hessenberg_recurrence import respond
 from platform_ctrl.analysis.refinement import band
-from platform_ctrl.analysis.resolvent import respond
 from platform_ctrl.common.values import FloatArray
 
 

@@ -13,9 +13,9 @@ from scipy.linalg import block_diag
 from exact_norm import gain_exceeds
 from platform_ctrl import PlatformCtrlError, analysis
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.analysis.axis import FrequencyAxis, boundary_poles, pencil_crossings
 from platform_ctrl.analysis.certificates import norm_certificate
 from platform_ctrl.analysis.phase_bound import all_pass, doubtful, middles, phases
+from platform_ctrl.analysis.singular_values import FrequencyAxis, boundary_poles, pencil_crossings
 from platform_ctrl.common.values import FloatArray
 
 TOLERANCE = 1e-8
@@ -309,7 +309,7 @@ def test_many_lightly_damped_states_have_the_norm_of_the_sum_of_their_modes(
     A = block_diag(*([[0.0, w], [-w, -2.0 * z * w]] for w, z in zip(own, zeta, strict=True)))
     Q = np.linalg.qr(rng.normal(size=A.shape))[0]
     system = control.ss(Q @ A @ Q.T, Q @ np.kron(b, [[0.0], [1.0]]), np.kron(c, [1.0, 0.0]) @ Q.T, 0)
-    monkeypatch.setattr("platform_ctrl.analysis.axis.hamiltonian_crossings", None)
+    monkeypatch.setattr("platform_ctrl.analysis.singular_values.hamiltonian_crossings", None)
     norm, frequency = analysis.hinf_norm(system)
 
     def gain(w: FloatArray) -> FloatArray:

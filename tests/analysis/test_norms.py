@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl import PlatformCtrlError, analysis
-from platform_ctrl.analysis.axis import largest_gains
+from platform_ctrl.analysis.singular_values import largest_gains
 from platform_ctrl.common.values import FloatArray
 
 seeds = st.integers(0, 2**31 - 1)

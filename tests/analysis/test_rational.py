@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.rational import linear_arrays
+from platform_ctrl.analysis.transfer_function import linear_arrays
 from platform_ctrl.errors import ArgumentError
 
 s = control.tf("s")

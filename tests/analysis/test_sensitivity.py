@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from platform_ctrl.analysis.feedback import sensitivities, sensitivities_of_plants
+from platform_ctrl.analysis.feedback import sensitivities_of_plants, sensitivity_functions
 
 
 def responses(*shape, seed=0):
@@ -22,19 +22,19 @@ def test_one_inverse_serves_output_and_input(p, m):
 @pytest.mark.parametrize("m", [1, 2, 3, 6])
 def test_sensitivity_and_its_complement_are_one_together(m):
     L = responses(4, 5, m, m)
-    S, T = sensitivities(L)
+    S, T = sensitivity_functions(L)
     np.testing.assert_allclose(S @ (np.eye(m) + L), np.broadcast_to(np.eye(m), S.shape), atol=1e-10)
     np.testing.assert_allclose(S + T, np.broadcast_to(np.eye(m), S.shape), atol=1e-12)
 
 
 def test_a_pivot_that_is_zero_is_sought_in_another_row():
     L = np.array([[[-1.0, 1.0], [1.0, -1.0]]], dtype=complex)
-    np.testing.assert_allclose(sensitivities(L)[0], [[[0.0, 1.0], [1.0, 0.0]]], atol=1e-15)
+    np.testing.assert_allclose(sensitivity_functions(L)[0], [[[0.0, 1.0], [1.0, 0.0]]], atol=1e-15)
 
 
 def test_a_loop_through_minus_one_has_no_sensitivity_and_leaves_the_others_alone():
     L = np.array([[[-1.0]], [[1.0]], [[np.nan]]], dtype=complex)
-    assert sensitivities(L)[0][:, 0, 0].tolist() == [np.inf, 0.5, np.inf]
+    assert sensitivity_functions(L)[0][:, 0, 0].tolist() == [np.inf, 0.5, np.inf]
     P, K = np.ones((1, 2, 1, 1), dtype=complex), np.array([[[1.0]], [[-1.0]]], dtype=complex)
     for found in sensitivities_of_plants(P, K):
         assert found[0, :, 0, 0].tolist() == [np.inf, 0.5]
@@ -43,7 +43,7 @@ def test_a_loop_through_minus_one_has_no_sensitivity_and_leaves_the_others_alone
 def test_the_arguments_stay_as_they_are():
     L, P, K = responses(3, 2, 2), responses(4, 3, 2, 2), responses(3, 2, 2, seed=1)
     before = [one.copy() for one in (L, P, K)]
-    sensitivities(L)
+    sensitivity_functions(L)
     sensitivities_of_plants(P, K)
     for one, other in zip((L, P, K), before, strict=True):
         np.testing.assert_array_equal(one, other)

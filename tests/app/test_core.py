@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from platform_ctrl import analysis
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
@@ -84,13 +84,13 @@ def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
     bench: Workbench, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
-    controller = state_space(K, plants.angles, plants.torques)
+    controller = named_system(K, plants.angles, plants.torques)
     # Q10 is closed first, then the loop transfer of Q9 alone is taken: no sensitivity is inverted.
     j = plants.torques.index(settings.channel)
     other = [k for k in range(len(plants.torques)) if k != j]
-    inner = state_space(StateArrays(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
+    inner = named_system(StateArrays(K.A, K.B, K.C[other], K.D[other], K.dt), plants.angles, ["Q10"])
     closed = analysis.closed_loop(sampled_plant(plants), inner)
-    single = state_space(StateArrays(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
+    single = named_system(StateArrays(K.A, K.B, K.C[[j]], K.D[[j]], K.dt), plants.angles, ["Q9"])
     plant = closed[list(plants.angles), ["Q9"]]
     direct = analysis.frequency_response(analysis.loop_transfer(plant, single), picture.bode.frequency)[0, 0]
     np.testing.assert_allclose(picture.bode.response, direct, rtol=1e-6, atol=1e-9)
@@ -126,7 +126,7 @@ def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
     bench: Workbench, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
-    closed = analysis.closed_loop(sampled_plant(plants), state_space(K, plants.angles, plants.torques))
+    closed = analysis.closed_loop(sampled_plant(plants), named_system(K, plants.angles, plants.torques))
     step = picture.step
     count = round(step.t[-1] / plants.period) + 1
     size = float(step.title.split()[0]) * 1e-3
@@ -172,7 +172,7 @@ def test_margins_of_the_channel_put_a_pole_on_the_boundary(
             scale = np.ones(len(plants.torques))
             scale[j] = factor
             turned = StateArrays(K.A, K.B, scale[:, None] * K.C, scale[:, None] * K.D, K.dt)
-            z = closed_loop_poles(plants.only([0]), state_space(turned, plants.angles, plants.torques))[0]
+            z = closed_loop_poles(plants.only([0]), named_system(turned, plants.angles, plants.torques))[0]
             assert np.abs(z).max() == pytest.approx(1.0, abs=2e-3)
     assert 10.0 < picture.margins.phase < 90.0
     assert picture.margins.delay > 0.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
@@ -23,7 +23,7 @@ from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import loop_requirements
 from platform_ctrl.mechanics import matrices
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import state_space as plant_model
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms
 
@@ -218,7 +218,7 @@ def test_torque_noise_is_what_a_long_random_run_shows(job, model, two_axis):
     options = starting_values(job.loops[1].designs[0].options, channel, two_axis.nutation, PERIOD)
     K = StateArrays(*classical_controller(options, channel, PERIOD), dt=PERIOD)
     measures = measure(two_axis, K)
-    named = state_space(K, two_axis.angles, two_axis.torques)
+    named = named_system(K, two_axis.angles, two_axis.torques)
     loop = control.feedback(named, sampled_plant(two_axis), sign=1)
     rng = np.random.default_rng(1)
     noise = 5e-6 * rng.standard_normal((2, 40000))
@@ -359,7 +359,7 @@ TORQUES_457 = ["Q4", "Q5", "Q7"]
 )
 def test_poles_are_placed_where_they_are_wanted(model, poles):
     """4-5-7, where the rank of python-control's controllability matrix in SI is 3 of 6."""
-    plant = plant_model(model, gimbals=("4", "5", "7"))
+    plant = state_space(model, gimbals=("4", "5", "7"))
     assert np.linalg.matrix_rank(control.ctrb(plant.A, plant.B[:, :3])) < 6
     found = pole_placement(plant, poles, TORQUES_457)
     assert found.error < 1e-6
@@ -370,7 +370,7 @@ def test_poles_are_placed_where_they_are_wanted(model, poles):
 
 def test_placed_poles_do_not_depend_on_units(model):
     """Momenta in g cm²/s: python-control's `place` then gives a loop whose eigenvectors are hundreds of times worse."""
-    plant = plant_model(model, gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
+    plant = state_space(model, gimbals=("9", "10"))[["alpha9", "beta10"], ["Q9", "Q10"]]
     poles = [-100 + 400j, -100 - 400j, -50, -60]
     unit = np.diag([1.0, 1.0, 1e7, 1e7])
     other = control.ss(unit @ plant.A @ np.linalg.inv(unit), unit @ plant.B, plant.C @ np.linalg.inv(unit), plant.D)
@@ -390,7 +390,7 @@ def test_placed_poles_do_not_depend_on_units(model):
 
 
 def test_pole_placement_says_what_cannot_be(model):
-    plant = plant_model(model, gimbals=("9", "10"))
+    plant = state_space(model, gimbals=("9", "10"))
     with pytest.raises(ArgumentError, match="without its conjugate"):
         pole_placement(plant, [-1 + 1j, -1 + 1j, -3, -4], ["Q9", "Q10"])
     with pytest.raises(ArgumentError, match="4 finite numbers, one for each state"):
@@ -405,7 +405,7 @@ def test_pole_placement_says_what_cannot_be(model):
 
 def test_python_controls_root_locus_follows_the_momentum_states(model):
     """One torque across, the other axis free: its poles are those of the closed states but for the one not seen."""
-    plant = plant_model(model, gimbals=("9", "10"))["beta10", "Q9"]
+    plant = state_space(model, gimbals=("9", "10"))["beta10", "Q9"]
     gains = np.array([0.0, 0.5, 5.0])
     locus = control.root_locus_map(plant, gains)
     for gain_value, poles in zip(gains, locus.loci, strict=True):

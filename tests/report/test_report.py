@@ -821,7 +821,7 @@ def test_captions_say_peaks_that_every_grid_misses() -> None:
     # A narrow notch in the way of the nutation; the worst of several axes is more than that of any one.
     K = narrow_loops.controller(np.array([28.549, 285.48, 26.282, 305.64, 235.28, 75.46, 0.20796, 0.0061867]))
     narrow = remeasured(
-        outcome.spec, outcome.closed.name, analysis.state_space(K, plants.angles, plants.torques), plants
+        outcome.spec, outcome.closed.name, analysis.named_system(K, plants.angles, plants.torques), plants
     )
     outcome = dataclasses.replace(outcome, designs=(narrow,))
     responses = loop_responses(linearise(job.platform), outcome)

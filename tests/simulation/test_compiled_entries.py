@@ -82,15 +82,13 @@ def test_lists_and_whole_numbers_are_arrays_too() -> None:
 )
 def test_sensitivities_need_square_matrices(wrong: Any) -> None:
     with pytest.raises(ArgumentError):
-        analysis.sensitivities(wrong)
+        analysis.sensitivity_functions(wrong)
 
 
 KEPT = {
-    "inner.py": (
-        "from platform_ctrl.mechanics.lanes import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"
-    ),
+    "inner.py": ("from platform_ctrl.common.simd import internal\n@internal\ndef inner(x):\n    return {factor} * x\n"),
     "outer.py": (
-        "from inner import inner\nfrom platform_ctrl.mechanics.lanes import compiled\n"
+        "from inner import inner\nfrom platform_ctrl.common.simd import compiled\n"
         "@compiled\ndef outer(x):\n    return inner(x) + 1.0\n"
     ),
 }

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kernel_entries import derivatives, entries, momenta, put, run, space, whole_state
-from platform_ctrl.mechanics.lanes import LANES, choose, load, store
+from platform_ctrl.common.simd import LANES, choose, load, store
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.simulation import rollout
 from platform_ctrl.simulation.kernel import dynamics, functions

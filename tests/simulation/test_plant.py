@@ -298,7 +298,7 @@ def test_gimbals_that_carry_each_other_in_a_ring_are_refused():
 
 
 def test_the_kernel_compiles_where_no_cache_can_be_kept():
-    from platform_ctrl.mechanics.lanes import compiled
+    from platform_ctrl.common.simd import compiled
 
     # numba finds no place for the cache of a function without a source file.
     scope: dict = {}

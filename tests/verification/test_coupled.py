@@ -136,7 +136,7 @@ def test_the_platform_turns_the_gyros_reactions_into_little(result):
 def test_small_non_linear_motion_is_the_linear_coupled_motion(job, controllers):
     """From a small tilt of gimbal 9 all loops bring the angles back as the sampled linear model says."""
     plant = coupled_plant(job, linearise(job.platform), controllers)
-    K = analysis.joined(
+    K = analysis.interconnect_controllers(
         controllers, [s.name for s in job.platform.pickoffs], list(plant.input_labels), job.sampling.period
     )
     closed = analysis.closed_loop(plant, K)

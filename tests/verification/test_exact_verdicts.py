@@ -16,7 +16,7 @@ import narrow_loops
 from cli.test_cli import undrawn  # noqa: F401
 from platform_ctrl import design
 from platform_ctrl.analysis import PlantSet, StateArrays, measure
-from platform_ctrl.analysis.arrays import state_arrays, state_space
+from platform_ctrl.analysis.arrays import named_system, state_arrays
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
@@ -176,7 +176,7 @@ def test_the_coupled_check_sees_what_a_grid_misses(kind: str, plants: PlantSet, 
     (tmp_path / "job.toml").write_text(f"{JOB}\n[coupled]\ndisk_margin = 0.1\n", encoding="utf-8")
     job = read_job(tmp_path / "job.toml")
     K = narrow_loops.controller(np.array(FOUND[kind][1]))
-    found = coupled_check(job, linearise(job.platform), [state_space(K, ("alpha9", "beta10"), ("Q9", "Q10"))])
+    found = coupled_check(job, linearise(job.platform), [named_system(K, ("alpha9", "beta10"), ("Q9", "Q10"))])
     loop = dense_peak.closed(plants, 0, K)
     w = dense_peak.around_poles(loop.A, PERIOD)
 
@@ -267,7 +267,7 @@ def test_the_page_sees_a_narrow_resonance_of_the_coupled_loop(
     a, b, c, d = (block_diag(part, part) for part in notch(2.0 * np.pi * centre_hz, depth, width, PERIOD))
     both = np.block([[a, np.zeros((len(a), len(A)))], [B @ c, A]])
     K = StateArrays(both, np.vstack([b, B @ d]), np.hstack([D @ c, C]), D @ d, PERIOD)
-    controllers = (first, state_space(K, second.input_labels, second.output_labels), servo)
+    controllers = (first, named_system(K, second.input_labels, second.output_labels), servo)
     plants = free_plants(free_models(job, corners(job)[:1], sensed_rates(job, controllers)), job.sampling, False)
     model = linearise(job.platform)
     loop = StabilisedLoop(job=job, model=model, spec=job.loops[2], controllers=controllers, plants=plants, shown=plants)

@@ -165,7 +165,7 @@ def test_sensitivity_plants_close_to_s_minus_half(small: tuple[Any, tuple[LoopOu
     assert design.plants is not None
     K = StateArrays(*(getattr(design.controller, name) for name in "ABCD"), dt=design.plants.period)
     P = pc.analysis.frequency_response(
-        pc.analysis.arrays.state_space(
+        pc.analysis.arrays.named_system(
             StateArrays(*(getattr(design.plants, name)[0] for name in "ABCD"), dt=K.dt), ["a", "b"], ["c", "d"]
         ),
         [100.0],

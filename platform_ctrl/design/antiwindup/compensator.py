@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Verification
 from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
@@ -208,4 +208,4 @@ def with_excess(controller: StateSpace, gain: FloatArray) -> StateSpace:
     outputs = list(controller.output_labels)
     arrays = StateArrays(K.A, np.hstack([K.B, gain]), K.C, np.hstack([K.D, np.zeros((len(outputs),) * 2)]), K.dt)
     inputs = [*controller.input_labels, *(f"excess_{name}" for name in outputs)]
-    return state_space(arrays, inputs, outputs, list(controller.state_labels))
+    return named_system(arrays, inputs, outputs, list(controller.state_labels))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.sampled import sampled, with_lag
 from platform_ctrl.common.arguments import positive, real_numbers
 from platform_ctrl.common.signatures import check_arguments
@@ -27,8 +27,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import state_space as model_state_space
-from platform_ctrl.mechanics.state_space import whole_subsystems
+from platform_ctrl.mechanics.state_space import state_space, whole_subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ class ComplexSystem:
         A, B, C, D, _ = self.real_arrays()
         B, D = B / self.input_scale, D / self.input_scale
         arrays = StateArrays(A, B, self.output_scale[:, None] * C, self.output_scale[:, None] * D, self.dt)
-        return state_space(arrays, self.inputs, self.outputs, self.states or None)
+        return named_system(arrays, self.inputs, self.outputs, self.states or None)
 
 
 @check_arguments
@@ -153,7 +152,7 @@ def complex_plant(
     names = list(gimbals)
     torquers = [model.platform.torquer_on(name) for name in names]
     angles, torques = [model.platform.pickoff_on(name).name for name in names], [t.name for t in torquers]
-    whole = model_state_space(model, gimbals=names)
+    whole = state_space(model, gimbals=names)
     system = whole[angles, torques]
     order = [list(whole.state_labels).index(prefix + angle) for prefix in ("", "p_") for angle in angles]
     A, B, C = (np.asarray(item, dtype=np.float64) for item in (system.A, system.B, system.C))
@@ -167,7 +166,7 @@ def complex_plant(
         A, B, C = A / states[:, None] * states, B / states[:, None] / scale, C / scale[:, None] * states
         rate = rate / states[:, None]
     states_named = [*angles, *(f"p_{name}" for name in angles)]
-    plain = state_space(StateArrays(A, B, C, np.zeros((2, 2)), 0.0), torques, angles, states_named)
+    plain = named_system(StateArrays(A, B, C, np.zeros((2, 2)), 0.0), torques, angles, states_named)
     lags = np.array([t.lag for t in torquers])
     if period is None:
         arrays = StateArrays(*with_lag(A, B, C, np.zeros((2, 2)), lags), dt=0.0)

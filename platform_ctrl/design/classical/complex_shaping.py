@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.peaks import peak
@@ -115,7 +115,7 @@ class ComplexLoop:
         acting = self.plant.real_system()
         A, B, C, D, dt = state_arrays(acting, "real_plant")
         arrays = StateArrays(A, np.hstack([B, self.plant.rate_input]), C, np.hstack([D, np.zeros((2, 3))]), dt)
-        return state_space(arrays, [*acting.input_labels, *OMEGA_NAMES], acting.output_labels, acting.state_labels)
+        return named_system(arrays, [*acting.input_labels, *OMEGA_NAMES], acting.output_labels, acting.state_labels)
 
     @property
     def certificate(self) -> Certificate:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, selected, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, selected, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, margin_certificates
 from platform_ctrl.analysis.feedback import At, closed_loop_with_sensitivity
 from platform_ctrl.analysis.norms import hinf_norm_arrays
@@ -27,8 +27,7 @@ from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.design.plants import held_rate
 from platform_ctrl.errors import ArgumentError, DesignError, InfeasibleError
 from platform_ctrl.mechanics.linearisation import LinearModel
-from platform_ctrl.mechanics.state_space import state_space as model_state_space
-from platform_ctrl.mechanics.state_space import whole_subsystems
+from platform_ctrl.mechanics.state_space import state_space, whole_subsystems
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ def from_crossover_and_margin(
 
     def controller(strength: float) -> control.StateSpace:
         K = StateArrays(*classical_controller(with_lead(strength), channel, period), dt=period)
-        return state_space(K, plant.output_labels, plant.input_labels[:2], name=f"cross-axis, {crossover_hz:g} Hz")
+        return named_system(K, plant.output_labels, plant.input_labels[:2], name=f"cross-axis, {crossover_hz:g} Hz")
 
     def margin(strength: float) -> float:
         return _disk_margin(plant, controller(strength))
@@ -223,11 +222,11 @@ def _pair(
     names = [model.gimbal_names[k] for k in rows]
     torquers = [model.platform.torquer_on(name) for name in names]
     angles = [model.platform.pickoff_on(name).name for name in names]
-    system = model_state_space(model, gimbals=names)
+    system = state_space(model, gimbals=names)
     nutation = float(np.abs(np.linalg.eigvals(system.A)).max())
     acting = sampled(selected(system, angles, [t.name for t in torquers]), period, delay, [t.lag for t in torquers])
     A, B, C, D, _ = state_arrays(acting, "plant")
     rate = held_rate(system.A, selected(system, angles, OMEGA_NAMES).B, period, len(A))
     arrays = StateArrays(A, np.hstack([B, rate]), C, np.hstack([D, np.zeros((2, 3))]), period)
-    plant = state_space(arrays, [*acting.input_labels, *OMEGA_NAMES], angles, acting.state_labels)
+    plant = named_system(arrays, [*acting.input_labels, *OMEGA_NAMES], angles, acting.state_labels)
     return plant, channel, nutation

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, flattened
 from platform_ctrl.design.loop import LoopDesign, completed
@@ -70,7 +70,7 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
     turns, speeds = _per_axis("turn"), _per_axis("speed")
     axes = flattened(_axis_stages(options, period), turns, speeds)
     servo = series(gain(estimate), axes, gain(_strength(options, model)))
-    controller = state_space(
+    controller = named_system(
         StateArrays(*servo, dt=period),
         [torquers[model.gimbal_names[k]] for k in used],
         [roots[k] for k in (1, 2, 3)],

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
@@ -240,4 +240,4 @@ def _weighted(
     direct = np.block(
         [[eye / peak, none, none], [none, none, none], [none, none, torque * eye], [eye / peak, none, none]]
     )
-    return state_space(StateArrays(states, inputs, outputs, direct, 0.0), *signal_names(k))
+    return named_system(StateArrays(states, inputs, outputs, direct, 0.0), *signal_names(k))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, named_system
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray, value
@@ -251,7 +251,7 @@ def _result(search: Search, gains: FloatArray, begun: FloatArray, history: Float
         )
     controller = realisation(gains, search.filter_time, plants.period)
     return MeasuredDesign(
-        controller=state_space(controller, plants.angles, plants.torques, name="measured PID"),
+        controller=named_system(controller, plants.angles, plants.torques, name="measured PID"),
         gains=gains,
         filter_time=search.filter_time,
         objective=float(np.linalg.svd(gains[1], compute_uv=False)[-1]),

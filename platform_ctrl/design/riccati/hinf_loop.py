@@ -7,7 +7,7 @@ that rises through the bandwidth to the peak M, W_t bounds T.
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane
 from platform_ctrl.design.loop import completed
@@ -31,7 +31,7 @@ def hinf_controller(
     """
     options = default_options(given, channel, plants.nutation)
     weighted = weighted_plant(options, channel, plants)
-    P = state_space(weighted.arrays, *signal_names(weighted.size))
+    P = named_system(weighted.arrays, *signal_names(weighted.size))
     found = hinf(P, weighted.size, weighted.size, method=method, backoff=options["backoff"])
     K = found.controller
     sampled = from_w_plane(*series(weighted.weight(), (K.A, K.B, K.C, K.D)), plants.period)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.intersample import intersample_norm
 from platform_ctrl.analysis.sampled import with_lag
 from platform_ctrl.common.signatures import check_arguments
@@ -14,7 +14,7 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.mechanics.state_space import state_space as linear_system
+from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def caging_plant(job: Job, controller: control.StateSpace) -> tuple[control.Stat
     if unknown:
         raise ArgumentError(f"controller: {unknown[0]!r} is no torquer of the plant; expected {', '.join(torquers)}")
     used = [torquers[name] for name in torques]
-    whole = linear_system(linearise(job.platform), gimbals=[str(t.gimbal) for t in used])
+    whole = state_space(linearise(job.platform), gimbals=[str(t.gimbal) for t in used])
     unseen = [name for name in angles if name not in whole.output_labels]
     if unseen:
         raise ArgumentError(f"controller: {unseen[0]!r} is no angle of this loop; expected {list(whole.output_labels)}")
@@ -98,10 +98,10 @@ def caging_plant(job: Job, controller: control.StateSpace) -> tuple[control.Stat
     A, B, C, D = with_lag(P.A, P.B, P.C, P.D, lags)
     names = [f"disturbing_{name}" for name in torques] + [*OMEGA_NAMES, *torques]
     arrays = StateArrays(A, B, np.vstack([C, C]), np.vstack([D, D]), 0.0)
-    return state_space(arrays, names, [*angles, *(f"measured_{name}" for name in angles)]), m, p
+    return named_system(arrays, names, [*angles, *(f"measured_{name}" for name in angles)]), m, p
 
 
 def _chosen(plant: control.StateSpace, disturbances: range, m: int) -> control.StateSpace:
     columns = [*disturbances, *range(plant.ninputs - m, plant.ninputs)]
     arrays = StateArrays(plant.A, plant.B[:, columns], plant.C, plant.D[:, columns], 0.0)
-    return state_space(arrays, [plant.input_labels[k] for k in columns], list(plant.output_labels))
+    return named_system(arrays, [plant.input_labels[k] for k in columns], list(plant.output_labels))

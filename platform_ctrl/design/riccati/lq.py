@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate, static_gain
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.signatures import check_arguments
@@ -428,7 +428,7 @@ def _cost_plant(arrays: StateArrays, weights: Weights, noise: Weights, integral:
 
 def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSpace:
     one = whole(p)
-    return state_space(
+    return named_system(
         StateArrays(one.A, one.B, one.C, one.D, p.dt),
         [*(f"noise {k + 1}" for k in range(p.B1.shape[1])), *system.input_labels],
         [*(f"cost {k + 1}" for k in range(len(p.C1))), *measured],
@@ -467,7 +467,7 @@ def _with_integrators(K: Realisation, ny: int, integrals: int, system: StateSpac
     n, p = len(K.A), integrals
     dt = float(system.dt or 0.0)
     keep = np.eye(p) if dt else np.zeros((p, p))
-    return state_space(
+    return named_system(
         StateArrays(
             np.block([[K.A, K.B[:, ny:]], [np.zeros((p, n)), keep]]),
             np.vstack([K.B[:, :ny], np.eye(ny)[:p]]),

@@ -7,7 +7,7 @@ sample counts; the integrator of W_e gives integral action.
 
 from __future__ import annotations
 
-from platform_ctrl.analysis.arrays import StateArrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.sampled import from_w_plane
 from platform_ctrl.design.loop import completed
@@ -32,7 +32,7 @@ def lqg_controller(
     options = default_options(given, channel, plants.nutation)
     weighted = weighted_plant(options, channel, plants)
     size, period = weighted.size, plants.period
-    P = state_space(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), *signal_names(size))
+    P = named_system(StateArrays(*from_w_plane(*weighted.arrays[:4], period), dt=period), *signal_names(size))
     found = h2(P, size, size)
     K = found.controller
     sampled = series(from_w_plane(*weighted.weight(), period), (K.A, K.B, K.C, K.D))

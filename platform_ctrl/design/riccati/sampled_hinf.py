@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.analysis.certificates import Certificate, stability_certificate
 from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.intersample import intersample_norm
@@ -268,7 +268,7 @@ def _named(P: StateSpace, plant: SampledPlant, level: float) -> StateSpace:
     lifted = lifted_plant(plant, level)
     m, p = plant.B2.shape[1], len(plant.C2)
     nw, nz = lifted.B.shape[1] - m, len(lifted.C) - p
-    return state_space(
+    return named_system(
         lifted,
         [f"lifted_w{k + 1}" for k in range(nw)] + list(P.input_labels[-m:]),
         [f"lifted_z{k + 1}" for k in range(nz)] + list(P.output_labels[-p:]),

@@ -184,7 +184,7 @@ class ClosedLoop:
     def crossings(self, level: float) -> FloatArray:
         """Return sorted frequencies that contain those where a singular value equals `level`."""
         from platform_ctrl.analysis.arrays import scaled
-        from platform_ctrl.analysis.axis import hamiltonian_crossings
+        from platform_ctrl.analysis.singular_values import hamiltonian_crossings
 
         if not level > 0.0:
             return np.zeros(0)

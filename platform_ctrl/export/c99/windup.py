@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, scaled, state_scaling, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, scaled, state_scaling
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import PlatformCtrlError
@@ -150,7 +150,7 @@ def proved(job: Job, scheme: Scheme) -> Windup:
         note = f"{scheme.name}: back-calculation: proofs of anti-windup are for loops from pick-offs to torquers alone"
         return Windup(gain=other.gain, remark=other.remark, notes=(*other.notes, note))
     try:
-        loop = caging_loop_limits(job, state_space(K, scheme.inputs, scheme.outputs), 1)
+        loop = caging_loop_limits(job, named_system(K, scheme.inputs, scheme.outputs), 1)
         found = anti_windup(loop)
         reason = "" if found.verification.proved else found.verification.reason
     except PlatformCtrlError as error:

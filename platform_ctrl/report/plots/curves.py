@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_space
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system
 from platform_ctrl.analysis.margins import DiskMargin, disk_margin
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 from platform_ctrl.common.values import FloatArray, value
@@ -142,7 +142,7 @@ def _channel(plot: str, loop: DrawnSystem, k: int) -> DrawnSystem:
         D[np.ix_([k], [k])] - D[np.ix_([k], others)] @ direct,
         dt,
     )
-    return _part(loop, k, k, arrays, state_space(arrays, [name], [loop.outputs[k]]))
+    return _part(loop, k, k, arrays, named_system(arrays, [name], [loop.outputs[k]]))
 
 
 def _sensitivity(L: ComplexArray, where: str) -> ComplexArray:
@@ -321,7 +321,7 @@ def _disk(system: DrawnSystem, skew: float) -> tuple[bool | None, DiskMargin | N
         A, B, C, _, dt = system.arrays
         s = continuous_poles(pole_arrays(A - B @ C / E), dt)
         stable = bool(spectral_abscissa(s) < 0.0)
-        own = disk_margin(state_space(system.arrays, ["e"], ["v"]), skew=skew)
+        own = disk_margin(named_system(system.arrays, ["e"], ["v"]), skew=skew)
         return stable, own
     if not system.is_data:
         return None, None

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_arrays
 from platform_ctrl.analysis.feedback import closed_loop_arrays, loop_transfer
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.analysis.rational import LinearSystem
 from platform_ctrl.analysis.sampled import sampled_arrays, with_lag
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_names, positive, real_numbers
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import greek

@@ -12,11 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
-from platform_ctrl.analysis.axis import boundary_poles
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
 from platform_ctrl.analysis.margins import disk_margin
 from platform_ctrl.analysis.poles import pole_arrays
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.singular_values import boundary_poles
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
@@ -197,7 +197,7 @@ def _channels(system: DrawnSystem, frequency: ArrayLike | None, reach: float) ->
             raise ArgumentError("nyquist: 1 + D of a loop is 0: an algebraic loop; add a lag or a delay to it")
         closed = pole_arrays(loop.A - loop.B @ loop.C / direct)
         growth = np.abs(closed) - 1.0 if loop.dt else closed.real / np.abs(closed).max(initial=1e-300)
-        margin = disk_margin(state_space(loop, one.inputs, one.outputs))
+        margin = disk_margin(named_system(loop, one.inputs, one.outputs))
         points, curve = _traced(loop, _contour(loop.A, loop.dt, own), reach)
         out.append(
             ChannelCurve(

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled, state_space
-from platform_ctrl.analysis.axis import boundary_poles
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, named_system, scaled
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.singular_values import boundary_poles
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
@@ -145,7 +145,7 @@ def _zeros(system: DrawnSystem, poles: ComplexArray) -> ComplexArray:
     dt = system.dt
     balanced = StateArrays(*scaled(*system.arrays[:3]), system.arrays.D, dt)
     with np.errstate(all="ignore"):
-        found = np.asarray(state_space(balanced, system.inputs, system.outputs).zeros(), dtype=np.complex128)
+        found = np.asarray(named_system(balanced, system.inputs, system.outputs).zeros(), dtype=np.complex128)
     found = found[np.isfinite(found)]
     largest = np.abs(poles[np.isfinite(poles)]).max(initial=0.0)
     return continuous_poles(found[np.abs(found) < _FAR * (1.0 if dt else largest)], dt)

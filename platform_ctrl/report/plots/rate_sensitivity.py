@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.analysis.arrays import state_space
+from platform_ctrl.analysis.arrays import named_system
 from platform_ctrl.analysis.feedback import closed_loop
 from platform_ctrl.analysis.poles import is_stable
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek
 from platform_ctrl.errors import ArgumentError
@@ -152,4 +152,4 @@ def _joinable(K: DrawnSystem, torquers: Sequence[str], angles: Sequence[str]) ->
     known = set(K.outputs) <= set(torquers) and set(K.inputs) <= set(angles)
     if known or K.arrays is None or K.shape != (len(torquers), len(angles)):
         return as_state_space("Omega_sensitivity: controllers", K)
-    return state_space(K.arrays, angles, torquers)
+    return named_system(K.arrays, angles, torquers)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.poles import continuous_poles, damping_ratio
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray

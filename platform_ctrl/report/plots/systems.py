@@ -15,10 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, scaled
-from platform_ctrl.analysis.axis import boundary_poles
 from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
-from platform_ctrl.analysis.rational import LinearSystem, is_proper, is_rational, linear_arrays, rational_response
 from platform_ctrl.analysis.response import frequency_response_arrays
+from platform_ctrl.analysis.singular_values import boundary_poles
+from platform_ctrl.analysis.transfer_function import (
+    LinearSystem,
+    is_proper,
+    is_rational,
+    linear_arrays,
+    rational_response,
+)
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.text import LETTERS
 from platform_ctrl.common.values import FloatArray, value

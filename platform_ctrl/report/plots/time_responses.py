@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.analysis.arrays import scaled, state_space
-from platform_ctrl.analysis.axis import boundary_poles
-from platform_ctrl.analysis.rational import LinearSystem
+from platform_ctrl.analysis.arrays import named_system, scaled
+from platform_ctrl.analysis.singular_values import boundary_poles
 from platform_ctrl.analysis.time_response import time_response
+from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.text import greek
@@ -111,7 +111,7 @@ def step_response(
     for k, system in enumerate(drawn):
         t = _times(system, end)
         assert system.arrays is not None
-        made = state_space(system.arrays, system.inputs, system.outputs)
+        made = named_system(system.arrays, system.inputs, system.outputs)
         for j in range(m):
             step = np.zeros((m, len(t)))
             step[j] = 1.0

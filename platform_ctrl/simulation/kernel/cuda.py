@@ -27,8 +27,8 @@ from numba.cuda.typing.templates import AttributeTemplate
 from numba.cuda.typing.typeof import typeof
 from numpy.typing import NDArray
 
+from platform_ctrl.common.simd import kept
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import kept
 from platform_ctrl.simulation.kernel.arrays import At, Flight, Links, Shared
 from platform_ctrl.simulation.kernel.dynamics import runge_kutta
 from platform_ctrl.simulation.kernel.loop import fly

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     Mask,
     Number,
     anywhere,
@@ -24,6 +23,7 @@ from platform_ctrl.mechanics.lanes import (
     store,
     whole,
 )
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     ANGLE,
     AT_ONCE,

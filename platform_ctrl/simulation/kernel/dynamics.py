@@ -30,8 +30,8 @@ Non-positive pivots give NaN, which the callers take as divergence.
 
 from __future__ import annotations
 
+from platform_ctrl.common.simd import Number, apart, choose, greater, inlined, internal, lesser, load, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import Number, apart, choose, greater, inlined, internal, lesser, load, root, store
 from platform_ctrl.simulation.kernel.arrays import (
     ACCELERATION,
     BODY,

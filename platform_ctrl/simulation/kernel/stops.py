@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     Mask,
     Number,
     anywhere,
@@ -16,6 +15,7 @@ from platform_ctrl.mechanics.lanes import (
     load,
     store,
 )
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     AWAY,
     BEGIN,

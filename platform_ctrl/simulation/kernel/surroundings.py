@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     Number,
     apart,
     choose,
@@ -17,6 +16,7 @@ from platform_ctrl.mechanics.lanes import (
     load,
     store,
 )
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.simulation.kernel.arrays import (
     AMPLITUDE,
     BEGIN,

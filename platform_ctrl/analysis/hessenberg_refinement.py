@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.analysis.refinement import exact_sum, plus_product
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.common.simd import (
     LANES,
     Number,
     choose,
@@ -30,6 +29,7 @@ from platform_ctrl.mechanics.lanes import (
     memory,
     store,
 )
+from platform_ctrl.common.values import FloatArray
 
 # Points at a time.
 CHUNK = 16 * LANES

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.analysis.chains import Chains
-from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import (
+from platform_ctrl.analysis.hessenberg_form import Chains
+from platform_ctrl.common.simd import (
     LANES,
     Number,
     anywhere,
@@ -39,6 +38,7 @@ from platform_ctrl.mechanics.lanes import (
     store,
     store_pairs,
 )
+from platform_ctrl.common.values import FloatArray
 
 # Complex numbers of two registers of points.
 Four = tuple[Number, Number, Number, Number]

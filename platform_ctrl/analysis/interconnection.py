@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, state_arrays, state_space
+from platform_ctrl.analysis.arrays import StateArrays, named_system, state_arrays
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
 
 
 @check_arguments
-def joined(
+def interconnect_controllers(
     controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
 ) -> control.StateSpace:
-    """Return one controller from `inputs` (sensors) to `outputs` (torquers).
+    """Return one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
 
     Parameters
     ----------
     controllers
-        In the order in which they are computed: a later one may take an output of an earlier one as its input.
+        In the order in which they are computed. Inputs: names among `inputs`, or outputs of an earlier controller
+        (that step's value). Outputs: names among `outputs`, or inputs of a later controller; no name twice.
     inputs, outputs
-        Names of the signals of the result; each controller's own have to be among them, or be another's output.
+        Signals of the result; an output that no controller sets is zero.
     period
         Sample period of all of them, s.
 
@@ -42,27 +43,6 @@ def joined(
     ------
     ArgumentError
         A signal that nothing gives, an output that two give, or another sample period.
-    """
-    states = [name for K in controllers for name in K.state_labels]
-    return state_space(joined_arrays(controllers, inputs, outputs, period), inputs, outputs, states, name="all loops")
-
-
-def joined_arrays(
-    controllers: Sequence[control.StateSpace], inputs: Sequence[str], outputs: Sequence[str], period: float
-) -> StateArrays:
-    """Return the arrays of one controller from `inputs` (pick-offs, rate sensors) to `outputs` (torquers).
-
-    The joining is exact: nothing non-linear stands between controllers, and later ones see this step's outputs.
-
-    Parameters
-    ----------
-    controllers
-        Inputs: names among `inputs`, or outputs of a controller earlier in the list (that step's value). Outputs:
-        names among `outputs`, or signals that a later controller takes in; no name twice.
-    inputs, outputs
-        Signals of the result; an output that no controller sets is zero.
-    period
-        Sample period of all of them, s.
     """
     parts = [state_arrays(system, _where(k, system)) for k, system in enumerate(controllers)]
     states = sum(len(K.A) for K in parts)
@@ -92,9 +72,9 @@ def joined_arrays(
         seen = np.array([rows[name] for name in system.input_labels]).reshape(system.ninputs, size)
         after[own] = K.B @ seen
         after[own, own] += K.A
-        told = K.D @ seen
-        told[:, own] += K.C
-        for name, row in zip(system.output_labels, told, strict=True):
+        u = K.D @ seen
+        u[:, own] += K.C
+        for name, row in zip(system.output_labels, u, strict=True):
             if name in rows:
                 raise ArgumentError(f"{where}: output {name!r} exists already; expected a name of its own")
             rows[name] = row
@@ -107,7 +87,9 @@ def joined_arrays(
                 f"expected one of {', '.join(outputs)}"
             )
     final = np.array([rows[name] if name in made else np.zeros(size) for name in outputs]).reshape(len(outputs), size)
-    return StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
+    arrays = StateArrays(after[:, :states], after[:, states:], final[:, :states], final[:, states:], period)
+    names = [name for K in controllers for name in K.state_labels]
+    return named_system(arrays, inputs, outputs, names, name="all loops")
 
 
 def _where(k: int, system: control.StateSpace) -> str:

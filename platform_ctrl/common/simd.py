@@ -89,7 +89,8 @@ def compiled(function: F) -> F:
 def kept(dispatcher: Any) -> Any:
     """A function that is cached, with all files beside its own, and this one, deciding whether that is old."""
     if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT, where it is the plain function
-        dispatcher._cache._cache_file._source_stamp = _stamp(dispatcher.py_func.__code__.co_filename)
+        # What was compiled by another "version" is not even unpickled: its types may have been in another module.
+        dispatcher._cache._cache_file._version += f" {_stamp(dispatcher.py_func.__code__.co_filename)}"
     return dispatcher
 
 

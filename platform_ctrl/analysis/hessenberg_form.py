@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.response import LARGE
+from platform_ctrl.common.simd import LANES, Number, choose, compiled, greater, internal, load, memory, root, store
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import LANES, Number, choose, compiled, greater, internal, load, memory, root, store
 
 # What is below this share of |A| goes on to no state behind.
 NOTHING = 2.0**-54
