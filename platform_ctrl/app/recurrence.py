@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from platform_ctrl.common.simd import compiled
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.lanes import compiled
 
 
 @compiled
