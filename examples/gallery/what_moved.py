@@ -6,7 +6,7 @@ at 35 Hz instead of 40 Hz costs 12 % of the bandwidth.
 """
 
 import platform_ctrl as pc
-from platform_ctrl.report.moved_figure import moved_figure
+from platform_ctrl.report.figures.baseline_changes import moved_figure
 from platform_ctrl.verification.baselines import accepted, compare
 
 results = []

@@ -202,7 +202,7 @@ def campaign(
 
 
 def _show_files(flown: Campaigned, page: Path) -> None:
-    from platform_ctrl.report.campaign_tables import count_words
+    from platform_ctrl.report.page.campaign_tables import count_words
 
     counts: dict[str, Any] = flown.counts
     typer.echo(f"{count_words(flown.record['runs'])}: {', '.join(f'{n:,} {name}' for name, n in counts.items() if n)}")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from platform_ctrl.campaign.rare_result import RareMethod, RareResult
     from platform_ctrl.campaign.store import Record
     from platform_ctrl.campaign.summary import Summary
-    from platform_ctrl.report.campaign_tables import ProbabilityRow
+    from platform_ctrl.report.page.campaign_tables import ProbabilityRow
 
 PAGE = "campaign.html"
 ANY = "any"
@@ -90,7 +90,7 @@ def delivered(
     """
     from platform_ctrl.campaign.store import write_record
     from platform_ctrl.campaign.summary import summarised, summary_record
-    from platform_ctrl.report.campaign_page import write_campaign_page
+    from platform_ctrl.report.page.campaign_page import write_campaign_page
 
     folder: Path = flown.table.parent
     summary = summarised(plan, flown.table, rare=rare)
@@ -216,7 +216,7 @@ _WORST = 3
 
 def show_campaign(summary: Summary) -> None:
     """Print every requirement with its probability and bounds, what drives them, the worst runs, and the verdict."""
-    from platform_ctrl.report import campaign_tables as tables
+    from platform_ctrl.report.page import campaign_tables as tables
 
     console = screen()
     rows = tables.probability_rows(summary)
@@ -241,7 +241,7 @@ def show_rare(summary: Summary, rare: RareResult) -> None:
     """Print a rare event: its probability with its interval, what it took, and what has to come together."""
     from rich.table import Table
 
-    from platform_ctrl.report import campaign_tables as tables
+    from platform_ctrl.report.page import campaign_tables as tables
 
     console = screen()
     console.print(f"rare event: {tables.rare_words(rare)}", style="bold", markup=False)
@@ -284,7 +284,7 @@ def _table(summary: Summary, rows: tuple[ProbabilityRow, ...]) -> Table:
 
 
 def _named(row: ProbabilityRow) -> str:
-    from platform_ctrl.report.campaign_tables import ALL_MANOEUVRES
+    from platform_ctrl.report.page.campaign_tables import ALL_MANOEUVRES
 
     return "all, over their limits" if row.group == ALL_MANOEUVRES else row.group
 
@@ -295,7 +295,7 @@ def _line(row: ProbabilityRow) -> str:
 
 
 def _show_drivers(console: Console, summary: Summary) -> None:
-    from platform_ctrl.report import campaign_tables as tables
+    from platform_ctrl.report.page import campaign_tables as tables
 
     for one in summary.sensitivities:
         if one.manoeuvre is None:
@@ -308,7 +308,7 @@ def _show_drivers(console: Console, summary: Summary) -> None:
 
 
 def _show_worst(console: Console, summary: Summary) -> None:
-    from platform_ctrl.report import campaign_tables as tables
+    from platform_ctrl.report.page import campaign_tables as tables
 
     for one, words in tables.worst_rows(summary, summary.statistics.worst[:_WORST], tables.all_drivers(summary)):
         shown = f"{words[0]} {words[1]} (at most {words[2]})"

@@ -76,7 +76,7 @@ class Extras:
     def given(cls, job: Job, pdf: bool, campaign: Path | None) -> Extras:
         """Judge what the command was given, before the work."""
         if pdf:
-            from platform_ctrl.report.pdf_document import typesetter
+            from platform_ctrl.report.pdf import typesetter
 
             typesetter()
         if campaign is not None:

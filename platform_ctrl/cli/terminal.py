@@ -146,8 +146,8 @@ def screen() -> Console:
 
 def show_result(result: JobResult) -> None:
     """Print all requirements, as the report's table or as lines where it would not fit, and the verdict."""
+    from platform_ctrl.report.page.tables import terminal_table
     from platform_ctrl.report.quantities import added_words
-    from platform_ctrl.report.tables import terminal_table
 
     console = screen()
     if console.width >= _NARROW:
@@ -198,7 +198,7 @@ def show_inputs(title: str, inputs: Mapping[str, object]) -> None:
 def _show_lines(console: Console, results: Sequence[CheckResult]) -> None:
     from rich.text import Text
 
-    from platform_ctrl.report.failure_text import value_and_limit
+    from platform_ctrl.report.failure_messages import value_and_limit
 
     for one in results:
         style = "dim" if not one.hard else "green" if one.passed else "bold red"

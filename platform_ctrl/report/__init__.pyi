@@ -1,7 +1,6 @@
 from . import figures as figures
-from . import tables as tables
-from .document import page as page
-from .document import prepared as prepared
-from .document import write_page as write_page
-from .pdf_document import pdf as pdf
-from .pdf_document import write_pdf as write_pdf
+from .page.job_page import page_html as page_html
+from .page.job_page import prepared as prepared
+from .page.job_page import write_page as write_page
+from .pdf import pdf_bytes as pdf_bytes
+from .pdf import write_pdf as write_pdf

@@ -21,8 +21,8 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.report.axes.svg import text_width
 from platform_ctrl.report.quantities import power_of_ten
-from platform_ctrl.report.svg import text_width
 
 P = ParamSpec("P")
 Drawn = TypeVar("Drawn")
@@ -39,6 +39,7 @@ DASHES: tuple[Any, ...] = (
     "-",
     (0, (9, 2)),
 )
+DASHED, DOTTED, DASH_DOTTED = DASHES[1], DASHES[2], DASHES[3]
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 INK, MUTED, GRID, FRAME = "#1b2430", "#5c6675", "#e4e7ec", "#b9c0ca"
 LIMIT, BEYOND = "#b3261e", "#fbebe9"

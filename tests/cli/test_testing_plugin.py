@@ -38,7 +38,7 @@ def _loaded() -> None:
     result = pc.verification.checked(job, pc.design.loops(job))
     from platform_ctrl.campaign import identity  # noqa: F401
     from platform_ctrl.cli.testing import session  # noqa: F401
-    from platform_ctrl.report import moved_figure  # noqa: F401
+    from platform_ctrl.report.figures import baseline_changes  # noqa: F401
 
     assert len(result.requirements) == ITEMS
 

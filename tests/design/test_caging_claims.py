@@ -14,7 +14,7 @@ from platform_ctrl.design.jobs import survived_name, with_caging_claims
 from platform_ctrl.design.riccati.intersample_loop import intersample_gains
 from platform_ctrl.job.job import Job
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.report.document import survival
+from platform_ctrl.report.page.job_page import survival
 from platform_ctrl.verification.given import outcomes_from
 from platform_ctrl.verification.simulated import fly
 

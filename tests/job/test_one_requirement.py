@@ -23,7 +23,8 @@ from platform_ctrl.job.job import Job, LoopLimits
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.job.requirements import SPREAD, loop_requirements, requirement
 from platform_ctrl.mechanics.linearisation import linearise
-from platform_ctrl.report import page, tables
+from platform_ctrl.report import page_html
+from platform_ctrl.report.page import tables
 from platform_ctrl.verification.records import result_record
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
@@ -127,6 +128,6 @@ def test_the_report_and_the_record_of_a_job_show_it(job: Job, plants: PlantSet) 
     again = DAMPED.check(plants, made.controller, subject=made.loop, design=made.name)
     assert dataclasses.asdict(found) == dataclasses.asdict(again)
     assert [row for row in tables.requirement_rows(result) if DAMPED.name in dataclasses.astuple(row)]
-    assert DAMPED.name in page(result)
+    assert DAMPED.name in page_html(result)
     (recorded,) = [one for one in result_record(result)["requirements"] if one["name"] == DAMPED.name]
     assert (recorded["value"], recorded["limit"], recorded["passed"]) == (found.value, DAMPED.limit, found.passed)

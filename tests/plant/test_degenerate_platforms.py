@@ -113,7 +113,7 @@ def test_a_loop_around_a_rotor_that_stands_still_is_one_around_two_inertias():
     result = pc.verification.checked(job, pc.design.loops(job))
     assert result.passed
     assert not result.loops[0].closed.controller.C[0] @ result.loops[0].closed.controller.B[:, 1]
-    assert "free rotation, no gyro and no restraint acts" in pc.report.page(result)
+    assert "free rotation, no gyro and no restraint acts" in pc.report.page_html(result)
 
 
 @pytest.mark.parametrize("rotors", [(), (wheel("base", 3.0),)])

@@ -18,10 +18,11 @@ from platform_ctrl.campaign.rare_events import rare_event
 from platform_ctrl.campaign.statistics import statistics
 from platform_ctrl.campaign.summary import summarised, summary_record
 from platform_ctrl.cli.campaign_output import show_campaign
-from platform_ctrl.report import campaign_figures, style
-from platform_ctrl.report import campaign_tables as tables
-from platform_ctrl.report.campaign_content import Scale
-from platform_ctrl.report.campaign_page import campaign_page, write_campaign_page
+from platform_ctrl.report import style
+from platform_ctrl.report.figures import campaign as campaign_figures
+from platform_ctrl.report.page import campaign_tables as tables
+from platform_ctrl.report.page.campaign_page import campaign_page, write_campaign_page
+from platform_ctrl.report.page.campaign_sections import Scale
 from platform_ctrl.verification.records import laid_out
 
 TURN = {"mode": "caged", "rate": 1.0, "rise": 0.5, "hold": 1.0, "duration": 2.5}

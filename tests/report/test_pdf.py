@@ -19,7 +19,8 @@ import platform_ctrl as pc
 from platform_ctrl import report
 from platform_ctrl.design import loops
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from platform_ctrl.report import content, pdf_document, record, style, tables
+from platform_ctrl.report import pdf, record, style
+from platform_ctrl.report.page import blocks, tables
 from platform_ctrl.verification import JobResult, checked
 
 NAME = "a #b $c$ *d* _e_ @f \\g <h> \"i\" 'j' `k` // l /*m*/ ~ -- [n] {o} %p & r é Ω \u201cs\u201d"
@@ -66,13 +67,13 @@ def result() -> JobResult:
 
 
 @pytest.fixture(scope="module")
-def prepared(result: JobResult) -> content.Document:
+def prepared(result: JobResult) -> blocks.Document:
     return report.prepared(result, command="platform-ctrl design 'my job.toml'")
 
 
 @pytest.fixture(scope="module")
-def made(prepared: content.Document) -> bytes:
-    return report.pdf(prepared)
+def made(prepared: blocks.Document) -> bytes:
+    return report.pdf_bytes(prepared)
 
 
 @pytest.fixture(scope="module")
@@ -98,18 +99,18 @@ def texts(block: Any) -> list[str]:
     return [words for name in names for words in texts(getattr(block, name))]
 
 
-def plates(block: Any) -> list[content.Plate]:
-    if isinstance(block, content.Plate):
+def plates(block: Any) -> list[blocks.Plate]:
+    if isinstance(block, blocks.Plate):
         return [block]
-    if isinstance(block, content.Part | content.Section):
+    if isinstance(block, blocks.Part | blocks.Section):
         return [one for inner in block.blocks for one in plates(inner)]
     return []
 
 
 def test_every_text_of_the_document_is_in_the_pdf_and_on_the_page_as_it_stands(
-    prepared: content.Document, text: str
+    prepared: blocks.Document, text: str
 ) -> None:
-    page = squeezed(html.unescape(re.sub(r"<(?!h>)[^>]*>", " ", report.page(prepared))))
+    page = squeezed(html.unescape(re.sub(r"<(?!h>)[^>]*>", " ", report.page_html(prepared))))
     shown = {squeezed(one) for one in texts(prepared.sections)}
     assert len(shown) > 100
     # The listing stands in two columns: a page may end anywhere in it.
@@ -140,20 +141,20 @@ def test_every_requirement_has_its_value_and_limit_beside_it(result: JobResult, 
         ), row.requirement
 
 
-def test_sections_and_figures_come_in_the_order_of_the_page(prepared: content.Document, text: str) -> None:
+def test_sections_and_figures_come_in_the_order_of_the_page(prepared: blocks.Document, text: str) -> None:
     titles = [one.title for section in prepared.sections for one in plates(section)]
     assert len(titles) == 12
     places = [text.index(squeezed(f"Figure {k}. {title}")) for k, title in enumerate(titles, 1)]
     assert places == sorted(places)
     names = [section.title for section in prepared.sections if section.title]
-    page = report.page(prepared)
+    page = report.page_html(prepared)
     on_page = [page.index(f"<h2>{html.escape(name, quote=False)}") if "<" not in name else 0 for name in names]
     assert [place for place in on_page if place] == sorted(place for place in on_page if place)
-    outline = pypdf.PdfReader(io.BytesIO(report.pdf(prepared))).outline
+    outline = pypdf.PdfReader(io.BytesIO(report.pdf_bytes(prepared))).outline
     assert [one.title for one in outline if not isinstance(one, list)] == names
 
 
-def test_every_figure_has_a_description_for_those_who_do_not_see_it(made: bytes, prepared: content.Document) -> None:
+def test_every_figure_has_a_description_for_those_who_do_not_see_it(made: bytes, prepared: blocks.Document) -> None:
     reader = pypdf.PdfReader(io.BytesIO(made))
     described = [
         item.get_object()["/Alt"] for item in map(reader.get_object, range(1, len(reader.xref[0]))) if _has_alt(item)
@@ -180,8 +181,8 @@ def test_the_command_and_the_versions_stand_at_the_end(text: str) -> None:
         assert f"{name}{number}" in end
 
 
-def test_the_same_result_gives_the_same_bytes(prepared: content.Document, made: bytes) -> None:
-    assert report.pdf(prepared) == made
+def test_the_same_result_gives_the_same_bytes(prepared: blocks.Document, made: bytes) -> None:
+    assert report.pdf_bytes(prepared) == made
 
 
 def test_nothing_in_a_pdf_is_loaded_from_elsewhere(made: bytes) -> None:
@@ -191,30 +192,28 @@ def test_nothing_in_a_pdf_is_loaded_from_elsewhere(made: bytes) -> None:
     assert all("/URI" not in one.get("/A", {}) for one in annotations)
 
 
-def test_pictures_lose_no_colour_and_have_their_font(prepared: content.Document) -> None:
-    colours = pdf_document.light_colours(
-        Path(pdf_document.__file__).with_name("templates").joinpath("report.css").read_text()
-    )
+def test_pictures_lose_no_colour_and_have_their_font(prepared: blocks.Document) -> None:
+    colours = pdf.light_colours(Path(pdf.__file__).with_name("templates").joinpath("report.css").read_text())
     assert colours["ink"] == style.INK
     assert [colours[f"series-{k + 1}"] for k in range(len(style.SERIES))] == list(style.SERIES)
     for section in prepared.sections:
         for plate in plates(section):
-            picture = pdf_document.standalone_svg(plate.svg, colours)
+            picture = pdf.standalone_svg(plate.svg, colours)
             assert "var(" not in picture
             assert 'xmlns="http://www.w3.org/2000/svg"' in picture
-    assert pdf_document.standalone_svg("<svg><text>var(--none)</text></svg>", colours).count("var(--none)") == 1
+    assert pdf.standalone_svg("<svg><text>var(--none)</text></svg>", colours).count("var(--none)") == 1
 
 
 @pytest.mark.parametrize("title", ["\u6f22\u5b57", "\ue000 private", "a\x01b\x07", "x" * 3000, "two\nlines", ""])
-def test_titles_that_no_font_holds_or_no_line_are_set_all_the_same(prepared: content.Document, title: str) -> None:
+def test_titles_that_no_font_holds_or_no_line_are_set_all_the_same(prepared: blocks.Document, title: str) -> None:
     short = dataclasses.replace(prepared, title=title, sections=prepared.sections[:1])
-    assert report.pdf(short).startswith(b"%PDF-")
+    assert report.pdf_bytes(short).startswith(b"%PDF-")
 
 
-def test_a_word_as_long_as_a_page_ends_within_it(prepared: content.Document) -> None:
+def test_a_word_as_long_as_a_page_ends_within_it(prepared: blocks.Document) -> None:
     word = "w" * 900
-    paragraph = content.Section(name="one", title="one", blocks=(content.Paragraph(text=f"{word}."),))
-    [page] = pypdf.PdfReader(io.BytesIO(report.pdf(dataclasses.replace(prepared, sections=(paragraph,))))).pages
+    paragraph = blocks.Section(name="one", title="one", blocks=(blocks.Paragraph(text=f"{word}."),))
+    [page] = pypdf.PdfReader(io.BytesIO(report.pdf_bytes(dataclasses.replace(prepared, sections=(paragraph,))))).pages
     lines = [line for line in page.extract_text().splitlines() if "www" in line]
     assert len(lines) > 3
     assert "".join(lines).replace("\u200b", "") == f"{word}."
@@ -228,7 +227,7 @@ def test_runs_that_were_lost_and_loops_that_are_not_there_are_set_too(result: Jo
     }
     trajectory = dataclasses.replace(run.trajectory, ended="diverged at t = 0 s", **cut)
     lost = dataclasses.replace(result, loops=(), runs=(dataclasses.replace(run, trajectory=trajectory),))
-    words = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(report.pdf(lost))).pages)
+    words = "".join(page.extract_text() for page in pypdf.PdfReader(io.BytesIO(report.pdf_bytes(lost))).pages)
     assert squeezed("The run diverged at t = 0 s: nothing was recorded.") in squeezed(words)
 
 
@@ -242,16 +241,16 @@ def test_without_typst_one_line_says_what_to_install(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_typst_refuses_is_one_line(prepared: content.Document) -> None:
-    wrong = content.Plate(svg="<svg>never closed", title="wrong", caption="")
-    broken = dataclasses.replace(prepared, sections=(content.Section(name="one", title="one", blocks=(wrong,)),))
+def test_what_typst_refuses_is_one_line(prepared: blocks.Document) -> None:
+    wrong = blocks.Plate(svg="<svg>never closed", title="wrong", caption="")
+    broken = dataclasses.replace(prepared, sections=(blocks.Section(name="one", title="one", blocks=(wrong,)),))
     with pytest.raises(PlatformCtrlError, match="cannot be set as PDF") as error:
-        report.pdf(broken)
+        report.pdf_bytes(broken)
     assert "\n" not in str(error.value)
 
 
 def test_a_pdf_is_written_whole_and_not_into_a_folder_that_does_not_exist(
-    prepared: content.Document, made: bytes, tmp_path: Path
+    prepared: blocks.Document, made: bytes, tmp_path: Path
 ) -> None:
     assert report.write_pdf(prepared, tmp_path / "report.pdf").read_bytes() == made
     assert [one.name for one in tmp_path.iterdir()] == ["report.pdf"]
@@ -259,8 +258,8 @@ def test_a_pdf_is_written_whole_and_not_into_a_folder_that_does_not_exist(
         report.write_pdf(prepared, tmp_path / "nowhere" / "report.pdf")
 
 
-def test_a_document_goes_in_as_data_and_never_as_code(prepared: content.Document) -> None:
-    data = pdf_document.plain_data(prepared, {})
+def test_a_document_goes_in_as_data_and_never_as_code(prepared: blocks.Document) -> None:
+    data = pdf.plain_data(prepared, {})
     assert json.loads(json.dumps(data))["title"] == NAME
     assert {block["kind"] for section in data["sections"] for block in section["blocks"]} >= {
         "verdict",

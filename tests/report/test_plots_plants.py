@@ -294,7 +294,7 @@ def test_histograms_are_the_same_of_statistics_and_of_a_folder(tmp_path):
         (lambda p, t: figures.campbell(p, spins=[-1.0, 1.0]), "factors >= 0"),
         (lambda p, t: figures.campbell(p, orders=[0.0]), "orders: expected"),
         (lambda p, t: figures.gimbal_tree("gyro"), "expected a Platform"),
-        (lambda p, t: figures.time_run(p), "expected a check.Run"),
+        (lambda p, t: figures.time_run(p), "expected a Run or a Trajectory"),
         (lambda p, t: figures.time_run(t, limits={"angel": 1.0}), "did you mean 'angle'"),
         (lambda p, t: figures.time_run(t, limits={"angle": -1.0}), "angle: given -1.0"),
         (lambda p, t: figures.time_run(t, pc.read_platform("rate_gyro")), "expected the platform that was run"),

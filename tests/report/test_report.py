@@ -34,22 +34,15 @@ from platform_ctrl.job.requirements import CheckResult, Requirement, Sense, requ
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import (
-    captions,
-    comparison,
-    coupled_figures,
-    document,
-    figures,
-    limit_lines,
-    modes,
-    record,
-    style,
-    tables,
-    verdict_words,
-)
-from platform_ctrl.report.campaign_tables import chances
-from platform_ctrl.report.failure_text import value_and_limit
+from platform_ctrl.report import figures, modes, record, style
+from platform_ctrl.report.failure_messages import value_and_limit
+from platform_ctrl.report.figures import coupled as coupled_figures
+from platform_ctrl.report.figures import limit_lines
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
+from platform_ctrl.report.page import captions, comparison, tables
+from platform_ctrl.report.page import job_page as document
+from platform_ctrl.report.page import summary as verdict_words
+from platform_ctrl.report.page.campaign_tables import chances
 from platform_ctrl.report.quantities import claimed, compared, percent, plain, quantity
 from platform_ctrl.verification import JobResult, checked
 
@@ -123,7 +116,7 @@ def result() -> JobResult:
 
 @pytest.fixture(scope="module")
 def page(result: JobResult) -> str:
-    return report.page(result)
+    return report.page_html(result)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +128,7 @@ def lone_loop() -> JobResult:
 
 @pytest.fixture(scope="module")
 def lone_page(lone_loop: JobResult) -> str:
-    return report.page(lone_loop)
+    return report.page_html(lone_loop)
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +158,7 @@ def compared_designs() -> JobResult:
 
 @pytest.fixture(scope="module")
 def compared_page(compared_designs: JobResult) -> str:
-    return report.page(compared_designs)
+    return report.page_html(compared_designs)
 
 
 class Cells(HTMLParser):
@@ -287,7 +280,7 @@ def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
 
 
 def test_the_same_result_gives_the_same_page_but_for_the_command(lone_loop: JobResult, lone_page: str) -> None:
-    again = report.page(lone_loop, command="platform-ctrl design 'my job.toml'")
+    again = report.page_html(lone_loop, command="platform-ctrl design 'my job.toml'")
     section = '<section id="again">'
     assert again.split(section)[0] == lone_page.split(section)[0]
     assert "platform-ctrl design &#39;my job.toml&#39;" in again.split(section)[1]
@@ -316,7 +309,7 @@ def test_a_page_is_written_whole_or_not_at_all(
 ) -> None:
     target = tmp_path / "report.html"
     target.write_text("what stood there before")
-    monkeypatch.setattr(document, "page", lambda result, **given: "a page with α and Ω")
+    monkeypatch.setattr(document, "page_html", lambda result, **given: "a page with α and Ω")
 
     def refuse(*paths: object) -> None:
         raise OSError(28, "No space left on device")
@@ -335,7 +328,7 @@ def test_a_page_is_written_whole_or_not_at_all(
 def test_a_folder_that_does_not_exist_is_one_line(
     lone_loop: JobResult, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(document, "page", lambda result, **given: "a page")
+    monkeypatch.setattr(document, "page_html", lambda result, **given: "a page")
     with pytest.raises(InputError, match="cannot be written") as error:
         report.write_page(lone_loop, tmp_path / "nowhere" / "report.html")
     assert "\n" not in str(error.value)
@@ -363,7 +356,7 @@ def test_an_unstable_given_controller_is_called_unstable(lone_loop: JobResult) -
     assert outcome.closed.plants is not None
     design = remeasured(outcome.spec, "given", wrong, outcome.closed.plants)
     unstable = checked(lone_loop.job, [dataclasses.replace(outcome, designs=(design,), use="given")])
-    page = report.page(unstable)
+    page = report.page_html(unstable)
     text = visible_text(page)
     assert not unstable.coupled.stable
     assert "Its closed loop is unstable" in text
@@ -385,7 +378,7 @@ def test_runs_that_diverged_are_drawn_as_far_as_they_went(result: JobResult) -> 
             cut["command"][-1] = np.nan
         trajectory = dataclasses.replace(run.trajectory, ended=f"diverged at t = {samples} ms", **cut)
         lost.append(dataclasses.replace(run, trajectory=trajectory))
-    text = report.page(dataclasses.replace(result, loops=(), runs=tuple(lost)))
+    text = report.page_html(dataclasses.replace(result, loops=(), runs=tuple(lost)))
     assert [f"diverged at t = {samples} ms" in visible_text(text) for samples in (0, 1, 40)] == [True] * 3
     assert not re.search(r"\b(nan|inf)\b", visible_text(text), re.IGNORECASE)
 
@@ -491,7 +484,7 @@ def test_a_claim_without_proof_is_said(compared_designs: JobResult) -> None:
     assert rows["stable"].met is False
     assert "slowest decay over all plants" not in rows
     assert rows["claims proved"].text.startswith(f"✗ {whole.of - 1} of {whole.of + 1}")
-    text = visible_text(report.page(wrong))
+    text = visible_text(report.page_html(wrong))
     assert "X is not positive definite" in text
     assert "Not proved: simple, no proof of <this>" in text
 
@@ -641,7 +634,7 @@ def test_what_acts_besides_the_torquers_stands_on_the_page(lone_loop: JobResult,
         ("unbalance", "10", "(0, 1·10⁻⁶, 0) kg m"),
         ("erection", "9", "1 mN m × tilt of +1 of 10, at most 0.5 mN m"),
     ]
-    shown = Cells(report.page(loaded)).rows
+    shown = Cells(report.page_html(loaded)).rows
     for row in rows:
         assert list(row) in shown
 
@@ -758,7 +751,7 @@ def test_every_legend_entry_of_the_report_looks_like_a_curve_that_is_drawn(
         return plain_svg(figure, description)
 
     monkeypatch.setattr(style, "svg", judged)
-    report.page(result)
+    report.page_html(result)
     assert wrong == []
 
 

@@ -15,11 +15,11 @@ from platform_ctrl import report
 from platform_ctrl.campaign.plan import Plan, plan
 from platform_ctrl.campaign.summary import Summary, summarised
 from platform_ctrl.design import loops
-from platform_ctrl.report import campaign_tables, content
-from platform_ctrl.report.campaign_content import as_section, differences
-from platform_ctrl.report.campaign_page import campaign_document, campaign_page
+from platform_ctrl.report.page import blocks, campaign_tables
+from platform_ctrl.report.page.campaign_page import campaign_document, campaign_page
+from platform_ctrl.report.page.campaign_sections import as_section, differences
+from platform_ctrl.report.page.summary import opening, tightest
 from platform_ctrl.report.quantities import disk_words
-from platform_ctrl.report.verdict_words import opening, tightest
 from platform_ctrl.verification import JobResult, checked
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -100,12 +100,12 @@ def summary(planned: Plan) -> Summary:
 
 
 @pytest.fixture(scope="module")
-def prepared(result: JobResult) -> content.Document:
+def prepared(result: JobResult) -> blocks.Document:
     return report.prepared(result)
 
 
 @pytest.fixture(scope="module")
-def with_campaign(result: JobResult, summary: Summary) -> content.Document:
+def with_campaign(result: JobResult, summary: Summary) -> blocks.Document:
     return report.prepared(result, campaign=summary, again="platform-ctrl simulate a.toml --run")
 
 
@@ -192,24 +192,24 @@ def test_a_campaign_adds_its_probability_with_bounds_and_what_decides_it(result:
 # The campaign in the report
 
 
-def plates(blocks: tuple[Any, ...]) -> list[content.Plate]:
+def plates(parts: tuple[Any, ...]) -> list[blocks.Plate]:
     found = []
-    for block in blocks:
-        found += [block] if isinstance(block, content.Plate) else plates(getattr(block, "blocks", ()))
+    for block in parts:
+        found += [block] if isinstance(block, blocks.Plate) else plates(getattr(block, "blocks", ()))
     return found
 
 
 def tables_of(blocks: tuple[Any, ...]) -> list[list[list[str]]]:
     found = []
     for block in blocks:
-        if isinstance(block, content.Table):
+        if isinstance(block, blocks.Table):
             found.append([[cell.text for cell in row.cells] for group in block.groups for row in group.rows])
         found += tables_of(getattr(block, "blocks", ())) + tables_of(getattr(block, "parts", ()))
     return found
 
 
 def test_the_campaigns_section_has_the_figures_and_rows_of_the_campaigns_own_page(
-    with_campaign: content.Document, summary: Summary
+    with_campaign: blocks.Document, summary: Summary
 ) -> None:
     names = [section.name for section in with_campaign.sections]
     assert names.index("runs") + 1 == names.index("campaign") == len(names) - 2
@@ -225,9 +225,9 @@ def test_the_campaigns_section_has_the_figures_and_rows_of_the_campaigns_own_pag
 
 
 def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
-    with_campaign: content.Document, summary: Summary
+    with_campaign: blocks.Document, summary: Summary
 ) -> None:
-    page = report.page(with_campaign)
+    page = report.page_html(with_campaign)
     worst = summary.statistics.worst[0].run
     assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in page
     assert f"<pre>platform-ctrl simulate a.toml --run {worst}</pre>" in campaign_page(
@@ -243,25 +243,25 @@ def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
 def test_a_campaign_of_other_controllers_is_called_so(result: JobResult) -> None:
     flown = counted(plan(result.job, ()), 1.1)
     assert differences(flown, result) == ["controllers"]
-    words = [block.text for block in as_section(flown, result, None).blocks if isinstance(block, content.Paragraph)]
+    words = [block.text for block in as_section(flown, result, None).blocks if isinstance(block, blocks.Paragraph)]
     assert "It was flown with other controllers: its figures are not those of the design above." in words
 
 
-def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: content.Document) -> None:
-    words = text_of(report.page(prepared))
+def test_a_job_that_describes_a_campaign_says_where_none_is(result: JobResult, prepared: blocks.Document) -> None:
+    words = text_of(report.page_html(prepared))
     assert "None is part of this report" in words
     assert "--campaign" in words
     without = dataclasses.replace(result, job=dataclasses.replace(result.job, campaign=None), loops=(), runs=())
-    assert 'id="campaign"' not in report.page(without)
+    assert 'id="campaign"' not in report.page_html(without)
 
 
-def test_what_is_prepared_once_is_drawn_once(result: JobResult, prepared: content.Document) -> None:
+def test_what_is_prepared_once_is_drawn_once(result: JobResult, prepared: blocks.Document) -> None:
     assert report.prepared(prepared) is prepared
-    assert report.page(prepared) == report.page(result)
+    assert report.page_html(prepared) == report.page_html(result)
 
 
-def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepared: content.Document) -> None:
-    page = report.page(prepared)
+def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepared: blocks.Document) -> None:
+    page = report.page_html(prepared)
     figures = re.findall(r"<figure.*?</figure>", page, flags=re.DOTALL)
     assert len(figures) == page.count("<figure") > 10
     for figure in figures:
@@ -270,8 +270,8 @@ def test_every_figure_has_a_number_and_a_name_for_those_who_do_not_see_it(prepar
     assert 'content: "Figure " counter(figure)' in page
 
 
-def test_paper_gets_light_colours_and_whole_figures_and_rows(prepared: content.Document) -> None:
-    page = report.page(prepared)
+def test_paper_gets_light_colours_and_whole_figures_and_rows(prepared: blocks.Document) -> None:
+    page = report.page_html(prepared)
     printed = page[page.index("@media print {") : page.index("</style>")]
     assert "break-inside: avoid" in printed
     assert "break-after: avoid" in printed

@@ -13,7 +13,7 @@ from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import CoupledLimits, Job, Sampling, Spread
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
-from platform_ctrl.report.coupled_figures import platform_compliance, platform_disturbance_figure
+from platform_ctrl.report.figures.coupled import platform_compliance, platform_disturbance_figure
 from platform_ctrl.verification.coupled import coupled_plant, measuring
 from platform_ctrl.verification.given import read_controllers
 

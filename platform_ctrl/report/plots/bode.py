@@ -17,7 +17,8 @@ from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, entry_curves
 from platform_ctrl.report.plots.curves import margins as margins_of
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.panels import (
     blocks,
     draw,
@@ -30,7 +31,6 @@ from platform_ctrl.report.plots.panels import (
     no_response,
     phase_panel,
 )
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems, unit_of_gain
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import REFERENCE, SERIES, standalone

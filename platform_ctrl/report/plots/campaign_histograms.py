@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.campaign.engine import Campaigned
-from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, statistics
+from platform_ctrl.campaign.probability import Distribution
+from platform_ctrl.campaign.statistics import CampaignStatistics, Limits, RequirementStatistics, statistics
 from platform_ctrl.campaign.store import TABLE, read_record
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, Table
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.signatures import short
+from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.report.campaign_figures import asked, histograms
-from platform_ctrl.report.style import standalone
+from platform_ctrl.report.quantities import handy_unit, plain
+from platform_ctrl.report.style import BEYOND, DASHED, LIMIT, MUTED, SERIES, linear_axis, panels, standalone
 
 _COLUMNS = 3
+_BINS = 48
+# A limit farther away than this many times the largest figure would squeeze the histogram: it is named instead.
+_FAR = 2.5
+# Figures beyond so many times the limit, or what 90 % of the runs reach, are counted and not drawn.
+_WILD = 2.0
+# A limit below this share of the figures would squeeze the histogram: it is named instead.
+_LOW = 0.25
+# Where the axis begins at the latest, as a share of the limit.
+_BEFORE = 0.9
+# Share of a panel beyond the limit, at least: what is said of it stands there.
+_BEYOND_LIMIT = 0.3
+_CELL = 1.75
 
 
 @standalone
@@ -106,3 +122,92 @@ def _limits(record: Mapping[str, Any], limits: Limits | None) -> Limits:
             "give limits, for example {'turn': {'angle': 0.003}}"
         )
     return out
+
+
+def histograms(wanted: Sequence[tuple[RequirementStatistics, str]], columns: int) -> Figure:
+    """Return a figure with a histogram for each pair of what is asked and the figure it is asked of, row by row."""
+    rows = -(-len(wanted) // columns)
+    drawn, grid = panels(rows, columns, 0.85 + rows * _CELL + (rows - 1) * 0.55)
+    cells = [axes for row in grid for axes in row]
+    for axes, (one, name) in zip(cells, wanted, strict=False):
+        _histogram_panel(axes, one, name)
+    for axes in cells[len(wanted) :]:
+        axes.set_visible(False)
+    for row in grid:
+        row[0].set_ylabel("runs")
+    return drawn
+
+
+def _histogram_panel(axes: Axes, one: RequirementStatistics, name: str) -> None:
+    """Draw the histogram of one figure in one manoeuvre, beyond its limit in red."""
+    spread, limit = distribution_of(one), one.limit
+    assert limit is not None
+    factor, unit = handy_unit(FIGURES[name][1], limit)
+    usual = one.quantiles[0.9]
+    top = min(spread.largest, _WILD * max(limit, usual if np.isfinite(usual) else limit))
+    low = spread.smallest if np.isfinite(spread.smallest) and spread.smallest > 0.5 * top else 0.0
+    near = _LOW * low <= limit <= _FAR * max(top, 1e-300)
+    low, high = 0.98 * (min(low, _BEFORE * limit) if near else low), 1.04 * top
+    if near:
+        high = max(high, low + (limit - low) / (1.0 - _BEYOND_LIMIT))
+    edges = _edges(low, high, limit if near else None)
+    counts = spread.histogram(edges)
+    axes.stairs(counts, factor * edges, fill=True, color=SERIES[0], linewidth=0)
+    beyond = edges[:-1] >= limit * (1.0 - 1e-9)
+    if beyond.any():
+        axes.stairs(np.where(beyond, counts, 0), factor * edges, fill=True, color=LIMIT, linewidth=0)
+        shade_beyond(axes, factor * limit, factor * high)
+    axes.set_xlim(factor * low, factor * high)
+    axes.set_ylim(0.0, 1.18 * max(counts.max(initial=1), 1))
+    linear_axis(axes.xaxis)
+    linear_axis(axes.yaxis, 4)
+    axes.set_title(str(one.manoeuvre))
+    axes.set_xlabel(", ".join(filter(None, [FIGURES[name][0], unit])))
+    _note(axes, one, near, bool(counts[beyond].any()), factor, unit)
+
+
+def _note(axes: Axes, one: RequirementStatistics, near: bool, drawn: bool, factor: float, unit: str) -> None:
+    assert one.limit is not None
+    far = "" if drawn else "far "
+    text = f"{one.violation.events:,} {far}beyond" if one.violation.events else "none beyond"
+    limit = f"{plain(factor * one.limit, 4)} {unit}".rstrip()
+    text += "" if near else f" the limit, {limit}"
+    axes.annotate(
+        text,
+        (1.0, 1.0),
+        (-3, -2),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=7,
+        color=LIMIT if one.violation.events else MUTED,
+    )
+
+
+def _edges(low: float, high: float, limit: float | None) -> FloatArray:
+    """Return equal bins, one edge of which is the limit; the first may begin below `low`."""
+    width = (high - low) / _BINS
+    if limit is None:
+        return np.linspace(low, high, _BINS + 1)
+    below = max(round((limit - low) / width), 1)
+    # A limit that lies next to `low` does not make all bins as narrow as what is left of it.
+    width = max((limit - low) / below, 0.5 * width)
+    return np.asarray(limit + width * np.arange(-below, int(np.ceil((high - limit) / width)) + 1))
+
+
+def shade_beyond(axes: Axes, limit: float, reach: float = 0.0) -> None:
+    """Shade what lies to the right of a limit, up to `reach` at least."""
+    axes.axvspan(limit, max(1e3 * limit, 2.0 * reach), color=BEYOND, linewidth=0, zorder=0)
+    axes.axvline(limit, color=LIMIT, linewidth=0.9, linestyle=DASHED, zorder=1.5)
+
+
+def asked(found: CampaignStatistics, name: str) -> list[RequirementStatistics]:
+    """Return what the campaign says about one figure, manoeuvre by manoeuvre."""
+    return [one for one in found.requirements if one.figure == name and one.manoeuvre is not None and one.limit]
+
+
+def distribution_of(one: RequirementStatistics) -> Distribution:
+    """Return the distribution of a figure that was asked for."""
+    assert one.distribution is not None
+    return one.distribution

@@ -24,9 +24,9 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_least, at_most
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.panels import blocks, curve_style, legend, line_array
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, as_state_space, drawable, drawn_systems, gaps
 from platform_ctrl.report.quantities import HZ, disk_gain_or_phase, plain
 from platform_ctrl.report.style import REFERENCE, standalone

@@ -17,7 +17,8 @@ from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.panels import (
     blocks,
     bound,
@@ -31,7 +32,6 @@ from platform_ctrl.report.plots.panels import (
     line_array,
     shade,
 )
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import (
     DrawnSystem,
     as_state_space,

@@ -16,12 +16,12 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.report.axes_bodies import camera, signs, spin_direction
+from platform_ctrl.report.axes.bodies import camera, signs, spin_direction
+from platform_ctrl.report.axes.svg import SIGNS, direction_text, text_width
 from platform_ctrl.report.plots.systems import drawable
 from platform_ctrl.report.quantities import RPM
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import BAND, FRAME, INK, MUTED, REFERENCE, SERIES, standalone
-from platform_ctrl.report.svg import SIGNS, direction_text, text_width
 
 HEIGHT = 58.0
 CROSS = 52.0  # side of the square that holds the cross of axes

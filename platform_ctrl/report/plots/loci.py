@@ -23,7 +23,7 @@ from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.loop_responses import Poles, followed, traced
-from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.systems import as_state_space, drawn_systems
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import BAND, FRAME, REFERENCE, linear_axis

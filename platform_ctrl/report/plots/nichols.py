@@ -19,9 +19,9 @@ from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import Curve, Margins, channels, curve, margins
 from platform_ctrl.report.plots.disk_region import exclusion, judged_skew
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.panels import blocks, curve_style, gains, legend, line_array
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, plain
 from platform_ctrl.report.style import BAND, FRAME, LIMIT, MUTED, REFERENCE, standalone

@@ -21,9 +21,9 @@ from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.report.plots.curves import channels
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.panels import line_array
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawable, drawn_systems
 from platform_ctrl.report.quantities import HZ, count, disk_gain_or_phase
 from platform_ctrl.report.quantities import plain as number

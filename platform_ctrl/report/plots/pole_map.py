@@ -16,9 +16,9 @@ from platform_ctrl.analysis.transfer_function import LinearSystem
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.loci import s_plane, view_of, z_plane
 from platform_ctrl.report.plots.panels import line_array
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.plots.systems import DrawnSystem, drawn_systems
 from platform_ctrl.report.quantities import HZ, count
 from platform_ctrl.report.quantities import plain as number

@@ -18,7 +18,7 @@ from platform_ctrl.errors import ArgumentError
 from platform_ctrl.plant.platform import OMEGA_NAMES, is_rate
 from platform_ctrl.report.plots.bode import chosen
 from platform_ctrl.report.plots.curves import entry_curves
-from platform_ctrl.report.plots.frequencies import grid
+from platform_ctrl.report.plots.frequency_grid import grid
 from platform_ctrl.report.plots.panels import (
     blocks,
     bound,

@@ -18,9 +18,9 @@ from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.plots.loci import Locus, gain_locus, s_plane, spin_locus, z_plane
 from platform_ctrl.report.plots.panels import line_array
-from platform_ctrl.report.plots.places import Places
 from platform_ctrl.report.quantities import listed
 from platform_ctrl.report.quantities import plain as number
 from platform_ctrl.report.style import INK, LIMIT, SERIES, legend_above, panels, standalone

@@ -1,6 +1,6 @@
 """What the plots for scripts are given: systems of several kinds judged and made alike, with labels and units.
 
-Frequency responses of them are drawn on `platform_ctrl.report.plots.frequencies.grid`.
+Frequency responses of them are drawn on `platform_ctrl.report.plots.frequency_grid.grid`.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ import numpy as np
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform
-from platform_ctrl.report.axes_bodies import Shape, bodies, disc_axis, levels
-from platform_ctrl.report.svg import (
+from platform_ctrl.report.axes.bodies import Shape, bodies, disc_axis, levels
+from platform_ctrl.report.axes.svg import (
     arrow_head,
     attribute,
     circle,

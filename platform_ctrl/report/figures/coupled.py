@@ -18,9 +18,9 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES
-from platform_ctrl.report.loop_figures import phase_axes, phase_in_degrees
+from platform_ctrl.report.figures.loop import phase_axes, phase_in_degrees
+from platform_ctrl.report.figures.poles import upper
 from platform_ctrl.report.loop_responses import following_grid
-from platform_ctrl.report.pole_figures import upper
 from platform_ctrl.report.quantities import HZ, root_series, signal_series
 from platform_ctrl.report.style import (
     BAND,

@@ -12,8 +12,8 @@ import numpy as np
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
-from platform_ctrl.report.axes_bodies import signs, spin_direction
-from platform_ctrl.report.tables import axis_text
+from platform_ctrl.report.axes.bodies import signs, spin_direction
+from platform_ctrl.report.page.tables import axis_text
 
 # What XML 1.0 cannot hold, escaped or not.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")

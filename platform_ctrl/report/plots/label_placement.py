@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.values import FloatArray
+from platform_ctrl.report.axes.svg import text_width
 from platform_ctrl.report.style import INK, MUTED
-from platform_ctrl.report.svg import text_width
 
 # Directions in degrees, the favourite first, and distances in points at which words are tried.
 _WAYS = (20, -20, 160, -160, 90, -90, 55, -55, 125, -125)

@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report.style import BEYOND, LIMIT, MUTED
+from platform_ctrl.report.style import BEYOND, DASH_DOTTED, DASHED, DOTTED, LIMIT, MUTED
 
-DASHED, DOTTED, DASH_DOTTED = (0, (5, 2)), (0, (1.2, 1.4)), (0, (6, 1.6, 1.2, 1.6))
 _LABEL: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7}
 
 

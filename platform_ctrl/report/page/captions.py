@@ -13,10 +13,10 @@ from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.job import LoopLimits
 from platform_ctrl.job.requirements import FAULTS, SPREAD
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.report.comparison import plants_in_words
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
+from platform_ctrl.report.page.comparison import plants_in_words
+from platform_ctrl.report.page.summary import price
 from platform_ctrl.report.quantities import count, disk_words, listed, plain, quantity
-from platform_ctrl.report.verdict_words import price
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 

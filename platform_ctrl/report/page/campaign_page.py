@@ -7,10 +7,10 @@ from pathlib import Path
 
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.report import campaign_tables as tables
-from platform_ctrl.report.campaign_content import AGAIN, campaign_sections, digests, drawn_part
-from platform_ctrl.report.content import Document, Facts, Listing, Paragraph, Part, Section
-from platform_ctrl.report.content_tables import html, record_part
+from platform_ctrl.report.page import campaign_tables as tables
+from platform_ctrl.report.page.block_tables import html, record_part
+from platform_ctrl.report.page.blocks import Document, Facts, Listing, Paragraph, Part, Section
+from platform_ctrl.report.page.campaign_sections import AGAIN, campaign_sections, digests, drawn_part
 from platform_ctrl.report.record import versions
 
 

@@ -13,8 +13,8 @@ from platform_ctrl.campaign.sensitivity import Sensitivity
 from platform_ctrl.campaign.summary import Summary
 from platform_ctrl.campaign.table import FIGURES, MANOEUVRE, PASSED
 from platform_ctrl.common.values import value
-from platform_ctrl.report import campaign_tables as tables
-from platform_ctrl.report.content import (
+from platform_ctrl.report.page import campaign_tables as tables
+from platform_ctrl.report.page.blocks import (
     Block,
     Cards,
     Cell,
@@ -245,8 +245,8 @@ def _bounds_words(summary: Summary) -> str:
 
 def campaign_plates(summary: Summary) -> list[Plate]:
     """Return the figures: how far out the runs reach, and a histogram of every figure that is asked for."""
-    from platform_ctrl.report import campaign_figures as figures
     from platform_ctrl.report import style
+    from platform_ctrl.report.figures import campaign as figures
 
     found = summary.statistics
     names = [name for name in FIGURES if any(one.figure == name and one.manoeuvre for one in found.requirements)]

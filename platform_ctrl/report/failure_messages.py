@@ -88,7 +88,7 @@ def failure_text(comparison: Comparison, job: str, file: Path, plot: Path, accep
 
     A place that cannot be written to does not hide what moved: the words say why there is no plot.
     """
-    from platform_ctrl.report.moved_figure import write_moved_figure
+    from platform_ctrl.report.figures.baseline_changes import write_moved_figure
 
     title = moved_text(comparison, f"{job}, {file.name}").partition("\n")[0]
     drawn: Path | None = None

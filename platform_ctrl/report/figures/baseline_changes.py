@@ -17,7 +17,8 @@ from platform_ctrl.analysis.poles import continuous_poles, pole_arrays
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.failure_text import shown_alike
+from platform_ctrl.report.axes.svg import text_width
+from platform_ctrl.report.failure_messages import shown_alike
 from platform_ctrl.report.loop_responses import following_grid
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
@@ -34,7 +35,6 @@ from platform_ctrl.report.style import (
     settings,
     standalone,
 )
-from platform_ctrl.report.svg import text_width
 from platform_ctrl.verification.baselines import Change, Comparison, LoopMatrices
 
 _DPI = 150

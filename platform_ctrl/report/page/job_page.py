@@ -13,9 +13,11 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome, survived_name
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report import captions, comparison, tables
-from platform_ctrl.report import content_tables as made
-from platform_ctrl.report.content import (
+from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.page import block_tables as made
+from platform_ctrl.report.page import captions, comparison, tables
+from platform_ctrl.report.page.block_tables import html
+from platform_ctrl.report.page.blocks import (
     Block,
     Document,
     Facts,
@@ -27,12 +29,10 @@ from platform_ctrl.report.content import (
     Verdict,
     sentence,
 )
-from platform_ctrl.report.content_tables import html
-from platform_ctrl.report.loop_responses import LoopResponses
+from platform_ctrl.report.page.summary import opening
 from platform_ctrl.report.plots.nichols import nichols
 from platform_ctrl.report.quantities import count, plain
 from platform_ctrl.report.record import versions
-from platform_ctrl.report.verdict_words import opening
 from platform_ctrl.verification.simulated import Run
 from platform_ctrl.verification.verdict import JobResult
 
@@ -115,11 +115,11 @@ def write_page(
     InputError
         The file cannot be written.
     """
-    return write_whole(path, page(result, command=command, campaign=campaign, again=again))
+    return write_whole(path, page_html(result, command=command, campaign=campaign, again=again))
 
 
 @check_arguments
-def page(
+def page_html(
     result: JobResult | Document,
     *,
     command: str | None = None,
@@ -245,7 +245,7 @@ def _plate(figure: Figure, title: str, caption: str, *, small: bool = False) -> 
 
 
 def _axes_plate(result: JobResult) -> Plate:
-    from platform_ctrl.report.axes_picture import axes_picture
+    from platform_ctrl.report.axes.picture import axes_picture
 
     caption = "Drawn from the plant file: which body turns about which axis, and how they carry each other."
     return Plate(svg=axes_picture(result.job.platform, alone=False), title="Axes and bodies", caption=caption)
@@ -315,8 +315,6 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
 
 
 def _nichols_plate(responses: LoopResponses, outcome: LoopOutcome, torques: tuple[str, ...]) -> list[Plate]:
-    pass
-
     if captions.unstable(outcome.closed):
         return []
     figure = nichols_figure(responses, outcome.spec, torques)
@@ -383,7 +381,7 @@ def _campaign(result: JobResult, campaign: Summary | None, again: str | None) ->
             "and name its folder with --campaign when the report is made."
         )
         return [Section(name="campaign", title="Campaign", blocks=(Paragraph(text=words),))]
-    from platform_ctrl.report.campaign_content import as_section
+    from platform_ctrl.report.page.campaign_sections import as_section
 
     return [as_section(campaign, result, again)]
 
@@ -403,7 +401,7 @@ def _again(result: JobResult, command: str | None, campaign: Summary | None) -> 
         Part(title="Versions", blocks=(Facts(rows=tuple(versions().items())),)),
     ]
     if campaign is not None:
-        from platform_ctrl.report.campaign_content import digests
+        from platform_ctrl.report.page.campaign_sections import digests
 
         blocks.append(Part(title="Digests of the campaign", blocks=(Facts(rows=digests(campaign)),)))
     blocks.append(made.record_part(result.job))

@@ -7,10 +7,8 @@ import numpy as np
 from platform_ctrl.common.text import greek
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.plant.platform import Platform
-from platform_ctrl.report.axes_bodies import camera, signs, spin_direction
-from platform_ctrl.report.axes_view import axes_view, triad
-from platform_ctrl.report.quantities import count, listed
-from platform_ctrl.report.svg import (
+from platform_ctrl.report.axes.bodies import camera, signs, spin_direction
+from platform_ctrl.report.axes.svg import (
     SIGNS,
     arrow_head,
     direction_text,
@@ -21,6 +19,8 @@ from platform_ctrl.report.svg import (
     structure_scheme,
     words,
 )
+from platform_ctrl.report.axes.view import axes_view, triad
+from platform_ctrl.report.quantities import count, listed
 
 WIDTH = 1000.0
 _MARGIN, _HEAD, _FOOT = 24.0, 58.0, 124.0

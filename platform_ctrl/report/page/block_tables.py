@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.job.job import Job
-from platform_ctrl.report import comparison, tables
-from platform_ctrl.report.content import (
+from platform_ctrl.report.page import comparison, tables
+from platform_ctrl.report.page.blocks import (
     Cell,
     Column,
     Document,
@@ -21,8 +21,8 @@ from platform_ctrl.report.content import (
     Table,
     table,
 )
+from platform_ctrl.report.page.tables import RequirementRow
 from platform_ctrl.report.record import job_data, toml
-from platform_ctrl.report.tables import RequirementRow
 from platform_ctrl.verification.verdict import JobResult
 
 _BAR = 64.0

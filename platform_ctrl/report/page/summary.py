@@ -12,9 +12,9 @@ from platform_ctrl.common.text import Rounding
 from platform_ctrl.design.jobs import LoopOutcome
 from platform_ctrl.design.loop import LoopDesign
 from platform_ctrl.job.requirements import CheckResult
-from platform_ctrl.report.content import sentence
+from platform_ctrl.report.page.blocks import sentence
+from platform_ctrl.report.page.tables import verdict
 from platform_ctrl.report.quantities import BOUND, compared, count, disk_words, listed, percent, plain, quantity
-from platform_ctrl.report.tables import verdict
 from platform_ctrl.verification.verdict import PROVED, JobResult
 
 if TYPE_CHECKING:
@@ -249,8 +249,8 @@ def _runs(result: JobResult) -> str:
 
 def _campaign(summary: Summary) -> str:
     from platform_ctrl.campaign.table import PASSED
-    from platform_ctrl.report import campaign_tables as tables
-    from platform_ctrl.report.campaign_tables import chance, chances, contrast_name, count_words, drivers_of
+    from platform_ctrl.report.page import campaign_tables as tables
+    from platform_ctrl.report.page.campaign_tables import chance, chances, contrast_name, count_words, drivers_of
 
     found = summary.statistics
     flown = found.violation

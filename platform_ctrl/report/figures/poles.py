@@ -12,8 +12,8 @@ from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report.limit_lines import damping_lines, fastest_pole_line
-from platform_ctrl.report.loop_figures import design_names
+from platform_ctrl.report.figures.limit_lines import damping_lines, fastest_pole_line
+from platform_ctrl.report.figures.loop import design_names
 from platform_ctrl.report.loop_responses import LoopResponses, RootLocus
 from platform_ctrl.report.style import (
     BAND,

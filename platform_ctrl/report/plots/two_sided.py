@@ -14,7 +14,7 @@ from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.complex_shaping import ComplexLoop, TwoSidedNyquist
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.report.plots.places import Places
+from platform_ctrl.report.plots.label_placement import Places
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (
     BAND,

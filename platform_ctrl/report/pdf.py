@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.errors import InputError, TypesettingError
-from platform_ctrl.report.content import Document, Listing, Plate
-from platform_ctrl.report.document import prepared
+from platform_ctrl.report.page.blocks import Document, Listing, Plate
+from platform_ctrl.report.page.job_page import prepared
 from platform_ctrl.verification.verdict import JobResult
 
 if TYPE_CHECKING:
@@ -69,11 +69,11 @@ def write_pdf(
     TypesettingError
         Typst could not set the document.
     """
-    return write_whole(path, pdf(result, command=command, campaign=campaign, again=again))
+    return write_whole(path, pdf_bytes(result, command=command, campaign=campaign, again=again))
 
 
 @check_arguments
-def pdf(
+def pdf_bytes(
     result: JobResult | Document,
     *,
     command: str | None = None,

@@ -13,7 +13,7 @@ from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
-from platform_ctrl.report.limit_lines import band_ceilings, ceilings, goal_frequency, late_ceilings
+from platform_ctrl.report.figures.limit_lines import band_ceilings, ceilings, goal_frequency, late_ceilings
 from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.quantities import HZ
 from platform_ctrl.report.style import (

@@ -1,23 +1,24 @@
-"""The figures of the simulated runs: angles, torques, rates and attitude over time, with their limits."""
+"""Everything that a simulated run recorded: angles, torques, rates and attitude over time, with their limits."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from io import StringIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.common.arguments import known_name, positive
+from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.plant.platform import Platform, Torquer
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.plant.platform import ROOT_TORQUE_NAMES, Platform, Torquer
 from platform_ctrl.report.quantities import root_series, signal_series
 from platform_ctrl.report.style import (
     BEYOND,
+    DASHED,
     LIMIT,
     MUTED,
     REFERENCE,
@@ -26,13 +27,13 @@ from platform_ctrl.report.style import (
     linear_axis,
     panels,
     signal_style,
+    standalone,
 )
 from platform_ctrl.simulation import Trajectory
-from platform_ctrl.verification.simulated import Run
+from platform_ctrl.verification import Run
 
 if TYPE_CHECKING:
-    from platform_ctrl.plant.platform import Platform
-    from platform_ctrl.verification import Run
+    pass
 
 # Limits further away than this many times the largest value would flatten the trace: they are named instead of drawn.
 _FAR = 3.7
@@ -40,31 +41,83 @@ _FAR = 3.7
 _WILD = 5.0
 # Angles below this are drawn in μrad, rad.
 _TINY = 1e-5
+_LIMITS = ("angle", "attitude", "torque_share")
 
 
+@standalone
 @check_arguments
-def run_figure(run: Run, platform: Platform) -> Figure:
-    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude.
+def time_run(
+    run: Run | Trajectory, platform: Platform | None = None, *, limits: Mapping[str, float] | None = None
+) -> Figure:
+    """Gimbal angles, torques, platform rate and attitude of a simulated run over time, beyond their limits shaded.
+
+    A run that diverged is drawn up to a red line at its end. Where a limit lies far beyond the trace it stands in the
+    panel's title instead of flattening it.
 
     Parameters
     ----------
     run
-        From `check.fly`.
+        A manoeuvre that was checked (`verification.Run`, with its limits), or a `simulation.Trajectory`.
     platform
-        The plant that was run.
+        The plant that was run: tells the torquers' limits. None: they are not drawn.
+    limits
+        ``angle``, ``attitude``, rad, ``torque_share``, a share: at most; default those of the manoeuvre, none of a
+        trajectory.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Panels above each other.
+        Panels above each other, over time in s.
 
     Raises
     ------
     ArgumentError
-        An argument of another kind than annotated.
+        Something else than a run, another platform than the run's, or a limit that does not exist.
     """
-    limits, duration = run.manoeuvre.limits, run.manoeuvre.duration
-    return trajectory_figure(run.trajectory, platform.torquers, signal_series(platform), limits, duration)
+    recorded = run.trajectory if isinstance(run, Run) else run
+    if limits is None:
+        asked = dict(run.manoeuvre.limits) if isinstance(run, Run) else {}
+    else:
+        if not isinstance(limits, Mapping):
+            raise ArgumentError(
+                f"time_run: limits: given {short(limits)}; expected a mapping such as {{'angle': 0.01}}"
+            )
+        for name in limits:
+            known_name("time_run: limits", name, _LIMITS)
+        asked = {name: positive(f"time_run: limits: {name}", limit) for name, limit in limits.items()}
+    names = recorded.torquer_names
+    if platform is None:
+        torquers = [Torquer(name=name, **_place(name)) for name in names]
+        series = _series(recorded)
+    else:
+        torquers = list(platform.torquers)
+        series = signal_series(platform)
+        own = tuple(torquer.name for torquer in torquers)
+        if own != names or platform.angle_names != recorded.angle_names:
+            raise ArgumentError(
+                f"time_run: platform {platform.name!r} has torquers {', '.join(own)}, the run {', '.join(names)}; "
+                "expected the platform that was run"
+            )
+    duration = run.manoeuvre.duration if isinstance(run, Run) else math.nan
+    if not duration > 0.0:
+        duration = float(recorded.t[-1]) if recorded.t.size > 1 else recorded.period
+    unknown = {} if platform is not None else {"unlimited": "give the platform to see the torquers' limits"}
+    return trajectory_figure(recorded, torquers, series, asked, duration, **unknown)
+
+
+def _series(run: Trajectory) -> Mapping[str, int]:
+    """Return the colours of a run's signals where the platform is not known: torquers in the order of the gimbals."""
+    out = {name: k for k, name in enumerate(run.angle_names)}
+    gimbals = [name for name in run.torquer_names if name not in ROOT_TORQUE_NAMES]
+    roots = {name: root_series(axis) for axis, name in enumerate(ROOT_TORQUE_NAMES, 1)}
+    return out | roots | {name: k for k, name in enumerate(gimbals)}
+
+
+def _place(name: str) -> dict[str, Any]:
+    """Return where a torquer acts, by its name: M1, M2, M3 on the root."""
+    if name in ROOT_TORQUE_NAMES:
+        return {"root_axis": 1 + ROOT_TORQUE_NAMES.index(name)}
+    return {"gimbal": name}
 
 
 def trajectory_figure(
@@ -148,7 +201,7 @@ def _traces(
         low, high = min(low, -1.12 * limit), max(high, 1.12 * limit)
         for sign in (-1.0, 1.0):
             axes.axhspan(sign * limit, sign * 10.0 * max(-low, high), color=BEYOND, linewidth=0, zorder=0)
-            axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
+            axes.axhline(sign * limit, color=LIMIT, linewidth=0.9, linestyle=DASHED)
     elif limit is not None:
         title += f" (limit ±{limit:g} {unit})"
     extent = (high - low) or 1.0
@@ -217,7 +270,7 @@ def _shares(
             fontsize=7.5,
             color="#ffffff" if inside else MUTED,
         )
-    axes.axvline(asked, color=LIMIT, linewidth=0.9, linestyle=(0, (5, 2)))
+    axes.axvline(asked, color=LIMIT, linewidth=0.9, linestyle=DASHED)
     axes.set_yticks(place, [t.torquer_names[k] for k in chosen])
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
@@ -237,19 +290,3 @@ def _note(axes: Axes, text: str) -> None:
 def _of_axes(symbol: str) -> dict[str, int]:
     """Return a symbol with the index of each root axis, and the colour of that axis."""
     return {f"{symbol}{index}": root_series(axis) for axis, index in ((1, "₁"), (2, "₂"), (3, "₃"))}
-
-
-def write_run_figure(run: Run, platform: Platform, title: str, path: Path) -> None:
-    """Draw everything that a run recorded and write it to `path` as SVG, whole or not at all."""
-    pass
-    from platform_ctrl.report.style import INK, settings
-
-    out = StringIO()
-    with settings():
-        figure = run_figure(run, platform)
-        above = 1.0 + 0.12 / figure.get_size_inches()[1]
-        figure.text(0.0, above, title, color=INK, fontsize=9.0, fontweight="bold", ha="left", va="bottom")
-        figure.savefig(
-            out, format="svg", facecolor="white", bbox_inches="tight", pad_inches=0.1, metadata={"Date": None}
-        )
-    write_whole(path, out.getvalue())
