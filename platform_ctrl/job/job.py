@@ -9,7 +9,8 @@ import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform

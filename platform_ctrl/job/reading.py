@@ -12,6 +12,7 @@ import numpy as np
 
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
+from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import (
     Campaign,
     CampaignFault,
@@ -26,7 +27,7 @@ from platform_ctrl.job.job import (
     Sampling,
     Spread,
 )
-from platform_ctrl.job.scenario import Fault, TimeTable, Vibration
+from platform_ctrl.job.scenario import TimeTable, Vibration
 from platform_ctrl.job.tables import (
     CampaignTable,
     FaultTable,

@@ -6,8 +6,9 @@ from typing import Annotated, get_args
 
 from pydantic import ConfigDict, Field
 
+from platform_ctrl.job.faults import FAULT_KINDS
 from platform_ctrl.job.job import LoopKind, Method, Mode, Points, Structure
-from platform_ctrl.job.scenario import FaultKind, VibrationKind
+from platform_ctrl.job.scenario import VibrationKind
 from platform_ctrl.job.variation import Distribution
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Table
@@ -172,7 +173,7 @@ class FaultTable(Table):
     """``[[fault]]``."""
 
     name: fields.Text
-    kind: Annotated[FaultKind, fields.one_of(get_args(FaultKind))]
+    kind: Annotated[str, fields.one_of(FAULT_KINDS)]
     part: fields.Text | None = None
     at: fields.NotNegative
     until: fields.Positive | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache, partial
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -159,7 +159,7 @@ def _truth(item: object) -> bool:
     return item
 
 
-def one_of(names: Sequence[str]) -> Expected:
+def one_of(names: Collection[str]) -> Expected:
     """Return the annotation of a key that takes one of a few words."""
 
     def judge(item: object) -> str:

@@ -13,7 +13,8 @@ from scipy.linalg import expm
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.mechanics.kinematics import kinematics, upright
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation import BatchResult
@@ -109,7 +110,7 @@ def together(runs: Sequence[Scenario], threads: int = 1, controllers: Sequence[c
 
 
 def rows(figures: BatchResult) -> np.ndarray:
-    names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "asked")
+    names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "requested")
     return np.column_stack([getattr(figures, name) for name in names])
 
 
