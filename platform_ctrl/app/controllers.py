@@ -1,4 +1,4 @@
-"""The controller that settings stand for: built from its knobs at once, or made by a method beforehand."""
+"""The controller that settings stand for: built from its sliders at once, or made by a method beforehand."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.app.knobs import CLASSICAL, PARTS, lowest_rate
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.sliders import CLASSICAL, PARTS, lowest_rate
 from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values
 from platform_ctrl.design.classical.stabilisation import platform_servo
 from platform_ctrl.design.partition import Channels
@@ -24,7 +24,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {"classical": ("lag", "notch", "spin_notc
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
 # The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
 ALWAYS = "crossover_hz"
-# What pulling and tuning may move.
+# What drag and tuning may move.
 MOVABLE: dict[str, frozenset[str]] = {
     "classical": frozenset(TUNABLE),
     "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
@@ -147,7 +147,7 @@ class DesignOptions:
         found = 0.0
         for spec in self.read.loops:
             for design in spec.designs:
-                if live(design) or (spec.name, design.name) == (settings.loop, settings.design):
+                if built_directly(design) or (spec.name, design.name) == (settings.loop, settings.design):
                     options = self.offered(settings, spec, design)
                     used = parts_used(options, settings.parts_on(spec.name, design.name))
                     found = max(found, lowest_rate(design.method, used))
@@ -168,7 +168,7 @@ class DesignOptions:
         return {name: x for name, x in complete.items() if acts(name, channel)}
 
     def touched(self, settings: Settings, loop: str, design: str) -> bool:
-        """Return whether a design's knobs or parts are not as the job has them, or what its defaults rest on."""
+        """Return whether a design's sliders or parts are not as the job has them, or what its defaults rest on."""
         start = self.start
         return (
             dict(settings.options[loop][design]) != dict(start.options[loop][design])
@@ -188,7 +188,7 @@ class DesignOptions:
             for design in spec.designs:
                 options[spec.name][design.name] = self._options(spec, design, spins)
                 optional[spec.name][design.name] = parts_given(design.options)
-            there = [d.name for d in spec.designs if live(d)]
+            there = [d.name for d in spec.designs if built_directly(d)]
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
         first = self.read.loops[0]
         return Settings(
@@ -223,6 +223,6 @@ class DesignOptions:
             return dict(design.options)
 
 
-def live(design: DesignSpec) -> bool:
-    """Return whether a design is built from its knobs at once."""
+def built_directly(design: DesignSpec) -> bool:
+    """Return whether a design is built from its sliders at once."""
     return design.method in ("classical", "platform-servo")

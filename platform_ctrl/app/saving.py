@@ -11,8 +11,8 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.controllers import ALWAYS
-from platform_ctrl.app.knobs import CLASSICAL
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.sliders import CLASSICAL
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
@@ -90,7 +90,7 @@ def save(
     job
         What the file has to be read as.
     used
-        Loop → design → options that are used, of the designs that knobs make.
+        Loop → design → options that are used, of the designs that sliders make.
     controllers
         One for each loop, in the job's order.
     """

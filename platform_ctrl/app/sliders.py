@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-from platform_ctrl.app.values import Group, Knob, Settings
+from platform_ctrl.app.settings import Group, Settings, Slider
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import value
@@ -21,7 +21,7 @@ _LONGEST_DELAY = 100.0
 
 @value
 class OptionKind:
-    """An option of a method as a knob: see `Knob`; one that is `refused` is so from half the sample rate on."""
+    """An option of a method as a slider: see `Slider`; one that is `refused` is so from half the sample rate on."""
 
     label: str
     unit: str
@@ -161,15 +161,15 @@ PARTS: dict[str, tuple[str, str]] = {
 }
 
 
-def option_knobs(
+def option_sliders(
     method: str,
     options: Mapping[str, float],
     start: Mapping[str, float],
     rate_hz: float,
     fixed: frozenset[str],
     tunable: frozenset[str],
-) -> list[Knob]:
-    """Return a knob for each of the `options` of a method; `start` is what sliders reach to both sides of."""
+) -> list[Slider]:
+    """Return a slider for each of the `options` of a method; `start` is what sliders reach to both sides of."""
     out = []
     for name, kind in KINDS[method].items():
         if name not in options:
@@ -178,7 +178,7 @@ def option_knobs(
         high = min(_REACH * middle, kind.high * rate_hz) if kind.unit == "Hz" else kind.high
         low = middle / _REACH if kind.unit == "Hz" else kind.low
         out.append(
-            Knob(
+            Slider(
                 name=name,
                 label=kind.label,
                 unit=kind.unit,
@@ -205,18 +205,18 @@ def lowest_rate(method: str, options: Mapping[str, float]) -> float:
     )
 
 
-def plant_knobs(
+def plant_sliders(
     settings: Settings, start: Settings, Omega: tuple[float, float, float], slowest: float = 0.0
-) -> list[Knob]:
-    """Return the knobs of sampling, rotors and platform rate.
+) -> list[Slider]:
+    """Return the sliders of sampling, rotors and platform rate.
 
     `Omega` is the job's largest rate, `slowest` the sample rate below which a loop cannot be built, Hz.
     """
     fixed = settings.fixed
     rate, period = start.rate_hz, 1.0 / start.rate_hz
 
-    def knob(name: str, label: str, unit: str, group: Group, low: float, high: float, at: float, tip: str) -> Knob:
-        return Knob(
+    def slider(name: str, label: str, unit: str, group: Group, low: float, high: float, at: float, tip: str) -> Slider:
+        return Slider(
             name=name,
             label=label,
             unit=unit,
@@ -233,24 +233,24 @@ def plant_knobs(
     fast = min(rate * 5.0, _LONGEST_DELAY / settings.delay if settings.delay > 0.0 else math.inf)
     longest = min(max(3.0 * start.delay, 2.0 * period), _LONGEST_DELAY / settings.rate_hz)
     out = [
-        knob("rate_hz", "sample rate", "Hz", "sampling", slow, fast, settings.rate_hz, "of all loops"),
-        knob("delay", "delay", "s", "sampling", 0.0, longest, settings.delay, "from sample to torque"),
+        slider("rate_hz", "sample rate", "Hz", "sampling", slow, fast, settings.rate_hz, "of all loops"),
+        slider("delay", "delay", "s", "sampling", 0.0, longest, settings.delay, "from sample to torque"),
     ]
     for name, spin in settings.spins.items():
         first = start.spins[name]
         low, high = (min(0.0, 1.6 * first), max(0.0, 1.6 * first)) if first else (-1e3, 1e3)
         tip = "speed against its carrier"
-        out.append(knob(f"spin {name}", f"rotor {name}", "rad/s", "rotors", low, high, spin, tip))
+        out.append(slider(f"spin {name}", f"rotor {name}", "rad/s", "rotors", low, high, spin, tip))
     for k, rate_now in enumerate(settings.Omega):
         most = 2.0 * Omega[k] if Omega[k] > 0.0 else 1.0
         tip = "platform rate at which the plants are shown"
-        out.append(knob(f"Omega{k + 1}", f"Omega {k + 1}", "rad/s", "Omega", -most, most, rate_now, tip))
+        out.append(slider(f"Omega{k + 1}", f"Omega {k + 1}", "rad/s", "Omega", -most, most, rate_now, tip))
     return out
 
 
-def moved(settings: Settings, knobs: Mapping[str, Knob], name: str, number: float) -> Settings:
-    """Return the settings with a knob at `number`."""
-    known_name("knob", name, tuple(knobs))
+def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: float) -> Settings:
+    """Return the settings with a slider at `number`."""
+    known_name("slider", name, tuple(sliders))
     at = _number(name, number)
     if name == "rate_hz":
         _expect(name, at, *_RATE)
@@ -263,10 +263,10 @@ def moved(settings: Settings, knobs: Mapping[str, Knob], name: str, number: floa
                 f"0 to {_LONGEST_DELAY:g}"
             )
         return new
-    if name.startswith("spin ") and knobs[name].group == "rotors":
+    if name.startswith("spin ") and sliders[name].group == "rotors":
         _expect(name, at, -_SPIN, _SPIN)
         return dataclasses.replace(settings, spins={**settings.spins, name.removeprefix("spin "): at})
-    if knobs[name].group == "Omega":
+    if sliders[name].group == "Omega":
         _expect(name, at, -_OMEGA, _OMEGA)
         rates = list(settings.Omega)
         rates[int(name[-1]) - 1] = at
