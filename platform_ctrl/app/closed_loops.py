@@ -18,9 +18,10 @@ from platform_ctrl.app.process_tasks import Made
 from platform_ctrl.app.saving import SavedController
 from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.verification.coupled import sensed_rates
 from platform_ctrl.verification.given import opened, read_controllers
@@ -140,7 +141,7 @@ class ClosedLoops:
             known = next((d for d in spec.designs if d.name == design), None)
             if known is None:
                 continue
-            if known.method == "classical" and method == "classical" and known.tune:
+            if method == known.method and METHODS[method].tunes and known.tune:
                 mine = start.options[loop]
                 options = {name: made.options.get(name, x) for name, x in mine[design].items()}
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
@@ -328,7 +329,7 @@ class ClosedLoops:
             try:
                 K, note = self.caging(settings, spec, design)
             except DesignError:
-                other = next((d for d in spec.designs if d.method == "classical"), None)
+                other = next((d for d in spec.designs if built_directly(d)), None)
                 if strict or other is None or built_directly(design):
                     raise
                 note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed in its place"
@@ -354,7 +355,7 @@ class ClosedLoops:
         """Return the controller of a servo on the platform."""
         mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         job = dataclasses.replace(self.read, sampling=self.plants.sampling(settings))
-        made = platform_servo(job, self.plants.model(settings), spec, mine).controller
+        made = designed(LoopProblem(job=job, spec=spec, design=mine, model=self.plants.model(settings))).controller
         K = state_arrays(made, design.name)
         return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 

@@ -131,7 +131,7 @@ class ServoTuning:
         from platform_ctrl.analysis.arrays import named_system
         from platform_ctrl.app.free_measures import requirements
         from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
-        from platform_ctrl.design.classical.stabilisation import platform_servo
+        from platform_ctrl.design.loop import LoopProblem, designed
         from platform_ctrl.mechanics.linearisation import linearise
         from platform_ctrl.verification.coupled import sensed_rates
 
@@ -150,7 +150,8 @@ class ServoTuning:
 
         def worst(options: dict[str, float]) -> float:
             try:
-                servo = platform_servo(self.job, model, spec, dataclasses.replace(design, options=options))
+                trial = dataclasses.replace(design, options=options)
+                servo = designed(LoopProblem(job=self.job, spec=spec, design=trial, model=model))
             except PlatformCtrlError:
                 return 100.0
             loop = StabilisedLoop(

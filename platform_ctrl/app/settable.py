@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from platform_ctrl.app.closed_loops import ClosedLoops
-from platform_ctrl.app.controllers import MOVABLE, OPTIONAL
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.app.settings import Choices, Part, Settings, Slider
-from platform_ctrl.app.sliders import KINDS, PARTS, moved, option_sliders, plant_sliders
+from platform_ctrl.app.sliders import moved, option_sliders, plant_sliders
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 
 
@@ -116,7 +116,7 @@ class Settable:
         known_name("channel", settings.channel, self._loops.plants.channels_of(spec))
         # Those of other loops and of parts that are off stay fixed.
         methods = sorted({one.method for loop in self.read.loops for one in loop.designs})
-        options = (option for method in methods for option in KINDS[method])
+        options = (option for method in methods for option in METHODS[method].options)
         plant = (slider.name for slider in self.sliders(settings) if slider.group in ("sampling", "rotors", "Omega"))
         sliders = tuple(dict.fromkeys((*options, *plant)))
         for name in sorted(settings.fixed):
@@ -155,8 +155,7 @@ class Settable:
         parts = settings.parts_on(spec.name, design.name)
         # What only rotors that were set going or stopped ask for starts by rules of thumb, wherever it stands now.
         start = self._loops.options.offered(settings.but(options=self._loops.start.options), spec, design)
-        movable = MOVABLE.get(design.method, frozenset())
-        own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed, movable)
+        own = option_sliders(design.method, options, start, settings.rate_hz, settings.fixed)
         Omega = tuple(map(float, self.read.Omega))
         return (
             *(slider for slider in own if not slider.part or slider.part in parts),
@@ -182,8 +181,8 @@ class Settable:
         on = settings.parts_on(spec.name, design.name)
         known = self._loops.options.offered(settings, spec, design)
         return tuple(
-            Part(name=name, label=PARTS[name][0], on=name in on, tip=PARTS[name][1])
-            for name in OPTIONAL.get(design.method, ())
+            Part(name=name, label=label, on=name in on, tip=tip)
+            for name, (label, tip) in METHODS[design.method].parts.items()
             if f"{name}_hz" in known
         )
 

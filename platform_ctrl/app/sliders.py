@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from platform_ctrl.app.settings import Group, Settings, Slider
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
-from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.methods import METHODS
 
 # A slider goes this factor to both sides of where it started.
 _REACH = 20.0
@@ -19,159 +19,17 @@ _OPTION, _RATE, _SPIN, _OMEGA = (1e-9, 1e7), (1e-2, 1e7), 1e6, 1e4
 _LONGEST_DELAY = 100.0
 
 
-@value
-class OptionKind:
-    """An option of a method as a slider: see `Slider`; one that is `refused` is so from half the sample rate on."""
-
-    label: str
-    unit: str
-    group: Group
-    tip: str
-    low: float = 0.0
-    high: float = math.inf
-    logarithmic: bool = True
-    part: str = ""
-    refused: bool = False
-
-
-def _hz(
-    label: str, group: Group, tip: str, high: float = math.inf, part: str = "", refused: bool = False
-) -> OptionKind:
-    return OptionKind(label=label, unit="Hz", group=group, tip=tip, high=high, part=part, refused=refused)
-
-
-# Highest frequencies are shares of the sample rate.
-CLASSICAL: dict[str, OptionKind] = {
-    "crossover_hz": _hz("crossover", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over"),
-    "integral_hz": _hz("integral", "gains", "below this frequency the integral acts: trades ramp error for margin"),
-    "damping_hz": _hz("damping 1", "gains", "direct-axis gain on the first axis of a pair: damps nutation"),
-    "damping2_hz": _hz("damping 2", "gains", "direct-axis gain on the second axis of a pair: damps nutation"),
-    "inertial_crossover_hz": _hz("inertial crossover", "gains", "crossover where no gyro stiffens the gimbals"),
-    "lead_hz": _hz("lead zero", "lead", "zero of the direct-axis lead"),
-    "rolloff_hz": _hz("lead roll-off", "lead", "pole of the direct-axis lead", high=0.45),
-    "inertial_lead_hz": _hz("inertial lead zero", "lead", "zero of the lead where no gyro acts"),
-    "inertial_rolloff_hz": _hz("inertial roll-off", "lead", "pole of that lead", high=0.45),
-    "notch_hz": _hz(
-        "notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch", refused=True
-    ),
-    "notch_depth": OptionKind(
-        label="notch depth", unit="", group="notch", tip="gain at its centre", low=0.01, high=0.999, part="notch"
-    ),
-    "notch_width": OptionKind(
-        label="notch width", unit="", group="notch", tip="its damping ratio", low=0.01, high=1.0, part="notch"
-    ),
-    "spin_notch_hz": _hz(
-        "spin notch",
-        "notch",
-        "centre of the notch in front of everything: the rotors' spin",
-        high=0.4,
-        part="spin_notch",
-        refused=True,
-    ),
-    "spin_notch_depth": OptionKind(
-        label="spin notch depth",
-        unit="",
-        group="notch",
-        tip="gain at its centre",
-        low=0.01,
-        high=0.999,
-        part="spin_notch",
-    ),
-    "spin_notch_width": OptionKind(
-        label="spin notch width",
-        unit="",
-        group="notch",
-        tip="its damping ratio",
-        low=0.01,
-        high=1.0,
-        part="spin_notch",
-    ),
-    "lag_hz": _hz("lag", "lag", "below this frequency the lag raises the gain", part="lag"),
-    "lag_ratio": OptionKind(
-        label="lag ratio", unit="", group="lag", tip="by how much it raises it", low=1.01, high=100.0, part="lag"
-    ),
-}
-SERVO: dict[str, OptionKind] = {
-    "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
-    "position_hz": _hz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
-    "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, refused=True),
-    "filter_damping": OptionKind(
-        label="filter damping", unit="", group="lead", tip="its damping ratio", low=0.1, high=2.0
-    ),
-}
-_WEIGHTS: dict[str, OptionKind] = {
-    "bandwidth_hz": _hz("bandwidth", "design", "where the bound on S rises"),
-    "sensitivity_peak": OptionKind(
-        label="sensitivity peak", unit="", group="design", tip="height to which the bound on S rises", low=1.05, high=20
-    ),
-    "complementary": OptionKind(label="weight on T", unit="", group="design", tip="bounds T", low=0.01, high=10.0),
-    "disturbance": OptionKind(
-        label="disturbance", unit="", group="design", tip="torque disturbance: damps nutation", low=1e-3, high=10.0
-    ),
-    "torque": OptionKind(
-        label="weight on torque", unit="", group="design", tip="larger: less torque", low=1e-3, high=10.0
-    ),
-    "inertial_bandwidth_hz": _hz("inertial bandwidth", "design", "the same where no gyro acts"),
-    "inertial_disturbance": OptionKind(
-        label="inertial disturbance", unit="", group="design", tip="the same where no gyro acts", low=1e-3, high=10.0
-    ),
-    "inertial_torque": OptionKind(
-        label="inertial weight on torque",
-        unit="",
-        group="design",
-        tip="the same where no gyro acts",
-        low=1e-3,
-        high=10.0,
-    ),
-}
-_HINF = _WEIGHTS | {
-    "backoff": OptionKind(
-        label="backoff", unit="", group="design", tip="relative distance from the least norm", low=1e-3, high=1.0
-    )
-}
-_STRUCTURED: dict[str, OptionKind] = {
-    "order": OptionKind(
-        label="order", unit="", group="design", tip="states beside the integrators", low=1, high=30, logarithmic=False
-    ),
-    "starts": OptionKind(
-        label="starts", unit="", group="design", tip="starting points of the search", low=1, high=8, logarithmic=False
-    ),
-    "integral_hz": _hz("integral", "design", "corner of the integral at the start", high=0.4, refused=True),
-    "rolloff_hz": _hz("roll-off", "design", "where the filter starts", high=0.45, refused=True),
-    "reserve": OptionKind(
-        label="reserve", unit="", group="design", tip="share by which limits are met", low=1e-3, high=0.5
-    ),
-    "evaluations": OptionKind(
-        label="evaluations", unit="", group="design", tip="most evaluations of the search", low=10, high=5000
-    ),
-}
-KINDS: dict[str, dict[str, OptionKind]] = {
-    "classical": CLASSICAL,
-    "platform-servo": SERVO,
-    "hinf": _HINF,
-    "lqg": _WEIGHTS,
-    "structured": _STRUCTURED,
-}
-# Whole numbers.
-COUNTS = frozenset({"order", "starts", "evaluations"})
-PARTS: dict[str, tuple[str, str]] = {
-    "lag": ("lag", "raises the gain at low frequencies"),
-    "notch": ("notch", "takes gain out of the cross-axis path, at nutation as a rule"),
-    "spin_notch": ("spin notch", "keeps what an unbalanced rotor shakes from the torquers"),
-}
-
-
 def option_sliders(
     method: str,
     options: Mapping[str, float],
     start: Mapping[str, float],
     rate_hz: float,
     fixed: frozenset[str],
-    tunable: frozenset[str],
 ) -> list[Slider]:
     """Return a slider for each of the `options` of a method; `start` is what sliders reach to both sides of."""
     out = []
-    for name, kind in KINDS[method].items():
+    offered = METHODS[method]
+    for name, kind in offered.options.items():
         if name not in options:
             continue
         middle = start.get(name, options[name])
@@ -190,8 +48,8 @@ def option_sliders(
                 tip=kind.tip,
                 fixed=name in fixed,
                 part=kind.part,
-                tunable=name in tunable,
-                background=method in ("hinf", "lqg", "structured"),
+                tunable=name in offered.tunable,
+                background=not offered.instant,
             )
         )
     return out
@@ -199,9 +57,10 @@ def option_sliders(
 
 def lowest_rate(method: str, options: Mapping[str, float]) -> float:
     """Return the sample rate, Hz, from which on a method's `options` stand within their sliders; 0 without such."""
-    kinds = KINDS[method]
+    kinds = METHODS[method].options
     return max(
-        (x / kinds[name].high for name, x in options.items() if name in kinds and kinds[name].refused), default=0.0
+        (x / kinds[name].high for name, x in options.items() if name in kinds and kinds[name].below_nyquist),
+        default=0.0,
     )
 
 
@@ -272,7 +131,8 @@ def moved(settings: Settings, sliders: Mapping[str, Slider], name: str, number: 
         rates[int(name[-1]) - 1] = at
         return settings.but(Omega=tuple(rates))
     _expect(name, at, *_OPTION)
-    return with_options(settings, {name: float(round(at)) if name in COUNTS else at})
+    whole = any(method.options[name].whole for method in METHODS.values() if name in method.options)
+    return with_options(settings, {name: float(round(at)) if whole else at})
 
 
 def with_options(settings: Settings, changes: Mapping[str, float]) -> Settings:

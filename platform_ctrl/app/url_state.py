@@ -10,11 +10,10 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.controllers import OPTIONAL
 from platform_ctrl.app.settings import Conditions, Settings
-from platform_ctrl.app.sliders import KINDS
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.job.methods import METHODS
 
 if TYPE_CHECKING:
     from platform_ctrl.app.backend import Backend
@@ -103,10 +102,10 @@ def judged(backend: Backend, changed: object) -> Settings:
         options[loop] = {name: dict(numbers) for name, numbers in start.options[loop].items()}
         optional[loop] = {name: tuple(on) for name, on in start.optional[loop].items()}
         for name, numbers in _table(f"options {loop}", mine, own).items():
-            for option, x in _table(f"options {name}", numbers, KINDS[own[name].method]).items():
+            for option, x in _table(f"options {name}", numbers, METHODS[own[name].method].options).items():
                 options[loop][name][option] = _positive(option, x)
         for name, on in _table(f"optional {loop}", parts, own).items():
-            known_parts = OPTIONAL.get(own[name].method, ())
+            known_parts = tuple(METHODS[own[name].method].parts)
             optional[loop][name] = tuple(sorted({_one("part", part, known_parts) for part in _list("part", on)}))
     spins = {
         name: _finite(f"spin {name}", x) for name, x in _table("spins", changed.get("spins", {}), start.spins).items()
@@ -164,7 +163,7 @@ def _designed_for(given: object, start: Settings, specs: Mapping[str, LoopSpec])
             whole = {**({} if own is None else own.data()), **parts}
             if missing := [field for field in Conditions._fields if field not in whole]:
                 raise InputError(f"state: {where} has no {missing[0]}; expected {', '.join(Conditions._fields)}")
-            options = _table(f"{where}: options", whole["options"], KINDS[methods[name]])
+            options = _table(f"{where}: options", whole["options"], METHODS[methods[name]].options)
             first = {} if own is None else dict(own.options)
             spins = {**start.spins, **_table(f"{where}: spins", whole["spins"], start.spins)}
             rates = [_positive_or_zero(f"{where}: Omega", x) for x in _list(where, whole["Omega"])]

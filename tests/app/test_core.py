@@ -24,7 +24,7 @@ from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import Bounded, QuickPlants
 from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
-from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec, Spread
@@ -109,7 +109,7 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
 ) -> None:
     job, spec, plants, K = _closed(bench, settings)
     design = next(d for d in spec.designs if d.name == settings.design)
-    made = certified(spec, design, tuple(K[:4]), plants, {}, {})
+    made = certified(spec, design, Designed(controller=tuple(K[:4]), options={}), plants)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)

@@ -10,15 +10,16 @@ import pytest
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.backend import Backend
-from platform_ctrl.app.controllers import OPTIONAL
 from platform_ctrl.app.settings import Settings, Slider
-from platform_ctrl.app.sliders import CLASSICAL, with_options
+from platform_ctrl.app.sliders import with_options
 from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 
+CLASSICAL = METHODS["classical"]
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
 
@@ -54,14 +55,14 @@ def _every_part(bench: Backend, settings: Settings) -> Settings:
 def _expect_that_sliders_are_what_acts(bench: Backend, settings: Settings) -> None:
     settings = _every_part(bench, settings)
     before = _controller(bench, settings)
-    own = {slider.name: slider for slider in bench.sliders(settings) if slider.name in CLASSICAL}
+    own = {slider.name: slider for slider in bench.sliders(settings) if slider.name in CLASSICAL.options}
     assert own
     for name, slider in own.items():
         assert _differ(_controller(bench, bench.moved(settings, name, 0.97 * slider.value)), before), name
     # With every part that there is, even those that are not offered, what has no slider moves nothing.
-    all_on = {settings.loop: {settings.design: OPTIONAL["classical"]}}
+    all_on = {settings.loop: {settings.design: tuple(CLASSICAL.parts)}}
     loaded = settings.but(optional={**settings.optional, **all_on})
-    off = {name for name, kind in CLASSICAL.items() if name not in own and kind.part != "spin_notch"}
+    off = {name for name, kind in CLASSICAL.options.items() if name not in own and kind.part != "spin_notch"}
     for name in off:
         assert not _differ(_controller(bench, with_options(loaded, {name: 3.0})), _controller(bench, loaded)), name
 

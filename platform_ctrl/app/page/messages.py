@@ -8,6 +8,7 @@ from typing import Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
 from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 
@@ -119,7 +120,9 @@ def available_modes(choices: Choices) -> tuple[str, ...]:
     tuple of str
         Both, or ``"caged"`` alone where there is no servo on the platform.
     """
-    servo = any("platform-servo" in methods.values() for methods in choices.methods.values())
+    servo = any(
+        METHODS[one].kind == "stabilisation" for methods in choices.methods.values() for one in methods.values()
+    )
     return _MODES if servo else _MODES[:1]
 
 
