@@ -9,7 +9,7 @@ import typer
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import Quiet
 from platform_ctrl.errors import InputError
-from platform_ctrl.mechanics.symbolic.result import HIGHEST_ORDER, TERMS, WRITTEN
+from platform_ctrl.mechanics.symbolic.names import HIGHEST_ORDER, TERMS, WRITTEN
 
 EXACT = "exact"
 ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from platform_ctrl.common.signatures import check_arguments, short
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.symbolic.result import FORMS, HIGHEST_ORDER, TERMS, Form, Terms
+from platform_ctrl.mechanics.linearisation import Terms
+from platform_ctrl.mechanics.symbolic.names import FORMS, HIGHEST_ORDER, TERMS, Form
 
 if TYPE_CHECKING:
     from platform_ctrl.mechanics.symbolic.result import Equations

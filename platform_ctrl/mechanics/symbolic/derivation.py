@@ -10,6 +10,7 @@ import sympy
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.mechanics.linearisation import Terms
 from platform_ctrl.mechanics.symbolic import elements as row_algebra
 from platform_ctrl.mechanics.symbolic.expressions import (
     ONE,
@@ -24,7 +25,7 @@ from platform_ctrl.mechanics.symbolic.expressions import (
     derivative,
     up_to,
 )
-from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
+from platform_ctrl.mechanics.symbolic.names import HIGHEST_ORDER, NamedSymbol, Names
 from platform_ctrl.mechanics.symbolic.parameters import (
     Motion,
     Parameters,
@@ -37,13 +38,11 @@ from platform_ctrl.mechanics.symbolic.parameters import (
     symbol_table,
 )
 from platform_ctrl.mechanics.symbolic.result import (
-    HIGHEST_ORDER,
     LINEAR,
     PARTIALLY_LINEAR,
     PRECESSION,
     Equations,
     RowTerms,
-    Terms,
 )
 from platform_ctrl.plant.platform import Platform
 
@@ -72,7 +71,7 @@ def derived(platform: Platform, order: int | None, terms: Terms) -> Equations:
     names = Names()
     motion = motion_symbols(platform, names)
     forces = _specific_force(platform, names)
-    known = parameters(platform, names)
+    known = parameters(platform, tree, names)
     # (27) needs BᵀL to second order; G_A and G_R are derivatives.
     linear = _core(tree, known, Taylor(2 if order is None else max(2, order + 1)), constant_A=terms == "paper")
     shown = linear

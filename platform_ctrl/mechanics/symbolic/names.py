@@ -5,10 +5,11 @@ from __future__ import annotations
 import builtins
 import keyword
 import unicodedata
-from typing import Literal
+from typing import Literal, get_args
 
 from platform_ctrl.common.text import LETTERS, dotted, initial
 from platform_ctrl.common.values import value
+from platform_ctrl.mechanics.linearisation import Terms
 
 Kind = Literal[
     "inertia",
@@ -23,6 +24,14 @@ Kind = Literal[
     "rate",
     "angle",
 ]
+
+# What `equations` returns; without SymPy, which the command line does not load for its help.
+Written = Literal["text", "latex", "json"]
+Form = Literal[Written, "sympy"]
+WRITTEN: tuple[Written, ...] = get_args(Written)
+FORMS: tuple[Form, ...] = get_args(Form)
+TERMS: tuple[Terms, ...] = ("paper", "exact")
+HIGHEST_ORDER = 3
 
 _DOTTED = ("{}", r"\dot{{{}}}", r"\ddot{{{}}}")
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\backslash ", "~": r"\sim ", "^": r"\wedge "}

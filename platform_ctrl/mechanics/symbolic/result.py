@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import sympy
@@ -12,20 +12,10 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.linearisation import Terms
 from platform_ctrl.mechanics.symbolic.expressions import Expression
 from platform_ctrl.mechanics.symbolic.names import NamedSymbol
 from platform_ctrl.plant.platform import Platform
-
-Written = Literal["text", "latex", "json"]
-Form = Literal[Written, "sympy"]
-# As in linearisation, which stands beside this package and is not imported by it.
-Terms = Literal["paper", "exact"]
-
-WRITTEN: tuple[Written, ...] = get_args(Written)
-FORMS: tuple[Form, ...] = get_args(Form)
-TERMS: tuple[Terms, ...] = get_args(Terms)
-HIGHEST_ORDER = 3
-
 
 RowTerms = tuple[tuple[Expression, Expression], ...]
 
