@@ -19,9 +19,9 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.partition import Partition, Realisation, channels, closed_loop, partition
+from platform_ctrl.design.partition import Partition, channels, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
 from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.scaling import autoscale
@@ -103,9 +103,9 @@ def true_norm(P: Partition, K: Any) -> float:
     return float(hinf_norm(control.StateSpace(loop.A, loop.B, loop.C, loop.D, remove_useless_states=False))[0])
 
 
-def static(K: Any) -> Realisation:
+def static(K: Any) -> StateArrays:
     """Return a matrix of gains as a system."""
-    return Realisation(A=np.zeros((0, 0)), B=np.zeros((0, K.shape[1])), C=np.zeros((K.shape[0], 0)), D=K)
+    return StateArrays(A=np.zeros((0, 0)), B=np.zeros((0, K.shape[1])), C=np.zeros((K.shape[0], 0)), D=K)
 
 
 def bfgs_gains(P: Partition, K: Any) -> tuple[Any, int]:
