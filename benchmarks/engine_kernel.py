@@ -16,7 +16,7 @@ import numpy as np
 from side_by_side import Comparison, DisagreementError, Section
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics import matrices
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import rollout
@@ -159,7 +159,7 @@ def kept() -> str:
 FIRST_CALL = """
 import time, numpy as np
 from pathlib import Path
-from platform_ctrl.reading import read_platform
+from platform_ctrl import read_platform
 from platform_ctrl.simulation import rollout
 platform = read_platform(Path({model!r}))
 began = time.perf_counter()

@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics import with_free_rotors
+from platform_ctrl.mechanics.rotors import with_free_rotors
 
 BETA0, KICK = radians(30.0), 25.0  # rad; rad/s of the inner gimbal: a nutation of 1.5 degrees
 STEP, EVERY = 2e-5, 10

@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import platform_ctrl as pc
-from platform_ctrl.mechanics import kinematics
+from platform_ctrl.mechanics.kinematics import kinematics
 
 ROLL_RATE, TIME = 0.3, 0.2  # rad/s of the vehicle, s
 FRAMES = ("roll", "pitch")

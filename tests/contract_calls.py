@@ -42,6 +42,11 @@ class Case(NamedTuple):
     fields: bool = False
 
 
+def short_name(path: str) -> str:
+    """Return a public name with the last part of its module's name."""
+    return ".".join(path.removeprefix("platform_ctrl.").split(".")[-2:])
+
+
 def cases() -> dict[str, Case]:
     """Return every public function, constructor and method that takes an argument, with its valid ones.
 
@@ -52,7 +57,7 @@ def cases() -> dict[str, Case]:
     """
     found: dict[str, Case] = {}
     for path, item in public().items():
-        name = path.removeprefix("platform_ctrl.")
+        name = short_name(path)
         if name in UNTAKEN or (inspect.isclass(item) and issubclass(item, BaseException)):
             continue
         if name in FUNCTIONS or not inspect.isclass(item):
@@ -84,7 +89,7 @@ def _fields(cls: type) -> tuple[str, ...]:
 
 
 # A base class without a value of its own; what takes any number of figures.
-UNTAKEN = ("design.Structure", "report.figures.show")
+UNTAKEN = ("design.Structure", "figures.show")
 
 
 def _field(name: str, field: str) -> Any:
@@ -102,12 +107,17 @@ def _method(cls: str, method: str, /, **given: Any) -> Any:
     return getattr(copy.copy(on) if cls == "campaign.Distribution" else on, method)(**given)
 
 
+@functools.cache
+def _classes() -> dict[str, type]:
+    return {short_name(path): item for path, item in public().items() if inspect.isclass(item)}
+
+
 def signature(case: Case) -> dict[str, inspect.Parameter]:
     """Return the parameters of what is called."""
     function = case.function
     if isinstance(function, functools.partial):
         cls, method = function.args
-        function = getattr(public()[f"platform_ctrl.{cls}"], method)
+        function = getattr(_classes()[cls], method)
     return taken(function)
 
 

@@ -370,8 +370,9 @@ def run(motion: Motion, spin: np.ndarray | None = None, pace: float = 0.02, step
 
     `spin`: of the servo rotors at the start; default nominal.
     """
-    from platform_ctrl.mechanics import inverse_dynamics, matrices
+    from platform_ctrl.mechanics.equations import inverse_dynamics
     from platform_ctrl.mechanics.forces import element_forces
+    from platform_ctrl.mechanics.matrices import matrices
     from platform_ctrl.simulation import rollout
 
     platform, n = motion.platform, 3 + len(motion.q)

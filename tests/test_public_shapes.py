@@ -13,8 +13,9 @@ import pytest
 from numpydoc.docscrape import NumpyDocString, Parameter
 
 import platform_ctrl as pc
-from platform_ctrl import analysis, campaign, design, mechanics, simulation
+from platform_ctrl import analysis, campaign, design, simulation
 from platform_ctrl.analysis import certificates
+from platform_ctrl.mechanics import kinematics
 from platform_ctrl.mechanics.parameter_varying import monomial_values
 
 PLATFORM = pc.read_platform("three_gyro_platform")
@@ -83,8 +84,8 @@ VALUES: dict[str, Callable[[], Any]] = {
     "LinearModel": lambda: MODEL,
     "MagnusMatrices": lambda: pc.matrices(PLATFORM, velocity=[0.1] * 8),
     "RotorMomenta": lambda: pc.rotor_momenta(PLATFORM),
-    "Kinematics": lambda: mechanics.kinematics(PLATFORM, np.zeros(5)),
-    "Topology": lambda: mechanics.topology(PLATFORM),
+    "Kinematics": lambda: kinematics.kinematics(PLATFORM, np.zeros(5)),
+    "Topology": lambda: kinematics.topology(PLATFORM),
     "ParameterVaryingModel": varying,
     "AffineModel": lambda: varying().affine(),
     "FrozenRows": lambda: varying().at([0.1, 0.0, 0.0]),

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from platform_ctrl import design
 from platform_ctrl.design.plants import cases
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices
+from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.simulation import rollout
 from single_runs import simulated
 from tree_cases import platforms

@@ -9,7 +9,7 @@ import typer
 from platform_ctrl.cli import completion
 from platform_ctrl.cli.inputs import Quiet
 from platform_ctrl.errors import InputError
-from platform_ctrl.mechanics.symbolic.names import HIGHEST_ORDER, TERMS, WRITTEN
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, TERMS, WRITTEN
 
 EXACT = "exact"
 ORDERS = (*map(str, range(HIGHEST_ORDER + 1)), EXACT)
@@ -75,7 +75,7 @@ def equations(
     if as_json:
         chosen_form = "json"
     with progress(quiet or as_json, f"deriving the equations of {plant}"):
-        from platform_ctrl.mechanics.symbolic import equations as found
+        from platform_ctrl.mechanics.symbolic.equations import equations as found
         from platform_ctrl.plant.reading import read_platform
 
         written = found(read_platform(plant), chosen_form, chosen_order, chosen_terms)

@@ -16,8 +16,8 @@ from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.job.job import Job, LoopSpec, Sampling
-from platform_ctrl.mechanics import matrices
 from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space, subsystems_of_all
 from platform_ctrl.plant.platform import OMEGA_NAMES, PickOff, Platform, Torquer
 

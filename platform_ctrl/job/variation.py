@@ -32,7 +32,7 @@ class Vary:
     Attributes
     ----------
     parameter
-        Its path, as `platform_ctrl.parameters` knows it.
+        Its path, as `platform_ctrl.job.parameters` knows it.
     distribution
         What it is drawn from.
     numbers

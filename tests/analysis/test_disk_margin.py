@@ -8,8 +8,7 @@ import control
 import numpy as np
 import pytest
 
-from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform
-from platform_ctrl.mechanics import state_space
+from platform_ctrl import PlatformCtrlError, analysis, linearise, read_platform, state_space
 from random_loops import stable_loop
 
 

@@ -11,8 +11,8 @@ from platform_ctrl.design.plants import cases, loop_plants
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import Faults, Spread
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.mechanics import matrices
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.platform import OMEGA_NAMES
 

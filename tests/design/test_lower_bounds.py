@@ -239,7 +239,7 @@ def test_no_stabilising_controller_undercuts_the_bounds_of_a_singular_plant(seed
 def test_structured_controllers_are_priced_against_the_infimum(name, kind):
     P, ny, nu = plant_of(name)
     asked = [requirement(kind, 1.0, hard=False)]
-    found = design.structured(P, ny, nu, structure=design.Static(), requirements=asked, starts=4, evaluations=400)
+    found = design.structured(P, ny, nu, structure=design.Static(), requirements=asked, starts=4, evaluations=1000)
     assert found.gamma >= found.gamma_optimal > 0.0
     assert found.price >= 1.0
     known = (KNOWN_HINF if kind == "H-infinity norm" else KNOWN_H2).get(name, found.gamma_optimal)

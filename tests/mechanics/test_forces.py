@@ -8,7 +8,8 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space, subsystems

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from platform_ctrl.mechanics import matrices
 from platform_ctrl.mechanics.kinematics import cross_matrix
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.reading import read_platform
 from tree_cases import platforms, with_torquers

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from platform_ctrl.mechanics import inverse_dynamics
+from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 

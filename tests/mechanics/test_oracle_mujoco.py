@@ -26,8 +26,10 @@ from oracle_trees import (
     sprung,
     unbalanced,
 )
-from platform_ctrl.mechanics import inverse_dynamics, matrices, rotor_momenta
+from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.rotors import rotor_momenta
 from platform_ctrl.plant.platform import Platform
 
 pytestmark = pytest.mark.usefixtures("untraced")

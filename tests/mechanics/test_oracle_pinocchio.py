@@ -26,9 +26,11 @@ from oracle_trees import (
     solved,
     unbalanced,
 )
-from platform_ctrl.mechanics import forward_dynamics, inverse_dynamics, matrices, rotor_momenta, with_rotors_as_gimbals
+from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
 from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
 from platform_ctrl.plant.platform import Gimbal, Platform
 
 pytestmark = pytest.mark.usefixtures("untraced")

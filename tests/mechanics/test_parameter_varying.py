@@ -11,8 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
 from platform_ctrl.errors import ArgumentError, MechanicsError
-from platform_ctrl.mechanics import element_forces, inverse_dynamics, matrices
+from platform_ctrl.mechanics.equations import inverse_dynamics
+from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.mechanics.parameter_varying import monomial_values, parameter_varying
 from platform_ctrl.mechanics.state_space import state_space
 from platform_ctrl.plant.force_elements import Friction, Spring, Unbalance

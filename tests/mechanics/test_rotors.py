@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import (
-    forward_dynamics,
-    inverse_dynamics,
-    matrices,
+from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.rotors import (
     rotor_momenta,
     with_free_rotors,
     with_regulated_rotors,

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import element_forces, inverse_dynamics
+from platform_ctrl.mechanics.equations import inverse_dynamics
+from platform_ctrl.mechanics.forces import element_forces
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.parameter_varying import parameter_varying
 from platform_ctrl.mechanics.state_space import subsystems

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 import three_gyro_paper
-from platform_ctrl.mechanics import inverse_dynamics, matrices, rotor_momenta, with_rotors_as_gimbals
+from platform_ctrl.mechanics.equations import inverse_dynamics
 from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.linearisation import linearise
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.rotors import rotor_momenta, with_rotors_as_gimbals
 from three_gyro_energy import (
     ACCELERATIONS,
     ANGLES,

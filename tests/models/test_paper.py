@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import platform_ctrl as pc
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.mechanics import with_free_rotors
+from platform_ctrl.mechanics.rotors import with_free_rotors
 from platform_ctrl.plant.source import platform_source, shipped_models
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from kernel_entries import momenta, whole_state
 from oracle_trees import MujocoTree, PinocchioTree, rotation
-from platform_ctrl.mechanics import matrices
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.plant.reading import read_platform
 from platform_ctrl.simulation import Rollout, rollout

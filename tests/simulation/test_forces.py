@@ -11,7 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kernel_entries import derivatives, momenta, whole_state
-from platform_ctrl.mechanics import element_forces, forward_dynamics, kinematics, matrices
+from platform_ctrl.mechanics.equations import forward_dynamics
+from platform_ctrl.mechanics.forces import element_forces
+from platform_ctrl.mechanics.kinematics import kinematics
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, Rotor, Torquer
 from platform_ctrl.simulation import HalfCosine, rollout

@@ -11,7 +11,8 @@ import pytest
 
 from kernel_entries import derivatives, momenta, whole_state
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import inverse_dynamics, matrices
+from platform_ctrl.mechanics.equations import inverse_dynamics
+from platform_ctrl.mechanics.matrices import matrices
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.simulation import rollout
 

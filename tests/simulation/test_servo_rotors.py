@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics import element_forces, forward_dynamics, inverse_dynamics, matrices, with_rotors_as_gimbals
+from platform_ctrl.mechanics.equations import forward_dynamics, inverse_dynamics
+from platform_ctrl.mechanics.forces import element_forces
+from platform_ctrl.mechanics.matrices import matrices
+from platform_ctrl.mechanics.rotors import with_rotors_as_gimbals
 from platform_ctrl.plant.force_elements import Spring, Unbalance
 from platform_ctrl.plant.platform import Gimbal, Platform, Rotor
 from platform_ctrl.simulation import HalfCosine, rollout

@@ -10,7 +10,6 @@ import sympy
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.kinematics import Topology, topology
-from platform_ctrl.mechanics.linearisation import Terms
 from platform_ctrl.mechanics.symbolic import elements as row_algebra
 from platform_ctrl.mechanics.symbolic.expressions import (
     ONE,
@@ -25,7 +24,8 @@ from platform_ctrl.mechanics.symbolic.expressions import (
     derivative,
     up_to,
 )
-from platform_ctrl.mechanics.symbolic.names import HIGHEST_ORDER, NamedSymbol, Names
+from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
+from platform_ctrl.mechanics.symbolic.options import HIGHEST_ORDER, Terms
 from platform_ctrl.mechanics.symbolic.parameters import (
     Motion,
     Parameters,
@@ -37,13 +37,7 @@ from platform_ctrl.mechanics.symbolic.parameters import (
     spin_momenta,
     symbol_table,
 )
-from platform_ctrl.mechanics.symbolic.result import (
-    LINEAR,
-    PARTIALLY_LINEAR,
-    PRECESSION,
-    Equations,
-    RowTerms,
-)
+from platform_ctrl.mechanics.symbolic.result import LINEAR, PARTIALLY_LINEAR, PRECESSION, Equations, RowTerms
 from platform_ctrl.plant.platform import Platform
 
 # Trees whose exact trigonometric form can still be read.
@@ -71,7 +65,7 @@ def derived(platform: Platform, order: int | None, terms: Terms) -> Equations:
     names = Names()
     motion = motion_symbols(platform, names)
     forces = _specific_force(platform, names)
-    known = parameters(platform, tree, names)
+    known = parameters(platform, names)
     # (27) needs BᵀL to second order; G_A and G_R are derivatives.
     linear = _core(tree, known, Taylor(2 if order is None else max(2, order + 1)), constant_A=terms == "paper")
     shown = linear

@@ -5,11 +5,10 @@ from __future__ import annotations
 import builtins
 import keyword
 import unicodedata
-from typing import Literal, get_args
+from typing import Literal
 
 from platform_ctrl.common.text import LETTERS, dotted, initial
 from platform_ctrl.common.values import value
-from platform_ctrl.mechanics.linearisation import Terms
 
 Kind = Literal[
     "inertia",
@@ -24,14 +23,6 @@ Kind = Literal[
     "rate",
     "angle",
 ]
-
-# What `equations` returns; without SymPy, which the command line does not load for its help.
-Written = Literal["text", "latex", "json"]
-Form = Literal[Written, "sympy"]
-WRITTEN: tuple[Written, ...] = get_args(Written)
-FORMS: tuple[Form, ...] = get_args(Form)
-TERMS: tuple[Terms, ...] = ("paper", "exact")
-HIGHEST_ORDER = 3
 
 _DOTTED = ("{}", r"\dot{{{}}}", r"\ddot{{{}}}")
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\backslash ", "~": r"\sim ", "^": r"\wedge "}

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.linearisation import Terms
 from platform_ctrl.mechanics.symbolic.expressions import Expression
 from platform_ctrl.mechanics.symbolic.names import NamedSymbol
+from platform_ctrl.mechanics.symbolic.options import Terms
 from platform_ctrl.plant.platform import Platform
 
 RowTerms = tuple[tuple[Expression, Expression], ...]

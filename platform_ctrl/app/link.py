@@ -10,13 +10,14 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.settings import Conditions, Settings
+from platform_ctrl.app.controllers import OPTIONAL
+from platform_ctrl.app.knobs import KINDS
+from platform_ctrl.app.values import Conditions, Settings
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import InputError, PlatformCtrlError
-from platform_ctrl.job.methods import METHODS
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.backend import Backend
+    from platform_ctrl.app.workbench import Workbench
     from platform_ctrl.job.job import LoopSpec
 
 # Characters of a link, and of what it unpacks to, at most.
@@ -25,12 +26,12 @@ _NUMBERS = ("rate_hz", "delay")
 _NAMES = ("loop", "design", "mode", "plant", "channel")
 
 
-def encode_state(backend: Backend, settings: Settings) -> str:
+def text_of(workbench: Workbench, settings: Settings) -> str:
     """Return settings as a short text of letters, digits, - and _ alone.
 
     Parameters
     ----------
-    backend
+    workbench
         Of the job that they belong to.
     settings
         The settings.
@@ -40,22 +41,22 @@ def encode_state(backend: Backend, settings: Settings) -> str:
     str
         Empty for the job as it stands.
     """
-    changed = _difference(backend.start().data(), settings.data())
+    changed = _difference(workbench.start().data(), settings.data())
     if not changed:
         return ""
     packed = zlib.compress(json.dumps(changed, separators=(",", ":"), sort_keys=True).encode(), 9)
     return base64.urlsafe_b64encode(packed).decode().rstrip("=")
 
 
-def decode_state(backend: Backend, text: str) -> Settings:
+def settings_of(workbench: Workbench, text: str) -> Settings:
     """Return the settings that a text stands for, judged against the job.
 
     Parameters
     ----------
-    backend
+    workbench
         Of the job that they belong to.
     text
-        From `encode_state`.
+        From `text_of`.
 
     Returns
     -------
@@ -65,7 +66,7 @@ def decode_state(backend: Backend, text: str) -> Settings:
     if not isinstance(text, str) or len(text) > _LONGEST:
         raise InputError(f"link: given {short(text)}; expected at most {_LONGEST} characters that the page has made")
     if not text:
-        return backend.start()
+        return workbench.start()
     try:
         packed = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
         unpacking = zlib.decompressobj()
@@ -75,12 +76,12 @@ def decode_state(backend: Backend, text: str) -> Settings:
         changed = json.loads(raw.decode())
     except (ValueError, binascii.Error, zlib.error, RecursionError):
         raise InputError("link: is damaged; expected a state of this page, as its address shows it") from None
-    return judged(backend, changed)
+    return judged(workbench, changed)
 
 
-def judged(backend: Backend, changed: object) -> Settings:
+def judged(workbench: Workbench, changed: object) -> Settings:
     """Return the job's settings with changes from outside, as plain data, judged against the job."""
-    start = backend.start()
+    start = workbench.start()
     if not isinstance(changed, Mapping):
         raise InputError(f"state: given {short(changed)}; expected a table")
     known = start.data()
@@ -89,7 +90,7 @@ def judged(backend: Backend, changed: object) -> Settings:
             raise InputError(f"state: {short(key)} is unknown; expected some of {', '.join(known)}")
     given = {**known, **changed}
     names = {name: _text(name, given[name]) for name in _NAMES}
-    specs = {spec.name: spec for spec in backend.read.loops}
+    specs = {spec.name: spec for spec in workbench.read.loops}
     closed = {
         loop: _one(f"closed {loop}", design, [d.name for d in specs[loop].designs])
         for loop, design in _table("closed", changed.get("closed", {}), specs).items()
@@ -102,10 +103,10 @@ def judged(backend: Backend, changed: object) -> Settings:
         options[loop] = {name: dict(numbers) for name, numbers in start.options[loop].items()}
         optional[loop] = {name: tuple(on) for name, on in start.optional[loop].items()}
         for name, numbers in _table(f"options {loop}", mine, own).items():
-            for option, x in _table(f"options {name}", numbers, METHODS[own[name].method].options).items():
+            for option, x in _table(f"options {name}", numbers, KINDS[own[name].method]).items():
                 options[loop][name][option] = _positive(option, x)
         for name, on in _table(f"optional {loop}", parts, own).items():
-            known_parts = tuple(METHODS[own[name].method].parts)
+            known_parts = OPTIONAL.get(own[name].method, ())
             optional[loop][name] = tuple(sorted({_one("part", part, known_parts) for part in _list("part", on)}))
     spins = {
         name: _finite(f"spin {name}", x) for name, x in _table("spins", changed.get("spins", {}), start.spins).items()
@@ -142,10 +143,10 @@ def judged(backend: Backend, changed: object) -> Settings:
     )
     try:
         # Judged as a slider's number would be; the rate first, by which a delay is judged.
-        settings = backend.chosen(settings.but(delay=0.0), design=design)
+        settings = workbench.chosen(settings.but(delay=0.0), design=design)
         for name in _NUMBERS:
-            settings = backend.moved(settings, name, _finite(name, given[name]))
-        backend.expect_plant(settings)
+            settings = workbench.moved(settings, name, _finite(name, given[name]))
+        workbench.expect_plant(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
     return settings.but(designed_for=_designed_for(changed.get("designed_for", {}), start, specs))
@@ -163,7 +164,7 @@ def _designed_for(given: object, start: Settings, specs: Mapping[str, LoopSpec])
             whole = {**({} if own is None else own.data()), **parts}
             if missing := [field for field in Conditions._fields if field not in whole]:
                 raise InputError(f"state: {where} has no {missing[0]}; expected {', '.join(Conditions._fields)}")
-            options = _table(f"{where}: options", whole["options"], METHODS[methods[name]].options)
+            options = _table(f"{where}: options", whole["options"], KINDS[methods[name]])
             first = {} if own is None else dict(own.options)
             spins = {**start.spins, **_table(f"{where}: spins", whole["spins"], start.spins)}
             rates = [_positive_or_zero(f"{where}: Omega", x) for x in _list(where, whole["Omega"])]

@@ -7,12 +7,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
-from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
-from platform_ctrl.job.methods import METHODS
+from platform_ctrl.app.values import Knob, Mode, Offer, Settings
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 
-# What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
+# What a knob's value looked like before a page moved it; a start that no knob has is shown as none.
 Starts = Mapping[str, float]
 _MODES = ("caged", "stabilised")
 
@@ -41,12 +40,12 @@ def plain_number(number: float | None) -> float | str | None:
     return float(number)
 
 
-def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any]]:
+def knobs_told(knobs: Iterable[Knob], starts: Starts) -> list[dict[str, Any]]:
     """Return the sliders as the page builds them.
 
     Parameters
     ----------
-    sliders
+    knobs
         In the order in which they are shown.
     starts
         Name → number at which each stood first.
@@ -71,16 +70,16 @@ def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any
             "tunable": one.tunable,
             "start": starts.get(one.name, one.value),
         }
-        for one in sliders
+        for one in knobs
     ]
 
 
-def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
+def choices_told(offer: Offer, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
     """Return what every list of the page offers.
 
     Parameters
     ----------
-    choices
+    offer
         What the job has.
     settings
         What is shown.
@@ -92,27 +91,27 @@ def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -
     dict
         Name of the list → what is in it.
     """
-    methods = choices.methods.get(settings.loop, {})
-    designs = choices.designs.get(settings.loop, ())
+    methods = offer.methods.get(settings.loop, {})
+    designs = offer.designs.get(settings.loop, ())
     others = [one for one in designs if one != settings.design]
     return {
-        "mode": list(available_modes(choices)),
-        "loop": list(choices.loops),
+        "mode": list(offer_modes(offer)),
+        "loop": list(offer.loops),
         "design": list(designs),
-        "channel": list(choices.channels.get(settings.loop, ())),
+        "channel": list(offer.channels.get(settings.loop, ())),
         "axis": [1, 2, 3],
         "plant": list(plants),
-        "manoeuvre": list(choices.manoeuvres),
+        "manoeuvre": list(offer.manoeuvres),
         "overlays": [{"design": one, "method": methods.get(one, "")} for one in others],
     }
 
 
-def available_modes(choices: Choices) -> tuple[str, ...]:
+def offer_modes(offer: Offer) -> tuple[str, ...]:
     """Return the modes in which a job can be shown.
 
     Parameters
     ----------
-    choices
+    offer
         What the job has.
 
     Returns
@@ -120,13 +119,11 @@ def available_modes(choices: Choices) -> tuple[str, ...]:
     tuple of str
         Both, or ``"caged"`` alone where there is no servo on the platform.
     """
-    servo = any(
-        METHODS[one].kind == "stabilisation" for methods in choices.methods.values() for one in methods.values()
-    )
+    servo = any("platform-servo" in methods.values() for methods in offer.methods.values())
     return _MODES if servo else _MODES[:1]
 
 
-def verdict_data(picture: Picture) -> dict[str, Any]:
+def bar_told(picture: Picture) -> dict[str, Any]:
     """Return the verdict and the margins.
 
     Parameters
@@ -149,7 +146,7 @@ def verdict_data(picture: Picture) -> dict[str, Any]:
     }
 
 
-def requirement_data(picture: Picture) -> list[dict[str, Any]]:
+def requirements_told(picture: Picture) -> list[dict[str, Any]]:
     """Return the requirements, and the goals after them.
 
     Parameters
@@ -165,7 +162,7 @@ def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
-def influence_data(influence: Influence) -> dict[str, Any]:
+def influence_told(influence: Influence) -> dict[str, Any]:
     """Return what the sliders do to the requirements.
 
     Parameters
@@ -176,10 +173,10 @@ def influence_data(influence: Influence) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sliders``, and per requirement the ``change`` of its ratio.
+        ``knobs``, and per requirement the ``change`` of its ratio.
     """
     return {
-        "sliders": list(influence.sliders),
+        "knobs": list(influence.knobs),
         "change": {
             name: [plain_number(float(number)) for number in row]
             for name, row in zip(influence.requirements, influence.change, strict=True)

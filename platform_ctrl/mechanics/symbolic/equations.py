@@ -1,0 +1,92 @@
+"""The equations in symbols, the paper's number by number. SymPy is loaded when they are asked for."""
+
+from __future__ import annotations
+
+from numbers import Integral
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.mechanics.symbolic.options import FORMS, HIGHEST_ORDER, TERMS, Form, Terms
+
+if TYPE_CHECKING:
+    from platform_ctrl.mechanics.symbolic.result import Equations
+    from platform_ctrl.plant.platform import Platform
+
+__all__ = ["FORMS", "HIGHEST_ORDER", "TERMS", "equations"]
+
+
+@overload
+def equations(
+    platform: Platform, form: Literal["text", "latex"] = ..., order: int | None = ..., terms: Terms = ...
+) -> str: ...
+@overload
+def equations(platform: Platform, form: Literal["sympy"], order: int | None = ..., terms: Terms = ...) -> Equations: ...
+@overload
+def equations(
+    platform: Platform, form: Literal["json"], order: int | None = ..., terms: Terms = ...
+) -> dict[str, Any]: ...
+@check_arguments
+def equations(
+    platform: Platform,
+    form: Form = "text",
+    order: int | None = 1,
+    terms: Terms = "paper",
+) -> str | dict[str, Any] | Equations:
+    """Return the platform's equations in symbols: the paper's (15), (19), (21) to (27).
+
+    Parameters
+    ----------
+    platform
+        The platform.
+    form
+        ``"text"``: to read; ``"latex"``: a fragment that needs amsmath; ``"sympy"``: an `Equations` value, to work on;
+        ``"json"``: a dict of strings that `sympy.sympify` reads.
+    order
+        0 to 3: A, BᵀA_R B, G_A and G_R to this order in the angles, B to one more. None: exact, in sines and cosines
+        (at most 5 gimbals, 3 deep); then these matrices leave nothing out, whatever `terms`.
+    terms
+        ``"paper"``: A constant, G_A from BᵀA_R B alone, and in (27) what the paper keeps. ``"exact"``: everything.
+
+    Returns
+    -------
+    str, dict or Equations
+        As `form` says.
+
+    Raises
+    ------
+    ArgumentError
+        Not a platform, unknown `form` or `terms`, `order` out of range, or None for a large tree.
+
+    References
+    ----------
+    K. Magnus, Ingenieur-Archiv 1976, eqs. (15), (19), (21) to (27).
+
+    See docs/the-paper.md.
+    """
+    from platform_ctrl.common.arguments import one_of
+
+    one_of("form", form, FORMS)
+    one_of("terms", terms, TERMS)
+    if order is not None:
+        if not isinstance(order, Integral) or isinstance(order, bool) or not 0 <= order <= HIGHEST_ORDER:
+            raise ArgumentError(
+                f"order: given {short(order)}; expected 0 to {HIGHEST_ORDER}, or None for the exact matrices"
+            )
+        order = int(order)
+    from platform_ctrl.mechanics.symbolic.derivation import derived
+
+    found = derived(platform, order, terms)
+    if form == "sympy":
+        return found
+    if form == "json":
+        from platform_ctrl.mechanics.symbolic.text import record_of
+
+        return record_of(found)
+    if form == "latex":
+        from platform_ctrl.mechanics.symbolic.latex import latex_of
+
+        return latex_of(found)
+    from platform_ctrl.mechanics.symbolic.text import text_of
+
+    return text_of(found)

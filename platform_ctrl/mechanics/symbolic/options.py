@@ -1,0 +1,15 @@
+"""What can be asked of the equations. Kept apart from SymPy: the command line reads it at every start."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Written = Literal["text", "latex", "json"]
+Form = Literal[Written, "sympy"]
+# As in `linearise`.
+Terms = Literal["paper", "exact"]
+
+WRITTEN: tuple[Written, ...] = get_args(Written)
+FORMS: tuple[Form, ...] = get_args(Form)
+TERMS: tuple[Terms, ...] = get_args(Terms)
+HIGHEST_ORDER = 3
