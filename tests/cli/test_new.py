@@ -14,8 +14,8 @@ import pytest
 import platform_ctrl as pc
 from platform_ctrl import design, verification
 from platform_ctrl.cli import main
-from platform_ctrl.cli.new_command import RISE, _turn
 from platform_ctrl.cli.staged import together
+from platform_ctrl.cli.starting_files import RISE, _turn
 from platform_ctrl.design.plants import subsystems_over
 from platform_ctrl.plant.source import shipped_models
 from platform_ctrl.report.record import job_data, toml
