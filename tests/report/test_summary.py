@@ -199,9 +199,9 @@ def plates(parts: tuple[Any, ...]) -> list[blocks.Plate]:
     return found
 
 
-def tables_of(blocks: tuple[Any, ...]) -> list[list[list[str]]]:
+def tables_of(parts: tuple[Any, ...]) -> list[list[list[str]]]:
     found = []
-    for block in blocks:
+    for block in parts:
         if isinstance(block, blocks.Table):
             found.append([[cell.text for cell in row.cells] for group in block.groups for row in group.rows])
         found += tables_of(getattr(block, "blocks", ())) + tables_of(getattr(block, "parts", ()))
@@ -215,13 +215,13 @@ def test_the_campaigns_section_has_the_figures_and_rows_of_the_campaigns_own_pag
     assert names.index("runs") + 1 == names.index("campaign") == len(names) - 2
     own = campaign_document(summary, again="platform-ctrl simulate a.toml --run")
     section = with_campaign.sections[-2]
-    blocks = tuple(block for one in own.sections for block in one.blocks)
-    shown = plates(blocks)
+    all_blocks = tuple(block for one in own.sections for block in one.blocks)
+    shown = plates(all_blocks)
     assert len(shown) == 3
     assert [(one.title, one.caption, one.svg) for one in plates(section.blocks)] == [
         (one.title, one.caption, one.svg) for one in shown
     ]
-    assert tables_of(section.blocks) == tables_of(blocks)
+    assert tables_of(section.blocks) == tables_of(all_blocks)
 
 
 def test_the_page_with_a_campaign_tells_how_to_fly_a_run_again(
