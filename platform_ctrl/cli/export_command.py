@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
-import math
-import re
-import shlex
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
@@ -18,165 +14,12 @@ from platform_ctrl.cli import completion
 from platform_ctrl.cli.held_baseline import way_open, writable
 from platform_ctrl.cli.inputs import Controllers, JobFile, Json, Quiet, controller_file, job_of, plant_file
 from platform_ctrl.errors import InputError
+from platform_ctrl.export.exporters import Export, Exporter, Setting, exporters
 
-if TYPE_CHECKING:
-    import control
-
-    from platform_ctrl.job.job import Job
-
-NUMBERS = ("double", "float", "q31", "q15")
-ANTI_WINDUP = ("back-calculation", "proved", "none")
-ROOTS = ("free", "prescribed", "fixed")
-ACCURACY = 0.02
 WHAT, HOW = "What is written", "How"
 
 
-def export(
-    job: JobFile,
-    controllers: Controllers = None,
-    c: Annotated[
-        Path | None,
-        typer.Option(
-            "--c",
-            metavar="DIR",
-            help="The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    mat: Annotated[
-        Path | None,
-        typer.Option(
-            "--mat",
-            metavar="FILE",
-            help="Controllers and linear models as MATLAB data, a struct for ss each.",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    models: Annotated[
-        Path | None,
-        typer.Option(
-            "--models",
-            metavar="FILE",
-            help="Controllers, where there are some, and linear models as JSON.",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv",
-            metavar="DIR",
-            help="Frequency responses of plants, controllers and loops, a CSV file each, into this folder.",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    mjcf: Annotated[
-        Path | None,
-        typer.Option(
-            "--mjcf",
-            metavar="FILE",
-            help="The plant as a MuJoCo model.",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    fmu: Annotated[
-        Path | None,
-        typer.Option(
-            "--fmu",
-            metavar="FILE",
-            help="Plant and controllers as a functional mock-up unit (FMI 3.0, co-simulation).",
-            show_default=False,
-            rich_help_panel=WHAT,
-        ),
-    ] = None,
-    number: Annotated[
-        str,
-        typer.Option(
-            "--number",
-            metavar="TYPE",
-            help="Numbers of the C source: double, float, or fixed point, q31 or q15.",
-            autocompletion=completion.words(*NUMBERS),
-            rich_help_panel=HOW,
-        ),
-    ] = "double",
-    anti_windup: Annotated[
-        str,
-        typer.Option(
-            "--anti-windup",
-            metavar="KIND",
-            help="What a limited torque does to integrals in the C source: back-calculation, proved or none.",
-            autocompletion=completion.words(*ANTI_WINDUP),
-            rich_help_panel=HOW,
-        ),
-    ] = "back-calculation",
-    ranges: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--range",
-            metavar="SIGNAL=NUMBER",
-            help="Fixed point: largest magnitude of an input, SI units. Default: from stops, torque limits, Omega.",
-            show_default=False,
-            rich_help_panel=HOW,
-        ),
-    ] = None,
-    limits: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--integral-limit",
-            metavar="STATE=NUMBER",
-            help="Fixed point: where an integral stops. Default: from the torquers' limits.",
-            show_default=False,
-            rich_help_panel=HOW,
-        ),
-    ] = None,
-    accuracy: Annotated[
-        float,
-        typer.Option(
-            "--accuracy",
-            metavar="SHARE",
-            help="Fixed point: largest error of a torque, as a share of its limit.",
-            rich_help_panel=HOW,
-        ),
-    ] = ACCURACY,
-    form: Annotated[
-        str,
-        typer.Option(
-            "--form",
-            metavar="FORM",
-            help="Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase).",
-            autocompletion=completion.words("complex", "polar"),
-            rich_help_panel=HOW,
-        ),
-    ] = "complex",
-    root: Annotated[
-        str,
-        typer.Option(
-            "--root",
-            metavar="KIND",
-            help="Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
-            autocompletion=completion.words(*ROOTS),
-            rich_help_panel=HOW,
-        ),
-    ] = "free",
-    manoeuvre: Annotated[
-        str | None,
-        typer.Option(
-            "--manoeuvre",
-            metavar="NAME",
-            help="Manoeuvre that the FMU begins with: of the job, caged or stabilised. Default: the job's first one.",
-            show_default=False,
-            autocompletion=completion.manoeuvres,
-            rich_help_panel=HOW,
-        ),
-    ] = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> int:
+class ExportCommand:
     """Export controllers and plant for compilers and other tools.
 
     Any of the forms together; all of them are written, or none. The controllers are those that check takes. A folder
@@ -189,226 +32,148 @@ def export(
     platform-ctrl export job.toml --mjcf gyro.xml --fmu gyro.fmu  for MuJoCo and simulators
     platform-ctrl export job.toml --c gyro --json | jq .written   with the SHA-256 of every file
     """  # noqa: D301
-    from platform_ctrl.cli.staged import all_or_none, own_files, sha256
-    from platform_ctrl.cli.terminal import progress
 
-    files: dict[str, Path] = {o: p for o, p in (("mat", mat), ("models", models), ("mjcf", mjcf), ("fmu", fmu)) if p}
-    folders: dict[str, Path] = {o: p for o, p in (("c", c), ("csv", csv)) if p}
-    if not files and not folders:
-        raise InputError("nothing to write; expected one of --c, --mat, --models, --csv, --mjcf, --fmu (see --help)")
-    for option, is_given, of in (
-        ("--number", number != "double", "c"),
-        ("--anti-windup", anti_windup != "back-calculation", "c"),
-        ("--range", bool(ranges), "c"),
-        ("--integral-limit", bool(limits), "c"),
-        ("--accuracy", accuracy != ACCURACY, "c"),
-        ("--form", form != "complex", "csv"),
-        ("--root", root != "free", "mjcf"),
-        ("--manoeuvre", manoeuvre is not None, "fmu"),
-    ):
-        if is_given and of not in files | folders:
-            raise InputError(f"{option}: says how --{of} is written; expected --{of} beside it")
-    for option, given, known in (
-        ("--number", number, NUMBERS),
-        ("--anti-windup", anti_windup, ANTI_WINDUP),
-        ("--form", form, ("complex", "polar")),
-        ("--root", root, ROOTS),
-    ):
-        if given not in known:
-            raise InputError(f"{option} {given}: expected one of {', '.join(known)}")
-    c_options: dict[str, Any] = {"number": number, "anti_windup": anti_windup}
-    fixed = {"ranges": _numbers("--range", ranges), "limits": _numbers("--integral-limit", limits)}
-    if not (math.isfinite(accuracy) and accuracy > 0.0):
-        raise InputError(f"--accuracy {accuracy!r}: expected a finite number > 0, as in 0.02: 2 % of a torque's limit")
-    if number in ("q31", "q15"):
-        c_options |= fixed | {"accuracy": accuracy}
-    elif any(fixed.values()) or accuracy != ACCURACY:
-        raise InputError(
-            f"--range, --integral-limit and --accuracy are of fixed point; given --number {number}; expected q31 or q15"
-        )
-    with progress(quiet or as_json, f"reading {job}") as say:
-        read = job_of(job)
-        needed = bool(folders) or mat is not None or fmu is not None
-        wanted = needed or models is not None or controllers is not None
-        file = _controllers(controllers, job, needed) if wanted else None
-        _judge_targets([job, *plant_file(job, read), *([file] if file else [])], files, folders)
-        owned = {option: own_files(f"--{option}", path) for option, path in folders.items()}
-        work = _Work(read, job, file, c_options, form, root, manoeuvre)
-        made: dict[str, list[Path]] = {}
-        with all_or_none() as stage:
-            for option, target in (files | folders).items():
-                say(f"writing {target}")
-                at = stage.file(target) if option in files else stage.folder(target, owned[option])
-                _WRITERS[option](work, at, target)
-                made[option] = [target] if option in files else [target / one.name for one in sorted(at.iterdir())]
-        written = [
-            {"format": option, "path": str(path), "sha256": sha256(path)} for option in made for path in made[option]
+    __name__ = "export"
+
+    def __init__(self) -> None:
+        self.__annotations__: dict[str, Any] = {}  # typer takes those of the signature
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        """Arguments and options, those of the registered exporters among them: typer reads them from here."""
+        one, kind = inspect.Parameter, inspect.Parameter.KEYWORD_ONLY
+        own = [
+            one("job", kind, annotation=JobFile),
+            one("controllers", kind, annotation=Controllers, default=None),
+            *(one(e.name, kind, annotation=_target_option(e), default=None) for e in exporters()),
+            *(
+                one(_keyword(e, s), kind, annotation=_setting_option(s), default=s.default)
+                for e in exporters()
+                for s in e.settings
+            ),
+            one("as_json", kind, annotation=Json, default=False),
+            one("quiet", kind, annotation=Quiet, default=False),
         ]
-    if as_json:
-        typer.echo(json.dumps(work.about | {"written": written, "notes": work.notes}, indent=2))
+        return inspect.Signature(own, return_annotation=int)
+
+    def __call__(self, job: Path, controllers: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
+        """Write what the options ask for, and return the exit code."""
+        from platform_ctrl.cli.staged import all_or_none, own_files, sha256, write_folder_record
+        from platform_ctrl.cli.terminal import progress
+
+        chosen = {e: options[e.name] for e in exporters() if options[e.name] is not None}
+        chosen = {e: chosen[e] for e in sorted(chosen, key=lambda e: not e.suffix)}  # files first
+        settings = _settings(chosen, options)
+        with progress(quiet or as_json, f"reading {job}") as say:
+            work = Export(job_of(job), job)
+            work.controller_file = _controllers(controllers, job, {e.controllers for e in chosen})
+            file = work.controller_file
+            _check_targets([job, *plant_file(job, work.job), *([file] if file else [])], chosen)
+            work.controller_sha256 = None if file is None else sha256(file)
+            owned = {e: own_files(e.flag, target) for e, target in chosen.items() if not e.suffix}
+            about = {
+                "schema": 1,
+                "job": work.job.name,
+                "platform": work.job.platform.name,
+                "controllers": None if file is None else {"file": str(file), "sha256": work.controller_sha256},
+            }
+            made: dict[Exporter, list[Path]] = {}
+            with all_or_none() as stage:
+                for exporter, target in chosen.items():
+                    say(f"writing {target}")
+                    path = stage.file(target) if exporter.suffix else stage.folder(target, owned[exporter])
+                    exporter.write(work, path, target, **settings[exporter])
+                    if not exporter.suffix:
+                        write_folder_record(path, about)
+                    made[exporter] = (
+                        [target] if exporter.suffix else [target / one.name for one in sorted(path.iterdir())]
+                    )
+            written = [
+                {"format": exporter.name, "path": str(path), "sha256": sha256(path)}
+                for exporter, paths in made.items()
+                for path in paths
+            ]
+        if as_json:
+            typer.echo(json.dumps(about | {"written": written, "notes": work.notes}, indent=2))
+            return 0
+        for exporter, target in chosen.items():
+            count = "" if exporter.suffix else f", {len(made[exporter])} files"
+            typer.echo(f"{exporter.title}: {target}{count}")
+        for note in work.notes:
+            typer.echo(note, err=True)
         return 0
-    for option, target in (files | folders).items():
-        count = f", {len(made[option])} files" if option in folders else ""
-        typer.echo(f"{_MEANINGS[option]}: {target}{count}")
-    for note in work.notes:
-        typer.echo(note, err=True)
-    return 0
 
 
-_MEANINGS = {
-    "c": "C source",
-    "mat": "MATLAB data",
-    "models": "JSON",
-    "csv": "responses",
-    "mjcf": "MuJoCo model",
-    "fmu": "FMU",
-}
+export = ExportCommand()
 
 
-@dataclass
-class _Work:
-    """What is exported, and what is told about it."""
-
-    job: Job
-    path: Path
-    file: Path | None
-    c_options: dict[str, Any]
-    form: str
-    root: str
-    manoeuvre: str | None
-    notes: list[str] = field(default_factory=list)
-
-    @cached_property
-    def controllers(self) -> list[control.StateSpace]:
-        from platform_ctrl.verification.given import read_controllers
-
-        return [] if self.file is None else read_controllers(self.file, self.job)
-
-    @cached_property
-    def about(self) -> dict[str, Any]:
-        from platform_ctrl.cli.staged import sha256
-
-        of = None if self.file is None else {"file": str(self.file), "sha256": sha256(self.file)}
-        return {"schema": 1, "job": self.job.name, "platform": self.job.platform.name, "controllers": of}
+def _keyword(exporter: Exporter, setting: Setting) -> str:
+    return f"{exporter.name}_{setting.name}"
 
 
-def _controllers(given: Path | None, job: Path, needed: bool) -> Path | None:
-    """Return the file of the controllers; None where they are not needed and there are none."""
+def _target_option(exporter: Exporter) -> Any:
+    option = typer.Option(
+        exporter.flag,
+        metavar="FILE" if exporter.suffix else "DIR",
+        help=exporter.help,
+        show_default=False,
+        rich_help_panel=WHAT,
+    )
+    return Annotated[Path | None, option]
+
+
+def _setting_option(setting: Setting) -> Any:
+    words = completion.manoeuvres if setting.name == "manoeuvre" else completion.words(*setting.choices)
+    option = typer.Option(
+        setting.flag,
+        metavar=setting.metavar,
+        help=setting.help,
+        show_default=setting.default is not None,
+        autocompletion=words if setting.choices or setting.name == "manoeuvre" else None,
+        rich_help_panel=HOW,
+    )
+    return Annotated[setting.kind if setting.default is not None else setting.kind | None, option]
+
+
+def _settings(chosen: Mapping[Exporter, Path], options: Mapping[str, Any]) -> dict[Exporter, dict[str, Any]]:
+    """Return the settings of each exporter that was chosen; those of others must not be given."""
+    if not chosen:
+        known = ", ".join(e.flag for e in exporters())
+        raise InputError(f"nothing to write; expected one of {known} (see --help)")
+    for exporter in exporters():
+        for setting in exporter.settings:
+            given = options[_keyword(exporter, setting)]
+            if given not in (setting.default, []) and exporter not in chosen:
+                wanted = exporter.flag
+                raise InputError(f"{setting.flag}: says how {wanted} is written; expected {wanted} beside it")
+            if setting.choices and given not in setting.choices:
+                raise InputError(f"{setting.flag} {given}: expected one of {', '.join(setting.choices)}")
+    return {e: e.judged({s.name: options[_keyword(e, s)] for s in e.settings}) for e in chosen}
+
+
+def _controllers(given: Path | None, job: Path, uses: set[str]) -> Path | None:
+    """Return the file of the controllers; None where nothing takes them, or what takes them can do without."""
+    if given is None and uses == {"unused"}:
+        return None
     try:
         return controller_file(given, None, job)
     except InputError:
-        if needed:
+        if "needed" in uses:
             raise
         return None
 
 
-def _judge_targets(inputs: list[Path], files: dict[str, Path], folders: dict[str, Path]) -> None:
-    """Judge where everything is to be written, before the work; `inputs` are files that the command reads."""
-    targets = files | folders
-    for option, target in targets.items():
-        others = [*inputs, *(other for name, other in targets.items() if name != option)]
-        if option in files:
-            writable(f"--{option}", target, others)
+def _check_targets(inputs: list[Path], targets: Mapping[Exporter, Path]) -> None:
+    """Check where everything is to be written, before the work; `inputs` are files that the command reads."""
+    for exporter, target in targets.items():
+        others = [*inputs, *(other for one, other in targets.items() if one is not exporter)]
+        if exporter.suffix:
+            writable(exporter.flag, target, others)
             continue
-        way_open(f"--{option}", target)
+        way_open(exporter.flag, target)
         if target.resolve() in [other.resolve() for other in others]:
-            raise InputError(f"--{option} {target}: is given for something else too; expected a folder of its own")
+            raise InputError(f"{exporter.flag} {target}: is given for something else too; expected a folder of its own")
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"--{option} {target}: cannot be written: {error.strerror or error}") from None
-
-
-def _write_c(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.cli.staged import write_folder_record
-    from platform_ctrl.export import write_c
-    from platform_ctrl.verification.given import opened, read_controllers
-
-    read_controllers(cast(Path, work.file), work.job)  # judged as a file, before its entries are taken
-    _, data = opened(cast(Path, work.file))
-    versions = data.get("versions")
-    words = ["platform-ctrl", "export", str(work.path), "--controllers", str(work.file), "--c", str(target)]
-    words += _as_typed(work.c_options)
-    written = write_c(
-        work.job,
-        data["controllers"],
-        at,
-        sha256=work.about["controllers"]["sha256"],
-        versions=versions if isinstance(versions, Mapping) else None,
-        command=shlex.join(words),
-        **work.c_options,
-    )
-    work.notes += written.notes
-    write_folder_record(at, work.about)
-
-
-def _as_typed(options: Mapping[str, Any]) -> list[str]:
-    """Return the words of the command line that say the options of the C source."""
-    words = ["--number", options["number"], "--anti-windup", options["anti_windup"]]
-    for option, name in (("--range", "ranges"), ("--integral-limit", "limits")):
-        words += [word for key, number in options.get(name, {}).items() for word in (option, f"{key}={number!r}")]
-    return [*words, *(["--accuracy", repr(options["accuracy"])] if "accuracy" in options else [])]
-
-
-def _numbers(option: str, given: list[str] | None) -> dict[str, float]:
-    """Return what stands as NAME=NUMBER behind an option, by name."""
-    out = {}
-    for one in given or []:
-        name, _, number = one.rpartition("=")
-        try:
-            out[name] = float(number)
-        except ValueError:
-            name = ""
-        if not name:
-            raise InputError(f"{option} {one}: expected a name, = and a number, as in alpha9=0.01")
-        if not (math.isfinite(out[name]) and out[name] > 0.0):
-            raise InputError(f"{option} {one}: expected a finite number > 0")
-    return out
-
-
-def _write_csv(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.cli.staged import write_folder_record
-    from platform_ctrl.export import job_responses, write_responses
-
-    for table in job_responses(work.job, work.controllers):
-        name, count = re.sub(r"[^\w.+-]+", "_", table.name), 1
-        while (at / f"{name}{f'_{count}' * (count > 1)}.csv").exists():
-            count += 1
-        path = at / f"{name}{f'_{count}' * (count > 1)}.csv"
-        write_responses(table.response, path, form=cast(Any, work.form), notes=table.notes)
-    write_folder_record(at, work.about)
-
-
-def _write_mat(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.export import controller_systems, model_systems, write_mat
-
-    write_mat(controller_systems(work.job, work.controllers) + model_systems(work.job), at)
-
-
-def _write_models(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.export import controller_systems, model_systems, write_systems
-
-    write_systems(controller_systems(work.job, work.controllers) + model_systems(work.job), at)
-
-
-def _write_mjcf(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.export import write_mjcf
-
-    notes = write_mjcf(work.job.platform, at, root=cast(Any, work.root))
-    work.notes += [f"{target}: {note}" for note in notes]
-
-
-def _write_fmu(work: _Work, at: Path, target: Path) -> None:
-    from platform_ctrl.export import write_fmu
-
-    write_fmu(work.job, work.controllers, at, manoeuvre=work.manoeuvre, result=work.file)
-
-
-_WRITERS: dict[str, Callable[[_Work, Path, Path], None]] = {
-    "c": _write_c,
-    "mat": _write_mat,
-    "models": _write_models,
-    "csv": _write_csv,
-    "mjcf": _write_mjcf,
-    "fmu": _write_fmu,
-}
+            raise InputError(f"{exporter.flag} {target}: cannot be written: {error.strerror or error}") from None

@@ -14,8 +14,8 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
 from platform_ctrl.design.loop import sampled_plant
 from platform_ctrl.design.plants import plants_of
+from platform_ctrl.export.csv_responses import response_data
 from platform_ctrl.export.linear_system import LinearSystem, linear_system, signal_units
-from platform_ctrl.export.responses import response_data
 from platform_ctrl.job.job import Faults, Job, Spread
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.state_space import state_space

@@ -19,6 +19,7 @@ from one_gyro_job import JOB
 from platform_ctrl import design, export
 from platform_ctrl.cli import main, staged
 from platform_ctrl.errors import InputError
+from platform_ctrl.export.exporters import exporters
 from platform_ctrl.job.reading import read_job
 from refused_command import refused
 
@@ -62,7 +63,7 @@ def test_every_form_is_written_and_told_with_its_hash(there: Path, capsys: pytes
     assert {one["path"]: one["sha256"] for one in told["written"]} == {
         name: hashlib.sha256(content).hexdigest() for name, content in now.items() if name not in before
     }
-    assert {one["format"] for one in told["written"]} == {"c", "mat", "models", "csv", "mjcf", "fmu"}
+    assert {one["format"] for one in told["written"]} == {one.name for one in exporters()}
     assert told["notes"][0].startswith("p.xml: stops of 4, 5, 7, 9, 10")
     # Each is what it says.
     assert told["controllers"]["sha256"] in now["c/caging_9_10_classical.h"].decode()
@@ -233,7 +234,7 @@ def test_nothing_is_left_half_written(
     def fail(*_: object, **__: object) -> None:
         raise failure("no room")
 
-    monkeypatch.setattr("platform_ctrl.export.write_responses", fail)
+    monkeypatch.setattr("platform_ctrl.export.csv_responses.write_responses", fail)
     arguments = ["export", "job.toml", "-q", "--mat", "k.mat", "--c", "c", "--csv", "r"]
     assert main(arguments) == (130 if failure is KeyboardInterrupt else 2)
     assert files(there) == before

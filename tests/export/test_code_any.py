@@ -19,7 +19,7 @@ from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import write_c
-from platform_ctrl.export.c99.emission import Unit, header, source
+from platform_ctrl.export.c99.controller_source import Unit, header, source
 from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.from_design import same_response, scheme_of, with_excess
 from platform_ctrl.export.c99.identifiers import FILES, Names, comment, field_names, identifier

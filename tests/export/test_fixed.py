@@ -31,7 +31,7 @@ from platform_ctrl.export.c99.identifiers import field_names
 from platform_ctrl.export.c99.scheme import Row, Scheme, Section, Term, arrays
 from platform_ctrl.export.c99.windup import back_calculation
 from platform_ctrl.export.fixed_point.bounds import gains
-from platform_ctrl.export.fixed_point.emission import Unit, header, source
+from platform_ctrl.export.fixed_point.controller_source import Unit, header, source
 from platform_ctrl.export.fixed_point.lowering import fixed_point
 from platform_ctrl.export.fixed_point.model import Machine
 from platform_ctrl.export.fixed_point.values import FixedPoint, input_ranges

@@ -21,7 +21,7 @@ from oracle_trees import motions as motions_drawn
 from platform_ctrl import design, simulation
 from platform_ctrl.errors import ArgumentError, InputError
 from platform_ctrl.export import read_mjcf, write_mjcf
-from platform_ctrl.export.mujoco.writing import REGULATED
+from platform_ctrl.export.mujoco.mjcf_writer import REGULATED
 from platform_ctrl.job.job import Faults, Job, Spread, manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.source import shipped_models

@@ -18,6 +18,7 @@ import numpy as np
 from platform_ctrl.common.arguments import known_name, positive
 from platform_ctrl.export.c99.scheme import Scheme
 from platform_ctrl.export.fixed_point.bounds import BITS, Responses, SlowError, responses
+from platform_ctrl.export.fixed_point.c_expressions import proof_lines
 from platform_ctrl.export.fixed_point.exact import (
     Rational,
     Rows,
@@ -35,7 +36,6 @@ from platform_ctrl.export.fixed_point.exact import (
 from platform_ctrl.export.fixed_point.formats import WIDTHS, Task, formats_for, scaled
 from platform_ctrl.export.fixed_point.splitting import excess_of, integral_limits, taken_apart
 from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, Format, IntegerRow, Number, check_names
-from platform_ctrl.export.fixed_point.wording import proof_lines
 
 # How often formats whose bound does not fit after rounding give up a digit.
 _ROUNDS = 6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -15,12 +16,11 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_most
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import ArgumentError, InputError
-from platform_ctrl.export.c99.emission import Unit, header, source
+from platform_ctrl.export.c99 import controller_source, job_source
 from platform_ctrl.export.c99.entries import Entry, entries_of
 from platform_ctrl.export.c99.float_error import TOLD, float_error
 from platform_ctrl.export.c99.from_design import scheme_of, with_excess
 from platform_ctrl.export.c99.identifiers import FILES, Names, field_names
-from platform_ctrl.export.c99.job_emission import job_header, job_source
 from platform_ctrl.export.c99.scheme import Provenance, Scheme, excess_gain
 from platform_ctrl.export.c99.windup import Windup, back_calculation, proved
 from platform_ctrl.job.job import Job
@@ -232,7 +232,6 @@ def _floating_texts(
     number: Literal["double", "float"],
 ) -> tuple[dict[str, str], list[str]]:
     prefixes = Names(24, FILES)
-    texts: dict[str, str] = {}
     notes: list[str] = []
     units = []
     for scheme, remark in zip(schemes, remarks, strict=True):
@@ -242,34 +241,39 @@ def _floating_texts(
             more, doubts = _in_single_precision(job, scheme)
             said.append(more)
             notes += doubts
-        unit = Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
-        units.append(unit)
-        texts |= {f"{prefix}.h": header(unit), f"{prefix}.c": source(unit)}
-    whole = prefixes.new(job.name).lower()
-    return texts | {f"{whole}.h": job_header(whole, units), f"{whole}.c": job_source(whole, units)}, notes
+        units.append(
+            controller_source.Unit(scheme=scheme, number=number, prefix=prefix, signals=signals, remarks=tuple(said))
+        )
+    return _files(job, units, prefixes, controller_source, job_source), notes
 
 
 def _integer_texts(
     job: Job, made: Sequence[FixedPoint], remarks: Sequence[str], signals: dict[str, str]
 ) -> dict[str, str]:
     # Ball arithmetic is loaded when it is needed.
-    from platform_ctrl.export.fixed_point import emission, job_emission
+    from platform_ctrl.export.fixed_point import controller_source as controller
+    from platform_ctrl.export.fixed_point import job_source as together
 
     prefixes = Names(24, FILES)
     units = [
-        emission.Unit(
+        controller.Unit(
             fixed=one, prefix=prefixes[one.scheme.name].lower(), signals=signals, remarks=(remark + _ROUNDED,)
         )
         for one, remark in zip(made, remarks, strict=True)
     ]
+    return _files(job, units, prefixes, controller, together)
+
+
+def _files(
+    job: Job, units: Sequence[Any], prefixes: Names, controller: ModuleType, together: ModuleType
+) -> dict[str, str]:
+    """Return the texts of all files by their names: a pair for each controller, and one that runs them in order."""
     texts: dict[str, str] = {}
     for unit in units:
-        texts |= {f"{unit.prefix}.h": emission.header(unit), f"{unit.prefix}.c": emission.source(unit)}
+        texts |= {f"{unit.prefix}.h": controller.header(unit), f"{unit.prefix}.c": controller.source(unit)}
     whole = prefixes.new(job.name).lower()
-    return texts | {
-        f"{whole}.h": job_emission.job_header(whole, units),
-        f"{whole}.c": job_emission.job_source(whole, units),
-    }
+    headed = together.job_header(whole, units)
+    return texts | {f"{whole}.h": headed, f"{whole}.c": together.job_source(whole, units)}
 
 
 def _integer_note(made: FixedPoint) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from platform_ctrl.common.values import value
-from platform_ctrl.export.c99.framing import (
+from platform_ctrl.export.c99.file_layout import (
     WIDTH,
     acts,
     block,
@@ -16,9 +16,7 @@ from platform_ctrl.export.c99.framing import (
     struct,
 )
 from platform_ctrl.export.c99.identifiers import Names
-from platform_ctrl.export.fixed_point.splitting import excess_of
-from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, IntegerRow, Product
-from platform_ctrl.export.fixed_point.wording import (
+from platform_ctrl.export.fixed_point.c_expressions import (
     counted,
     format_lines,
     integer,
@@ -29,6 +27,8 @@ from platform_ctrl.export.fixed_point.wording import (
     wide,
     within,
 )
+from platform_ctrl.export.fixed_point.splitting import excess_of
+from platform_ctrl.export.fixed_point.values import FixedPoint, FixedSection, IntegerRow, Product
 
 
 @value

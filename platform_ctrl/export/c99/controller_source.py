@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from platform_ctrl.common.values import value
-from platform_ctrl.export.c99.framing import (
+from platform_ctrl.export.c99.file_layout import (
     WIDTH,
     acts,
     block,

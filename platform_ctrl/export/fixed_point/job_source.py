@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from platform_ctrl.export.c99.framing import acts, block, field, job_header_file, job_source_file, measured, provenance
-from platform_ctrl.export.fixed_point.emission import Unit
+from platform_ctrl.export.c99.file_layout import (
+    acts,
+    block,
+    field,
+    job_header_file,
+    job_source_file,
+    measured,
+    provenance,
+)
+from platform_ctrl.export.fixed_point.c_expressions import counted, integer, literal, shifted, within
+from platform_ctrl.export.fixed_point.controller_source import Unit
 from platform_ctrl.export.fixed_point.values import Format
-from platform_ctrl.export.fixed_point.wording import counted, integer, literal, shifted, within
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:

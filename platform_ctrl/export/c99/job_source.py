@@ -6,8 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.export.c99.emission import Unit, cost_of
-from platform_ctrl.export.c99.framing import acts, block, field, job_header_file, job_source_file, measured, provenance
+from platform_ctrl.export.c99.controller_source import Unit, cost_of
+from platform_ctrl.export.c99.file_layout import (
+    acts,
+    block,
+    field,
+    job_header_file,
+    job_source_file,
+    measured,
+    provenance,
+)
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:

@@ -1,0 +1,374 @@
+"""The registry of exporters: what ``platform-ctrl export`` can write, each with its option, its help and its function.
+
+Nothing heavy is loaded before something is written. To add an exporter see docs/architecture.md, Recipes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from platform_ctrl.errors import ArgumentError, InputError
+
+if TYPE_CHECKING:
+    import control
+
+    from platform_ctrl.job.job import Job
+
+FIXED_POINT = ("q31", "q15")
+
+
+@dataclass
+class Export:
+    """What is exported.
+
+    Attributes
+    ----------
+    job, job_file
+        The job, and the file that it was read from.
+    controller_file, controller_sha256
+        Where its controllers come from, and the digest of that file; None where nothing needs them.
+    notes
+        Lines for the reader; writers append to it.
+    """
+
+    job: Job
+    job_file: Path
+    controller_file: Path | None = None
+    controller_sha256: str | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @cached_property
+    def controllers(self) -> list[control.StateSpace]:
+        """The job's controllers; none where there is no file of them."""
+        from platform_ctrl.verification.given import read_controllers
+
+        return [] if self.controller_file is None else read_controllers(self.controller_file, self.job)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An option that says how an exporter writes: a keyword of its function, ``--a-name`` on the command line.
+
+    Attributes
+    ----------
+    name
+        Keyword of the function; `option`, if given, is its name on the command line.
+    metavar, help
+        For ``--help``.
+    default
+        What holds if it is not given.
+    choices
+        The words that are allowed; empty: anything.
+    kind
+        Type of the value; ``list[str]`` may be given more than once.
+    """
+
+    name: str
+    metavar: str
+    help: str
+    default: Any = None
+    choices: tuple[str, ...] = ()
+    kind: Any = str
+    option: str = ""
+
+    @property
+    def flag(self) -> str:
+        """The option on the command line."""
+        return f"--{self.option or self.name.replace('_', '-')}"
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """One kind of file, or of folder with files, that a job can be written as.
+
+    Attributes
+    ----------
+    name
+        Of the option, without ``--``; ``format`` in the JSON output.
+    title, help
+        For messages and for ``--help``.
+    write
+        ``write(export, path, target, **settings)``: writes to `path`, which takes its place at `target` when all is
+        written.
+    suffix
+        Of the file that is written; empty: a folder.
+    controllers
+        Whether it needs the job's controllers.
+    settings
+        How it can be told to write.
+    judged
+        Returns the settings that `write` gets from those of the command line; raises `InputError` where they do not
+        fit together.
+    """
+
+    name: str
+    title: str
+    help: str
+    write: Callable[..., None]
+    suffix: str = ""
+    controllers: Literal["needed", "optional", "unused"] = "needed"
+    settings: tuple[Setting, ...] = ()
+    judged: Callable[[dict[str, Any]], dict[str, Any]] = dict
+
+    @property
+    def flag(self) -> str:
+        """The option on the command line."""
+        return f"--{self.name}"
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Its option, and those of its settings."""
+        return (self.flag, *(setting.flag for setting in self.settings))
+
+
+_registered: dict[str, Exporter] = {}
+
+
+def register(exporter: Exporter) -> Exporter:
+    """Add an exporter to ``platform-ctrl export``, behind those that are there, and return it.
+
+    Raises
+    ------
+    ArgumentError
+        Another exporter or setting has one of its names.
+    """
+    taken = {flag for other in _registered.values() for flag in other.flags}
+    for flag in exporter.flags:
+        if flag in taken:
+            raise ArgumentError(f"exporter {exporter.name}: the option {flag} exists already; choose another name")
+    _registered[exporter.name] = exporter
+    return exporter
+
+
+def unregister(name: str) -> None:
+    """Remove an exporter."""
+    del _registered[name]
+
+
+def exporters() -> tuple[Exporter, ...]:
+    """Return all exporters in the order in which the help lists them."""
+    return tuple(_registered.values())
+
+
+def _numbers(flag: str, given: list[str] | None) -> dict[str, float]:
+    """Return what stands as NAME=NUMBER behind an option, by name."""
+    out = {}
+    for one in given or []:
+        name, _, number = one.rpartition("=")
+        try:
+            out[name] = float(number)
+        except ValueError:
+            name = ""
+        if not name:
+            raise InputError(f"{flag} {one}: expected a name, = and a number, as in alpha9=0.01")
+        if not (math.isfinite(out[name]) and out[name] > 0.0):
+            raise InputError(f"{flag} {one}: expected a finite number > 0")
+    return out
+
+
+_ACCURACY = Setting(
+    "accuracy", "SHARE", "Fixed point: largest error of a torque, as a share of its limit.", default=0.02, kind=float
+)
+
+
+def _c_settings(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of C source: those of fixed point only where they count."""
+    ranges, limits = _numbers("--range", given["ranges"]), _numbers("--integral-limit", given["limits"])
+    accuracy = given["accuracy"]
+    if not (math.isfinite(accuracy) and accuracy > 0.0):
+        raise InputError(f"--accuracy {accuracy!r}: expected a finite number > 0, as in 0.02: 2 % of a torque's limit")
+    out = {"number": given["number"], "anti_windup": given["anti_windup"]}
+    if given["number"] in FIXED_POINT:
+        return out | {"ranges": ranges, "limits": limits, "accuracy": accuracy}
+    if ranges or limits or accuracy != _ACCURACY.default:
+        raise InputError(
+            f"--range, --integral-limit and --accuracy are of fixed point; given --number {given['number']}; "
+            "expected q31 or q15"
+        )
+    return out
+
+
+def _write_c(export: Export, path: Path, target: Path, **settings: Any) -> None:
+    from platform_ctrl.export.c99.c_files import write_c
+    from platform_ctrl.verification.given import opened, read_controllers
+
+    file = cast(Path, export.controller_file)
+    read_controllers(file, export.job)  # judged as a file, before its entries are taken
+    _, data = opened(file)
+    versions = data.get("versions")
+    words = ["platform-ctrl", "export", str(export.job_file), "--controllers", str(file), "--c", str(target)]
+    written = write_c(
+        export.job,
+        data["controllers"],
+        path,
+        sha256=export.controller_sha256 or "",
+        versions=versions if isinstance(versions, Mapping) else None,
+        command=shlex.join([*words, *_as_typed(settings)]),
+        **settings,
+    )
+    export.notes += written.notes
+
+
+def _as_typed(settings: Mapping[str, Any]) -> list[str]:
+    """Return the words of the command line that say the settings of the C source."""
+    words = ["--number", settings["number"], "--anti-windup", settings["anti_windup"]]
+    for flag, name in (("--range", "ranges"), ("--integral-limit", "limits")):
+        words += [word for key, number in settings.get(name, {}).items() for word in (flag, f"{key}={number!r}")]
+    return [*words, *(["--accuracy", repr(settings["accuracy"])] if "accuracy" in settings else [])]
+
+
+def _write_mat(export: Export, path: Path, target: Path) -> None:
+    from platform_ctrl.export.job_systems import controller_systems, model_systems
+    from platform_ctrl.export.matlab import write_mat
+
+    write_mat(controller_systems(export.job, export.controllers) + model_systems(export.job), path)
+
+
+def _write_models(export: Export, path: Path, target: Path) -> None:
+    from platform_ctrl.export.job_systems import controller_systems, model_systems
+    from platform_ctrl.export.json_systems import write_systems
+
+    write_systems(controller_systems(export.job, export.controllers) + model_systems(export.job), path)
+
+
+def _write_csv(export: Export, path: Path, target: Path, *, form: Literal["complex", "polar"]) -> None:
+    from platform_ctrl.export.csv_responses import write_responses
+    from platform_ctrl.export.job_systems import job_responses
+
+    for table in job_responses(export.job, export.controllers):
+        name, count = re.sub(r"[^\w.+-]+", "_", table.name), 1
+        while (path / f"{name}{f'_{count}' * (count > 1)}.csv").exists():
+            count += 1
+        write_responses(table.response, path / f"{name}{f'_{count}' * (count > 1)}.csv", form=form, notes=table.notes)
+
+
+def _write_mjcf(export: Export, path: Path, target: Path, *, root: Literal["free", "prescribed", "fixed"]) -> None:
+    from platform_ctrl.export.mujoco.mjcf_writer import write_mjcf
+
+    export.notes += [f"{target}: {note}" for note in write_mjcf(export.job.platform, path, root=root)]
+
+
+def _write_fmu(export: Export, path: Path, target: Path, *, manoeuvre: str | None) -> None:
+    from platform_ctrl.export.fmu.fmu_file import write_fmu
+
+    write_fmu(export.job, export.controllers, path, manoeuvre=manoeuvre, result=export.controller_file)
+
+
+register(
+    Exporter(
+        name="c",
+        title="C source",
+        help="The controllers as C99 source, into this folder: a new or empty one, or one of an earlier export.",
+        write=_write_c,
+        judged=_c_settings,
+        settings=(
+            Setting(
+                "number",
+                "TYPE",
+                "Numbers of the C source: double, float, or fixed point, q31 or q15.",
+                default="double",
+                choices=("double", "float", *FIXED_POINT),
+            ),
+            Setting(
+                "anti_windup",
+                "KIND",
+                "What a limited torque does to integrals in the C source: back-calculation, proved or none.",
+                default="back-calculation",
+                choices=("back-calculation", "proved", "none"),
+            ),
+            Setting(
+                "ranges",
+                "SIGNAL=NUMBER",
+                "Fixed point: largest magnitude of an input, SI units. Default: from stops, torque limits, Omega.",
+                kind=list[str],
+                option="range",
+            ),
+            Setting(
+                "limits",
+                "STATE=NUMBER",
+                "Fixed point: where an integral stops. Default: from the torquers' limits.",
+                kind=list[str],
+                option="integral-limit",
+            ),
+            _ACCURACY,
+        ),
+    )
+)
+register(
+    Exporter(
+        name="mat",
+        title="MATLAB data",
+        help="Controllers and linear models as MATLAB data, a struct for ss each.",
+        write=_write_mat,
+        suffix=".mat",
+    )
+)
+register(
+    Exporter(
+        name="models",
+        title="JSON",
+        help="Controllers, where there are some, and linear models as JSON.",
+        write=_write_models,
+        suffix=".json",
+        controllers="optional",
+    )
+)
+register(
+    Exporter(
+        name="csv",
+        title="responses",
+        help="Frequency responses of plants, controllers and loops, a CSV file each, into this folder.",
+        write=_write_csv,
+        settings=(
+            Setting(
+                "form",
+                "FORM",
+                "Responses in CSV: complex (real and imaginary parts) or polar (magnitude and phase).",
+                default="complex",
+                choices=("complex", "polar"),
+            ),
+        ),
+    )
+)
+register(
+    Exporter(
+        name="mjcf",
+        title="MuJoCo model",
+        help="The plant as a MuJoCo model.",
+        write=_write_mjcf,
+        suffix=".xml",
+        controllers="unused",
+        settings=(
+            Setting(
+                "root",
+                "KIND",
+                "Root of the MuJoCo model: free, prescribed (its angular acceleration is a control) or fixed.",
+                default="free",
+                choices=("free", "prescribed", "fixed"),
+            ),
+        ),
+    )
+)
+register(
+    Exporter(
+        name="fmu",
+        title="FMU",
+        help="Plant and controllers as a functional mock-up unit (FMI 3.0, co-simulation).",
+        write=_write_fmu,
+        suffix=".fmu",
+        settings=(
+            Setting(
+                "manoeuvre",
+                "NAME",
+                "Manoeuvre that the FMU begins with: of the job, caged or stabilised. Default: the job's first one.",
+            ),
+        ),
+    )
+)
