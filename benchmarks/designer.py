@@ -1,4 +1,4 @@
-"""How long the designer's pictures take, knob by knob, beside the limit of 100 ms; with --soak, whether memory grows.
+"""How long the designer's pictures take, slider by slider, beside the limit of 100 ms; --soak: whether memory grows.
 
 python benchmarks/designer.py                    the loops of examples/three_gyro_platform.toml
 python benchmarks/designer.py JOB.toml --soak    an hour's slider moves, one after another, and the memory they leave
@@ -20,8 +20,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402  # threads are pinned before it is loaded
 
-from platform_ctrl.app.values import Knob, Settings  # noqa: E402
-from platform_ctrl.app.workbench import Workbench  # noqa: E402
+from platform_ctrl.app.backend import Backend  # noqa: E402
+from platform_ctrl.app.settings import Settings, Slider  # noqa: E402
 from platform_ctrl.errors import PlatformCtrlError  # noqa: E402
 
 LIMIT = 0.100
@@ -33,36 +33,36 @@ DRAG = 12
 MOVES = 4000
 
 
-def moved(bench: Workbench, settings: Settings, knob: Knob, share: float) -> Settings:
-    """Return the settings with a knob about `share` away from where it stands."""
-    at = knob.value * (1.0 + share) if knob.value else share * (knob.high - knob.low)
-    return bench.moved(settings, knob.name, at)
+def moved(bench: Backend, settings: Settings, slider: Slider, share: float) -> Settings:
+    """Return the settings with a slider about `share` away from where it stands."""
+    at = slider.value * (1.0 + share) if slider.value else share * (slider.high - slider.low)
+    return bench.moved(settings, slider.name, at)
 
 
-def timed(bench: Workbench, settings: Settings, knob: Knob) -> tuple[float, float, float]:
+def timed(bench: Backend, settings: Settings, slider: Slider) -> tuple[float, float, float]:
     """Return the median and the largest wall time of a picture after a move, and the median processor time, s."""
     wall, busy = [], []
-    bench.picture(moved(bench, settings, knob, 0.005))
+    bench.picture(moved(bench, settings, slider, 0.005))
     for k in range(REPEATS):
-        now = moved(bench, settings, knob, 0.01 + 0.003 * k)
+        now = moved(bench, settings, slider, 0.01 + 0.003 * k)
         begun = time.process_time()
         wall.append(bench.picture(now).elapsed)
         busy.append(time.process_time() - begun)
     return statistics.median(wall), max(wall), statistics.median(busy)
 
 
-def times(bench: Workbench) -> bool:
+def times(bench: Backend) -> bool:
     """Print the times of every kind of move and return whether all medians keep the limit."""
     kept = True
-    for loop in bench.offer().loops:
+    for loop in bench.choices().loops:
         settings = bench.start(loop)
         first = bench.picture(settings)
         plants = len(first.plants)
         print(f"{loop}: {plants} plants, band on; first picture {1e3 * first.elapsed:.0f} ms")
         print(f"  {'move':24} {'median':>9} {'largest':>9} {'processor':>10} {'limit':>9}")
-        rows = [(knob.name, knob) for knob in bench.knobs(settings) if not knob.background]
-        for name, knob in rows:
-            median, largest, busy = timed(bench, settings, knob)
+        rows = [(slider.name, slider) for slider in bench.sliders(settings) if not slider.background]
+        for name, slider in rows:
+            median, largest, busy = timed(bench, settings, slider)
             kept &= median <= LIMIT
             print(
                 f"  {name:24} {1e3 * median:6.0f} ms {1e3 * largest:6.0f} ms {1e3 * busy:7.0f} ms {1e3 * LIMIT:6.0f} ms"
@@ -72,7 +72,7 @@ def times(bench: Workbench) -> bool:
     return kept
 
 
-def acts(bench: Workbench, settings: Settings) -> None:
+def acts(bench: Backend, settings: Settings) -> None:
     """Print the times of what follows a gesture instead of a slider."""
     first = bench.picture(settings)
     crossover = float(first.bode.crossovers[-1])
@@ -80,10 +80,10 @@ def acts(bench: Workbench, settings: Settings) -> None:
         steps, held = dragged(bench, settings, complex(first.locus.present[first.locus.draggable][0]), free)
         print(
             f"  {name:24} {1e3 * statistics.median(steps):6.0f} ms {1e3 * max(steps):6.0f} ms   "
-            f"pull and picture, processor; {held} of {len(steps)} held back"
+            f"drag and picture, processor; {held} of {len(steps)} held back"
         )
     for name, act in (
-        ("crossover pulled", lambda: bench.pulled_crossover(settings, 1.05 * crossover)),
+        ("crossover dragged", lambda: bench.drag_crossover(settings, 1.05 * crossover)),
         ("influence", lambda: bench.influence(settings)),
     ):
         begun = time.perf_counter()
@@ -91,7 +91,7 @@ def acts(bench: Workbench, settings: Settings) -> None:
         print(f"  {name:24} {1e3 * (time.perf_counter() - begun):6.0f} ms")
 
 
-def dragged(bench: Workbench, settings: Settings, pole: complex, free: bool) -> tuple[list[float], int]:
+def dragged(bench: Backend, settings: Settings, pole: complex, free: bool) -> tuple[list[float], int]:
     """Return the processor times of the steps of a drag of a pole, each with its picture, and how many were held."""
     times: list[float] = []
     held: list[tuple[str, ...]] = []
@@ -99,7 +99,7 @@ def dragged(bench: Workbench, settings: Settings, pole: complex, free: bool) -> 
     for k in range(1, 1 + DRAG):
         target = first * (1.0 + 0.01 * k)
         begun = time.process_time()
-        settings = bench.pulled_pole(settings, pole, target, free=free, held=held.append)
+        settings = bench.drag_pole(settings, pole, target, free=free, held=held.append)
         present = bench.picture(settings).locus.present
         times.append(time.process_time() - begun)
         away = np.abs(present - (target if free else pole))
@@ -113,18 +113,18 @@ def resident() -> float:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def soak(bench: Workbench, moves: int) -> bool:
+def soak(bench: Backend, moves: int) -> bool:
     """Move sliders at random and return whether the memory stays: within 5 % after a tenth of the moves."""
     draw = random.Random(7)
-    loops = bench.offer().loops
+    loops = bench.choices().loops
     states = {loop: bench.start(loop) for loop in loops}
     refused, first = 0, 0.0
     for k in range(moves):
         loop = draw.choice(loops)
         settings = states[loop]
-        knob = draw.choice([one for one in bench.knobs(settings) if not one.background])
+        slider = draw.choice([one for one in bench.sliders(settings) if not one.background])
         try:
-            now = moved(bench, settings, knob, draw.uniform(-0.1, 0.1))
+            now = moved(bench, settings, slider, draw.uniform(-0.1, 0.1))
             now = now.but(band=draw.random() < 0.5)
             bench.picture(now)
         except PlatformCtrlError:
@@ -150,7 +150,7 @@ def main() -> int:
     parser.add_argument("--soak", action="store_true", help="move sliders and watch the memory")
     parser.add_argument("--moves", type=int, default=MOVES)
     asked = parser.parse_args()
-    bench = Workbench(asked.job)
+    bench = Backend(asked.job)
     return 0 if (soak(bench, asked.moves) if asked.soak else times(bench)) else 1
 
 

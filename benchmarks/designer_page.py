@@ -23,7 +23,7 @@ FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "-
 SLIDERS = ("crossover_hz", "damping_hz", "lead_hz", "delay", "rate_hz", "spin 6")
 # Moves a slider `rounds` times around where it stands; each time waits until the answer is painted.
 MOVE = """async ([name, rounds, painted]) => {
-  const slider = document.querySelector(`#knobs [data-knob="${name}"] input[type="range"]`);
+  const slider = document.querySelector(`#sliders [data-slider="${name}"] input[type="range"]`);
   const middle = Number(slider.value), times = [];
   for (let k = 0; k < rounds; k += 1) {
     const began = performance.now();
@@ -88,7 +88,7 @@ def main() -> None:
             talk.send("Performance.enable")
             print(f"{'slider':<14} {'median':>8} {'95 %':>8} {'picture':>8}   of {BUDGET:g} ms")
             for name in SLIDERS:
-                if page.locator(f'#knobs [data-knob="{name}"]').count() == 0:
+                if page.locator(f'#sliders [data-slider="{name}"]').count() == 0:
                     continue
                 page.evaluate(MOVE, [name, 10, True])
                 times = page.evaluate(MOVE, [name, given.rounds, True])

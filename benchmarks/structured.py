@@ -19,11 +19,11 @@ from typing import Any
 import control
 import numpy as np
 
-from platform_ctrl.analysis.arrays import named_system
+from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.norms import hinf_norm
-from platform_ctrl.design.partition import Partition, Realisation, channels, closed_loop, partition
+from platform_ctrl.design.partition import Partition, channels, closed_loop, partition
 from platform_ctrl.design.plants import loop_plants, rows_of
-from platform_ctrl.design.riccati.hinf_loop import default_options
+from platform_ctrl.design.riccati.weighted_loop import WeightedPlant, hinf_options, signal_names, weighted_plant
 from platform_ctrl.design.scaling import autoscale
 from platform_ctrl.design.structured.norm import ClosedLoop
 from platform_ctrl.design.structured.result import least_norm
@@ -31,7 +31,6 @@ from platform_ctrl.design.structured.run import Goal, Limits, Problem
 from platform_ctrl.design.structured.side_by_side import best_found
 from platform_ctrl.design.structured.structures import PID, Static
 from platform_ctrl.design.structured.synthesis import structured
-from platform_ctrl.design.weighting import WeightedPlant, signal_names, weighted_plant
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
@@ -104,9 +103,9 @@ def true_norm(P: Partition, K: Any) -> float:
     return float(hinf_norm(control.StateSpace(loop.A, loop.B, loop.C, loop.D, remove_useless_states=False))[0])
 
 
-def static(K: Any) -> Realisation:
+def static(K: Any) -> StateArrays:
     """Return a matrix of gains as a system."""
-    return Realisation(A=np.zeros((0, 0)), B=np.zeros((0, K.shape[1])), C=np.zeros((K.shape[0], 0)), D=K)
+    return StateArrays(A=np.zeros((0, 0)), B=np.zeros((0, K.shape[1])), C=np.zeros((K.shape[0], 0)), D=K)
 
 
 def bfgs_gains(P: Partition, K: Any) -> tuple[Any, int]:
@@ -194,8 +193,8 @@ def job_plants() -> list[tuple[str, control.StateSpace, WeightedPlant, float]]:
     for spec in job.loops[:2]:
         plants = loop_plants(job, spec.gimbals)
         channel = channels(model, rows_of(model, spec.gimbals))
-        given = next(design.options for design in spec.designs if design.method == "hinf")
-        weighted = weighted_plant(default_options(given, channel, plants.nutation), channel, plants)
+        given = next(design for design in spec.designs if design.method == "hinf")
+        weighted = weighted_plant(hinf_options(given, channel, plants.nutation, plants.period), channel, plants)
         out.append((spec.name, named_system(weighted.arrays, *signal_names(weighted.size)), weighted, plants.period))
     return out
 

@@ -101,12 +101,12 @@ def screen(
 
 
 @contextmanager
-def served(workbench: object = None, make: Make | None = None, **more: object) -> Iterator[PageServer]:
+def served(backend: object = None, make: Make | None = None, **more: object) -> Iterator[PageServer]:
     """Yield a server that answers, at a free port: of the designer's page, or of what `make` puts into documents."""
     pytest.importorskip("bokeh", reason="Bokeh is not installed")
     from platform_ctrl.app.server import PageServer
 
-    server = PageServer(workbench, make=make, **({"port": 0} | more))  # type: ignore[arg-type]
+    server = PageServer(backend, make=make, **({"port": 0} | more))  # type: ignore[arg-type]
     ready = threading.Event()
     running = threading.Thread(target=server.run, args=(ready.set,))
     running.start()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from platform_ctrl.app.pictures import Bode, FrequencyGain, Locus, Margins, Nichols, Overlay, Picture, TimeResponse
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.job.requirements import CheckResult
 
 DAMPING = 20.0

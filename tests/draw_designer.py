@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 from browser import chromium, screen, served
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.backend import Backend
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -36,9 +36,9 @@ def settled(page: Page, there: str = "true") -> None:
 
 def main() -> None:
     """Write docs/assets/designer-light.png and designer-dark.png."""
-    workbench = Workbench(ROOT / "examples" / "three_gyro_platform.toml")
+    backend = Backend(ROOT / "examples" / "three_gyro_platform.toml")
     for browser in chromium():
-        with served(workbench) as server:
+        with served(backend) as server:
             for name in ("light", "dark"):
                 with screen(browser, server.address, dark=name == "dark") as seen:
                     page = seen.page
@@ -46,7 +46,7 @@ def main() -> None:
                     settled(page)
                     page.locator("#loop").select_option(label=LOOP)
                     settled(page)
-                    number = page.locator('#knobs [data-knob="crossover_hz"] input[type="text"]')
+                    number = page.locator('#sliders [data-slider="crossover_hz"] input[type="text"]')
                     for text in (number.input_value(), CROSSOVER):
                         number.fill(text)
                         number.press("Enter")
@@ -56,7 +56,7 @@ def main() -> None:
                     shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
                     assert seen.complaints == []
                 shot.quantize(COLOURS).save(ROOT / "docs" / "assets" / f"designer-{name}.png", optimize=True)
-    workbench.close()
+    backend.close()
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import pytest
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import classical_controller
-from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import channels
 from platform_ctrl.design.plants import rows_of
 from platform_ctrl.design.structured.families import Pid
@@ -64,7 +64,7 @@ def pid_entry(job: Job, gimbals: tuple[str, ...]) -> dict[str, Any]:
 def servo_entry(job: Job) -> dict[str, Any]:
     """The platform servo of the job."""
     spec = job.loops[2]
-    design = platform_servo(job, linearise(job.platform), spec, spec.designs[0])
+    design = designed(LoopProblem(job=job, spec=spec, design=spec.designs[0], model=linearise(job.platform)))
     K = design.controller
     return {
         "name": spec.name, "design": design.name, "method": design.method, "dt": job.sampling.period,

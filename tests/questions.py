@@ -16,7 +16,7 @@ Say = Callable[[str], None]
 class Sleeping:
     """An answer that never comes."""
 
-    def worked_out(self, say: Say) -> None:
+    def run(self, say: Say) -> None:
         say("asleep")
         time.sleep(600.0)
 
@@ -27,7 +27,7 @@ class Who:
 
     wrong: bool = False
 
-    def worked_out(self, say: Say) -> int:
+    def run(self, say: Say) -> int:
         if self.wrong:
             raise ArgumentError("given nonsense; expected sense")
         return os.getpid()
@@ -37,5 +37,5 @@ class Who:
 class Dying:
     """The process that is asked dies."""
 
-    def worked_out(self, say: Say) -> None:
+    def run(self, say: Say) -> None:
         os._exit(3)

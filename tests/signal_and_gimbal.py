@@ -6,7 +6,8 @@ import control
 import numpy as np
 
 from platform_ctrl import simulation
-from platform_ctrl.job.scenario import Fault, Scenario
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Gimbal, PickOff, Platform, RateSensor, Torquer
 from platform_ctrl.simulation import Trajectory
 

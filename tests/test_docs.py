@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from platform_ctrl import read_job, read_platform
 from platform_ctrl.cli import main
 from platform_ctrl.job import tables as job_tables
-from platform_ctrl.job.reading import OPTIONS
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.plant import reading as plant_tables
 from platform_ctrl.plant.fields import Table, keys_of
 
@@ -152,12 +152,12 @@ def test_both_formats_are_looked_at_in_full() -> None:
     assert {"PlantFile", "RotorTable", "JobFile", "LoopLimitsTable", "ManoeuvreLimitsTable"} <= found
 
 
-@pytest.mark.parametrize("method", sorted(OPTIONS))
+@pytest.mark.parametrize("method", sorted(METHODS))
 def test_every_option_stands_in_the_table_of_its_method_and_no_other(method: str) -> None:
     text = (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8")
     section = re.search(rf"^## Method `{method}`\n(.*?)^## ", text, re.MULTILINE | re.DOTALL)
     assert section is not None
-    assert first_cells(section[1]) == set(OPTIONS[method])
+    assert first_cells(section[1]) == set(METHODS[method].options)
 
 
 def keys(item: Any) -> set[str]:

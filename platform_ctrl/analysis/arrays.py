@@ -36,7 +36,7 @@ class StateArrays(NamedTuple):
     B: FloatArray
     C: FloatArray
     D: FloatArray
-    dt: float
+    dt: float = 0.0
 
 
 @check_arguments

@@ -38,7 +38,7 @@ from platform_ctrl.app.parts import (
     step_size,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.loop import asked_of, judged
 from platform_ctrl.job.job import Job, LoopSpec, Manoeuvre, manoeuvre_scenario

@@ -1,4 +1,4 @@
-"""The controller that settings stand for: built from its knobs at once, or made by a method beforehand."""
+"""The controller that settings stand for: built from its sliders at once, or made by a method beforehand."""
 
 from __future__ import annotations
 
@@ -8,38 +8,33 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.app.knobs import CLASSICAL, PARTS, lowest_rate
 from platform_ctrl.app.plants import JobPlants
-from platform_ctrl.app.values import Settings
-from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values
-from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.sliders import lowest_rate
+from platform_ctrl.design.classical.caging import classical_controller, starting_values
+from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.design.partition import Channels
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, LoopSpec
+from platform_ctrl.job.methods import METHODS, resolved
 from platform_ctrl.mechanics.linearisation import linearise
 
-# Which optional parts each method knows.
-OPTIONAL: dict[str, tuple[str, ...]] = {"classical": ("lag", "notch", "spin_notch")}
 # Options that act in gyroscopic pairs alone, beside those of the notch.
 _OF_PAIRS = frozenset({"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"})
 # The one that a classical design takes whatever its gyros: the default of the integral's corner is a share of it.
 ALWAYS = "crossover_hz"
-# What pulling and tuning may move.
-MOVABLE: dict[str, frozenset[str]] = {
-    "classical": frozenset(TUNABLE),
-    "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
-}
+_CLASSICAL = METHODS["classical"]
 
 
 def part_of(option: str) -> str:
     """Return the optional part that an option of a classical loop belongs to, else an empty text."""
-    kind = CLASSICAL.get(option)
-    return "" if kind is None else kind.part
+    known = _CLASSICAL.options.get(option)
+    return "" if known is None else known.part
 
 
 def parts_given(options: Mapping[str, float]) -> tuple[str, ...]:
     """Return the optional parts that a job's options ask for."""
-    return tuple(part for part in PARTS if any(part_of(name) == part for name in options))
+    return tuple(part for part in _CLASSICAL.parts if any(part_of(name) == part for name in options))
 
 
 def acts(option: str, channel: Channels) -> bool:
@@ -77,7 +72,7 @@ def acting_options(
     known = {name: x for name, x in options.items() if acts(name, channel)}
     wanted = [
         name
-        for name in CLASSICAL
+        for name in _CLASSICAL.options
         if acts(name, channel) and (part_of(name) != "spin_notch" or len(channel.spins)) and name not in known
     ]
     rules = full_options({}, channel, nutation(), period) if wanted else {}
@@ -87,21 +82,6 @@ def acting_options(
 def parts_used(options: Mapping[str, float], parts: tuple[str, ...]) -> dict[str, float]:
     """Return the options of a classical design without those of parts that are off."""
     return {name: x for name, x in options.items() if not part_of(name) or part_of(name) in parts}
-
-
-def default_numbers(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
-    """Return all options of a method that designs, those that are not given by its rules of thumb."""
-    if design.method == "hinf":
-        from platform_ctrl.design.riccati.hinf_loop import default_options
-
-        return default_options(design.options, channel, nutation)
-    if design.method == "lqg":
-        from platform_ctrl.design.riccati.lqg_loop import default_options as of_lqg
-
-        return of_lqg(design.options, channel, nutation)
-    from platform_ctrl.design.structured.caging import default_options as of_structure
-
-    return of_structure(design.options, design.structure or "pid", channel, nutation, period)
 
 
 def classical_arrays(options: Mapping[str, float], channel: Channels, period: float) -> StateArrays:
@@ -133,7 +113,7 @@ class DesignOptions:
     def offered(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design is made of as the loop is now, those of parts that are off as well."""
         options = settings.options[spec.name][design.name]
-        if design.method != "classical":
+        if not METHODS[design.method].parts:
             return dict(options)
         return acting_options(
             options,
@@ -147,7 +127,7 @@ class DesignOptions:
         found = 0.0
         for spec in self.read.loops:
             for design in spec.designs:
-                if live(design) or (spec.name, design.name) == (settings.loop, settings.design):
+                if built_directly(design) or (spec.name, design.name) == (settings.loop, settings.design):
                     options = self.offered(settings, spec, design)
                     used = parts_used(options, settings.parts_on(spec.name, design.name))
                     found = max(found, lowest_rate(design.method, used))
@@ -156,7 +136,7 @@ class DesignOptions:
     def used(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> dict[str, float]:
         """Return the options that a design uses, without those of parts that are off."""
         offered = self.offered(settings, spec, design)
-        if design.method != "classical":
+        if not METHODS[design.method].parts:
             return offered
         channel, period = self._plants.gyros(settings, spec), 1.0 / settings.rate_hz
         given = parts_used(offered, settings.parts_on(spec.name, design.name))
@@ -168,7 +148,7 @@ class DesignOptions:
         return {name: x for name, x in complete.items() if acts(name, channel)}
 
     def touched(self, settings: Settings, loop: str, design: str) -> bool:
-        """Return whether a design's knobs or parts are not as the job has them, or what its defaults rest on."""
+        """Return whether a design's sliders or parts are not as the job has them, or what its defaults rest on."""
         start = self.start
         return (
             dict(settings.options[loop][design]) != dict(start.options[loop][design])
@@ -188,7 +168,7 @@ class DesignOptions:
             for design in spec.designs:
                 options[spec.name][design.name] = self._options(spec, design, spins)
                 optional[spec.name][design.name] = parts_given(design.options)
-            there = [d.name for d in spec.designs if live(d)]
+            there = [d.name for d in spec.designs if built_directly(d)]
             closed[spec.name] = spec.use if spec.use in there or not there else there[0]
         first = self.read.loops[0]
         return Settings(
@@ -210,19 +190,23 @@ class DesignOptions:
         """Return all options of a design, complete, so that they stay while the plant is moved."""
         period = self.read.sampling.period
         if spec.kind != "caging":
-            return dict(platform_servo(self.read, linearise(self.read.platform), spec, design).options)
+            problem = LoopProblem(job=self.read, spec=spec, design=design, model=linearise(self.read.platform))
+            return dict(designed(problem).options)
         quick = self._plants.quick(spec)
         channel = quick.channels(spins)
         nutation = quick.nutation(spins, self.read.sampling, np.asarray(self.read.Omega))
-        if design.method == "classical":
+        method = METHODS[design.method]
+        if method.parts:
             return full_options(design.options, channel, nutation, period)
+        if method.defaults is None:
+            return dict(design.options)
         try:
-            return default_numbers(design, channel, nutation, period)
+            return dict(resolved(method.defaults)(design, channel, nutation, period))
         except PlatformCtrlError:
             # What is wrong with them is told when they are to be designed.
             return dict(design.options)
 
 
-def live(design: DesignSpec) -> bool:
-    """Return whether a design is built from its knobs at once."""
-    return design.method in ("classical", "platform-servo")
+def built_directly(design: DesignSpec) -> bool:
+    """Return whether a design is built from its sliders at once."""
+    return METHODS[design.method].instant

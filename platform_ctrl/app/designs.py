@@ -1,4 +1,4 @@
-"""Designs that their methods make, beside those that knobs build: which are there, and which are being made."""
+"""Designs that their methods make, beside those that sliders build: which are there, and which are being made."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
-from platform_ctrl.app import background
+from platform_ctrl.app import processes
 from platform_ctrl.app.caged import CagedLoop, caged_overlay
-from platform_ctrl.app.closing import Closing
-from platform_ctrl.app.controllers import live
+from platform_ctrl.app.closed_loops import ClosedLoops
+from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.pictures import Overlay
+from platform_ctrl.app.process_tasks import Designing
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.app.stabilised import stabilised_overlay
-from platform_ctrl.app.tasks import Designing
-from platform_ctrl.app.values import Settings
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError, PlatformCtrlError
@@ -27,7 +27,7 @@ Make = Callable[[Callable[[], bool]], None]
 _PAUSE = 0.6
 
 
-class Drafting:
+class DesignQueue:
     """What is being designed, and what is wanted next.
 
     Parameters
@@ -46,7 +46,7 @@ class Drafting:
         self._ended = False
 
     def want(self, loop: str, design: str, key: Hashable, make: Make) -> str:
-        """Ask for a design and return a line about it; the same wish again changes nothing.
+        """Request for a design and return a line about it; the same wish again changes nothing.
 
         `make` is called in a thread with what tells it that it is not wanted any more.
         """
@@ -129,7 +129,7 @@ def silent(line: str) -> None:
     del line
 
 
-class Awaited(DesignError):
+class DesignPending(DesignError):
     """Nothing can be shown before a design is there that is being made."""
 
 
@@ -138,63 +138,63 @@ class Designs:
 
     Parameters
     ----------
-    closing
+    loops
         The loops.
     """
 
-    def __init__(self, closing: Closing) -> None:
-        self._closing = closing
-        self._drafting = Drafting()
+    def __init__(self, loops: ClosedLoops) -> None:
+        self._loops = loops
+        self._queue = DesignQueue()
 
     def end(self) -> None:
         """Give up what is being made."""
-        self._drafting.end()
+        self._queue.end()
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called in a thread after each design that pictures wait for, and return what ends that."""
-        return self._drafting.listen(listener)
+        return self._queue.listen(listener)
 
     def there(self, settings: Settings, design: str | None = None) -> bool:
         """Return whether a design, or the one that is worked on, is there for just these settings."""
-        spec = self._closing.spec(settings.loop)
-        return self._closing.there(settings, spec, settings.design if design is None else design)
+        spec = self._loops.spec(settings.loop)
+        return self._loops.there(settings, spec, settings.design if design is None else design)
 
     def make(
         self,
         settings: Settings,
         design: str | None,
-        progress: background.Progress = silent,
-        cancelled: background.Cancelled = never,
+        progress: processes.Progress = silent,
+        cancelled: processes.IsCancelled = never,
     ) -> Settings:
         """Have a design made in a process of its own, unless it is there, and return the settings that show it."""
-        closing = self._closing
-        spec, own = closing.design(settings if design is None else settings.but(design=design))
+        loops = self._loops
+        spec, own = loops.design(settings if design is None else settings.but(design=design))
         if not self.there(settings, own.name):
-            question = Designing(job=closing.job(settings), loop=spec.name, design=own.name)
-            made = background.worked_out(question, progress, cancelled)
-            closing.store.put(spec.name, own.name, closing.conditions(settings, spec, own), made)
-        return closing.following(settings, spec, own)
+            question = Designing(job=loops.job(settings), loop=spec.name, design=own.name)
+            made = processes.run_in_process(question, progress, cancelled)
+            loops.store.put(spec.name, own.name, loops.conditions(settings, spec, own), made)
+        return loops.following(settings, spec, own)
 
     def caged(self, settings: Settings, again: bool = True) -> tuple[CagedLoop, tuple[str, ...]]:
         """Return the loop with its controller; one that a method has to make is asked for, and anew with `again`."""
-        closing = self._closing
-        spec, design = closing.design(settings)
-        if live(design):
-            return closing.caged(settings)
-        conditions, seen = closing.wanted(settings, spec, design), closing.seen(settings, spec, design)
+        loops = self._loops
+        spec, design = loops.design(settings)
+        if built_directly(design):
+            return loops.caged(settings)
+        conditions, seen = loops.wanted(settings, spec, design), loops.seen(settings, spec, design)
         if seen == conditions:
-            return closing.caged(settings)
+            return loops.caged(settings)
 
         def wanted() -> str:
-            def make(unwanted: background.Cancelled) -> None:
-                self.make(closing.at(settings, spec, design, conditions), None, cancelled=unwanted)
+            def make(unwanted: processes.IsCancelled) -> None:
+                self.make(loops.at(settings, spec, design, conditions), None, cancelled=unwanted)
 
-            return self._drafting.want(spec.name, design.name, conditions, make)
+            return self._queue.want(spec.name, design.name, conditions, make)
 
         if seen is None:
             line = f"{spec.name}, {wanted()}"
-            raise Awaited(line) if self._drafting.wants(spec.name, design.name) else DesignError(line)
-        loop, told = closing.caged(settings)
+            raise DesignPending(line) if self._queue.wants(spec.name, design.name) else DesignError(line)
+        loop, told = loops.caged(settings)
         return (loop, (wanted(),)) if again else (loop, told)
 
     def overlays(
@@ -226,8 +226,8 @@ class Designs:
         with np.errstate(all="ignore"):
             if spec.kind != "caging":
                 # Lines about the other loops are those of the picture below it.
-                free, _ = self._closing.stabilised(own)
-                kept = self._closing.kept(own) if measured else None
+                free, _ = self._loops.stabilised(own)
+                kept = self._loops.kept(own) if measured else None
                 return stabilised_overlay(free, own, other.method, frequency, kept), ""
             loop, told = self.caged(own, again=False)
             return caged_overlay(loop, own, other.method, frequency, measured), " ".join(told)

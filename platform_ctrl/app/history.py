@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 
 
 class History:

@@ -1,4 +1,4 @@
-"""What each knob does to each requirement, looked at on the nominal plant and the worst of the set."""
+"""What each slider does to each requirement, looked at on the nominal plant and the worst of the set."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 from platform_ctrl.analysis.loop_figures import OF_CONTROLLER
 from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
 from platform_ctrl.app.caged import CagedLoop
-from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.pictures import Influence
-from platform_ctrl.app.values import Knob, Settings
+from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import asked_of
 from platform_ctrl.errors import PlatformCtrlError
 from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
-# A knob is moved by this share of where it stands; one at zero by this share of its range.
+# A slider is moved by this share of where it stands; one at zero by this share of its range.
 SHARE = 0.05
 
 
-def moved_knob(knob: Knob) -> float:
-    """Return where a knob stands when it is 5 % larger."""
-    return knob.value * (1.0 + SHARE) if knob.value else SHARE * (knob.high - knob.low) / 2.0
+def moved_slider(slider: Slider) -> float:
+    """Return where a slider stands when it is 5 % larger."""
+    return slider.value * (1.0 + SHARE) if slider.value else SHARE * (slider.high - slider.low) / 2.0
 
 
-def caged_influence(loop: CagedLoop, knobs: Sequence[Knob], loop_with: Callable[[Knob], CagedLoop]) -> Influence:
-    """Return what `knobs` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
+def caged_influence(loop: CagedLoop, sliders: Sequence[Slider], loop_with: Callable[[Slider], CagedLoop]) -> Influence:
+    """Return what `sliders` do to the limits of a caging loop; `loop_with` is the loop with one of them moved."""
     asked = [one for one in asked_of(loop.spec) if one.hard]
     whole = measure(loop.plants, loop.controller, asked)
     view = deciding(whole, asked)
@@ -38,39 +38,41 @@ def caged_influence(loop: CagedLoop, knobs: Sequence[Knob], loop_with: Callable[
         plants = now.plants.only([k for k in view if k < len(now.plants.labels)])
         return largest_ratios(measure(plants, now.controller, asked), asked)
 
-    return _influence(knobs, names, ratios(loop), lambda knob: ratios(loop_with(knob)))
+    return _influence(sliders, names, ratios(loop), lambda slider: ratios(loop_with(slider)))
 
 
 def stabilised_influence(
-    closing: Closing, settings: Settings, knobs: Sequence[Knob], settings_with: Callable[[Knob], Settings]
+    loops: ClosedLoops, settings: Settings, sliders: Sequence[Slider], settings_with: Callable[[Slider], Settings]
 ) -> Influence:
-    """Return what `knobs` do to the coupled limits, on the nominal plant."""
+    """Return what `sliders` do to the coupled limits, on the nominal plant."""
 
     def results(now: Settings) -> tuple[CheckResult, ...]:
-        return requirements(closing.stabilised(now.but(band=False))[0], closing.kept(now))
+        return requirements(loops.stabilised(now.but(band=False))[0], loops.kept(now))
 
     first = results(settings)
     return _influence(
-        knobs,
+        sliders,
         tuple(one.name for one in first),
         np.array([one.ratio for one in first]),
-        lambda knob: np.array([one.ratio for one in results(settings_with(knob))]),
+        lambda slider: np.array([one.ratio for one in results(settings_with(slider))]),
     )
 
 
 def _influence(
-    knobs: Sequence[Knob], requirements: tuple[str, ...], before: FloatArray, after: Callable[[Knob], FloatArray]
+    sliders: Sequence[Slider], requirements: tuple[str, ...], before: FloatArray, after: Callable[[Slider], FloatArray]
 ) -> Influence:
-    """Return the changes of ratios; nan where a knob, moved, makes no loop at all."""
-    change = np.full((len(before), len(knobs)), np.nan)
-    for k, knob in enumerate(knobs):
+    """Return the changes of ratios; nan where a slider, moved, makes no loop at all."""
+    change = np.full((len(before), len(sliders)), np.nan)
+    for k, slider in enumerate(sliders):
         try:
-            moved = after(knob)
+            moved = after(slider)
         except PlatformCtrlError:
             continue
         with np.errstate(invalid="ignore"):
             change[:, k] = moved - before
-    return Influence(knobs=tuple(knob.name for knob in knobs), requirements=requirements, ratios=before, change=change)
+    return Influence(
+        sliders=tuple(slider.name for slider in sliders), requirements=requirements, ratios=before, change=change
+    )
 
 
 def deciding(measures: LoopMeasures, asked: Sequence[LoopRequirement]) -> list[int]:

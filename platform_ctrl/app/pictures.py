@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.job.requirements import CheckResult
 
@@ -161,7 +161,7 @@ class Locus:
     present : complex (n,)
         At the factor 1.
     draggable : (n,)
-        Which of `present` may be pulled: those of the upper half plane that knobs move.
+        Which of `present` may be dragged: those of the upper half plane that sliders move.
     others : complex (k,)
         Closed-loop poles of the other plants of the band.
     reach
@@ -334,11 +334,11 @@ class Picture(Drawing):
 
 @value
 class Influence:
-    """What each knob does to each requirement: change of its ratio for a knob that is 5 % larger.
+    """What each slider does to each requirement: change of its ratio for a slider that is 5 % larger.
 
     Attributes
     ----------
-    knobs
+    sliders
         Names.
     requirements
         Names, in the order of `Picture.requirements`.
@@ -348,7 +348,7 @@ class Influence:
         Of the ratio, dimensionless: negative is better; inf where the loop becomes unstable, nan where it is already.
     """
 
-    knobs: tuple[str, ...]
+    sliders: tuple[str, ...]
     requirements: tuple[str, ...]
     ratios: FloatArray
     change: FloatArray

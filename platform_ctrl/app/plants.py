@@ -19,7 +19,7 @@ import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.free_plants import FreePlants, SpinningModels, corners, free_models, free_plants
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.partition import Channels, channels
 from platform_ctrl.design.plants import (

@@ -11,12 +11,12 @@ import numpy as np
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.app.controllers import ALWAYS
-from platform_ctrl.app.knobs import CLASSICAL
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.job import Job
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.plant.reading import open_plant
 from platform_ctrl.plant.source import is_shipped_name, read_text
@@ -90,7 +90,7 @@ def save(
     job
         What the file has to be read as.
     used
-        Loop → design → options that are used, of the designs that knobs make.
+        Loop → design → options that are used, of the designs that sliders make.
     controllers
         One for each loop, in the job's order.
     """
@@ -162,7 +162,8 @@ def job_text(
 def _put(design: Any, numbers: Mapping[str, float]) -> None:
     """Write the options of a design: what is there already keeps its place and its comment."""
     # Parts that are off, and what gyros that are stopped asked for: the method would refuse it.
-    known = CLASSICAL if design["method"] == "classical" else {}
+    method = METHODS[str(design["method"])]
+    known = method.options if method.parts else {}
     for key in [key for key in design if key in known and key not in (*numbers, ALWAYS)]:
         del design[key]
     for key, x in numbers.items():

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.hosts import Hosts, is_loopback
+from platform_ctrl.app.allowed_hosts import AllowedHosts, is_loopback
 from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ Make = Callable[[Any, Any], None]
 
 
 class Building:
-    """A workbench that is being made in a thread of its own: meanwhile the browser opens.
+    """A backend that is being made in a thread of its own: meanwhile the browser opens.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Building:
         self._thread.start()
 
     def result(self) -> object:
-        """Return the workbench; waits for it.
+        """Return the backend; waits for it.
 
         Returns
         -------
@@ -59,7 +59,7 @@ class Building:
         return self._made
 
     def close(self) -> None:
-        """Close the workbench, if it is there: what it works out in other processes ends."""
+        """Close the backend, if it is there: what it works out in other processes ends."""
         if self._made is not None:
             getattr(self._made, "close", lambda: None)()
 
@@ -85,8 +85,8 @@ class PageServer:
 
     Parameters
     ----------
-    workbench
-        `Workbench` that all pages share, or a `Building` one; handed on to `make`.
+    backend
+        `Backend` that all pages share, or a `Building` one; handed on to `make`.
     host
         Address to listen on.
     port
@@ -94,24 +94,24 @@ class PageServer:
     allow
         Names by which browsers may ask, besides this machine's own ones where it listens to itself alone.
     make
-        Called with the workbench and every new document, which it fills; default: `designer.page.app.page`.
+        Called with the backend and every new document, which it fills; default: `designer.page.app.page`.
     """
 
     def __init__(
         self,
-        workbench: object,
+        backend: object,
         *,
         host: str = "127.0.0.1",
         port: int | None = None,
         allow: Sequence[str] = (),
         make: Make | None = None,
     ) -> None:
-        self.hosts = Hosts.of(host, allow)
+        self.hosts = AllowedHosts.of(host, allow)
         require_bokeh()
         self._socket = _bound(host, port)
         self.port: int = self._socket.getsockname()[1]
         self.application: PageApplication | None = None
-        self._workbench, self._make = workbench, make
+        self._workbench, self._make = backend, make
         self._ended = threading.Event()
 
     @property
@@ -221,7 +221,7 @@ def require_bokeh() -> None:
 
 
 def _page() -> Make:
-    from platform_ctrl.app.page.app import page
+    from platform_ctrl.app.page.document import page
 
     made: Make = page
     return made

@@ -33,7 +33,7 @@ from platform_ctrl.app.parts import (
     step_size,
 )
 from platform_ctrl.app.pictures import Drawn, FrequencyGain, Locus, Margins, Overlay, TimeResponse
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import DesignError
 from platform_ctrl.report.quantities import signal_series

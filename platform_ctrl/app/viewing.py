@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from platform_ctrl.app.background import Cancelled, Progress
 from platform_ctrl.app.caged import caged_parts
 from platform_ctrl.app.designs import Designs, never, silent
-from platform_ctrl.app.influence import caged_influence, moved_knob, stabilised_influence
+from platform_ctrl.app.influence import caged_influence, moved_slider, stabilised_influence
 from platform_ctrl.app.parts import Measured, Parts
 from platform_ctrl.app.pictures import Drawing, Drawn, Influence, Overlay, Picture
+from platform_ctrl.app.processes import IsCancelled, Progress
 from platform_ctrl.app.settable import Settable
+from platform_ctrl.app.settings import Settings, Slider
 from platform_ctrl.app.stabilised import stabilised_parts
-from platform_ctrl.app.values import Knob, Settings
 from platform_ctrl.common.arguments import known_name, whole
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.job import Job
@@ -29,17 +29,17 @@ def nothing(drawing: Drawing) -> None:
 
 
 class Viewing(Settable):
-    """The pictures of a job's settings; see `Workbench`.
+    """The pictures of a job's settings; see `Backend`.
 
     Parameters
     ----------
     job, controllers
-        As of `Workbench`.
+        As of `Backend`.
     """
 
     def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
         super().__init__(job, controllers)
-        self._designs = Designs(self._closing)
+        self._designs = Designs(self._loops)
 
     def on_designed(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called, in a thread, whenever a design that pictures were waiting for is there or failed.
@@ -90,13 +90,13 @@ class Viewing(Settable):
 
     def _parts(self, settings: Settings) -> tuple[Parts, tuple[str, ...]]:
         """Return the parts of a picture, and lines about its controllers."""
-        spec, _ = self._closing.design(settings)
+        spec, _ = self._loops.design(settings)
         if spec.kind == "caging":
             loop, told = self._designs.caged(settings)
-            parts, measure = caged_parts(loop, settings, self._closing.measured(settings, loop))
+            parts, measure = caged_parts(loop, settings, self._loops.measured(settings, loop))
         else:
-            free, told = self._closing.stabilised(settings)
-            parts, measure = stabilised_parts(free, settings, self._closing.kept(settings))
+            free, told = self._loops.stabilised(settings)
+            parts, measure = stabilised_parts(free, settings, self._loops.kept(settings))
         if not settings.overlays:
             return (parts, measure), told
         overlays, more = self._designs.overlays(settings, spec, parts.bode.frequency)
@@ -118,13 +118,13 @@ class Viewing(Settable):
         Overlay
             On the grid of the picture's bode diagram, with its limits measured.
         """
-        spec, _ = self._closing.design(settings)
+        spec, _ = self._loops.design(settings)
         known_name("design", design, tuple(d.name for d in spec.designs))
         frequency = self.picture(settings.but(overlays=())).bode.frequency
         return self._designs.overlay(settings, spec, design, frequency, measured=True)[0]
 
     def designed(self, settings: Settings, design: str | None = None) -> bool:
-        """Return whether a design of the loop is there for just these settings; those that knobs build always are.
+        """Return whether a design of the loop is there for just these settings; those that sliders build always are.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class Viewing(Settable):
         settings: Settings,
         design: str | None = None,
         progress: Progress = silent,
-        cancelled: Cancelled = never,
+        cancelled: IsCancelled = never,
     ) -> Settings:
         """Have a design made by its method, in a process of its own; later pictures show it.
 
@@ -168,7 +168,7 @@ class Viewing(Settable):
         return self._designs.make(settings, design, progress, cancelled)
 
     def influence(self, settings: Settings) -> Influence:
-        """Return what each knob does to each requirement.
+        """Return what each slider does to each requirement.
 
         Parameters
         ----------
@@ -178,19 +178,19 @@ class Viewing(Settable):
         Returns
         -------
         Influence
-            Of all knobs whose effect is seen at once; of a method that designs, those of the plant alone.
+            Of all sliders whose effect is seen at once; of a method that designs, those of the plant alone.
         """
-        spec, _ = self._closing.design(settings)
-        knobs = [knob for knob in self.knobs(settings) if not knob.background]
+        spec, _ = self._loops.design(settings)
+        sliders = [slider for slider in self.sliders(settings) if not slider.background]
 
-        def with_knob(knob: Knob) -> Settings:
-            return self.moved(settings, knob.name, moved_knob(knob))
+        def with_slider(slider: Slider) -> Settings:
+            return self.moved(settings, slider.name, moved_slider(slider))
 
         with np.errstate(all="ignore"):
             if spec.kind == "caging":
-                loop, _ = self._closing.caged(settings)
-                return caged_influence(loop, knobs, lambda knob: self._closing.caged(with_knob(knob))[0])
-            return stabilised_influence(self._closing, settings, knobs, with_knob)
+                loop, _ = self._loops.caged(settings)
+                return caged_influence(loop, sliders, lambda slider: self._loops.caged(with_slider(slider))[0])
+            return stabilised_influence(self._loops, settings, sliders, with_slider)
 
 
 def _fields(parts: Drawn | Measured) -> dict[str, Any]:

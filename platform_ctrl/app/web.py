@@ -31,7 +31,7 @@ from tornado import httputil, iostream
 from tornado.httpserver import HTTPServer
 from tornado.web import OutputTransform, RequestHandler
 
-from platform_ctrl.app.hosts import Hosts
+from platform_ctrl.app.allowed_hosts import AllowedHosts
 
 # A page sends numbers of sliders and settings: what is larger is none of its messages.
 MESSAGE_BYTES = 1 << 20
@@ -80,7 +80,7 @@ class PageApplication(BokehTornado):
         Who may ask.
     """
 
-    def __init__(self, make: Callable[[Document], None], hosts: Hosts) -> None:
+    def __init__(self, make: Callable[[Document], None], hosts: AllowedHosts) -> None:
         super().__init__(
             Application(FunctionHandler(make)),
             secret_key=secrets.token_bytes(32),

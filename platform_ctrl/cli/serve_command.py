@@ -69,15 +69,15 @@ def serve(
     platform-ctrl serve job.toml --port 8000 --no-browser   at an address of its own: http://127.0.0.1:8000/
     platform-ctrl serve job.toml --json                     the address as JSON, for another program
     """  # noqa: D301
-    from platform_ctrl.app.hosts import Hosts
+    from platform_ctrl.app.allowed_hosts import AllowedHosts
     from platform_ctrl.cli.terminal import interruptible, progress
 
-    def workbench() -> object:
-        from platform_ctrl.app.workbench import Workbench
+    def backend() -> object:
+        from platform_ctrl.app.backend import Backend
 
-        return Workbench(job, controllers)
+        return Backend(job, controllers)
 
-    Hosts.of(host, allow or ())  # before anything else: no work for what would be refused
+    AllowedHosts.of(host, allow or ())  # before anything else: no work for what would be refused
     with progress(quiet or as_json, f"reading {job}"):
         read = job_of(job)
         if controllers is not None:
@@ -87,7 +87,7 @@ def serve(
         from platform_ctrl.app.server import PORT, Building, PageServer, require_bokeh
 
         require_bokeh()
-        server = PageServer(Building(workbench), host=host, allow=allow or (), port=port)
+        server = PageServer(Building(backend), host=host, allow=allow or (), port=port)
 
     def ready() -> None:
         shown = _wanted(browser, as_json)

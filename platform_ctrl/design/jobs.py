@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import value
-from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
-from platform_ctrl.design.classical.stabilisation import platform_servo
-from platform_ctrl.design.loop import LoopDesign, certified
-from platform_ctrl.design.partition import Channels, channels
-from platform_ctrl.design.plants import plants_of, rows_of
-from platform_ctrl.design.tuning import tune
+from platform_ctrl.design.loop import LoopDesign, LoopProblem, Progress, designed
+from platform_ctrl.design.plants import plants_of
 from platform_ctrl.errors import ArgumentError, DesignError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec, Spread
+from platform_ctrl.job.job import Job, LoopSpec, Spread
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.requirements import hard_and_soft, loop_requirements
-from platform_ctrl.mechanics.linearisation import LinearModel, linearise
+from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.platform import OMEGA_NAMES
 
 
@@ -70,9 +63,6 @@ def _at_the_limits(job: Job, design: LoopDesign) -> dict[str, float]:
             out |= {survived_name(one.axis, spread=True): one.spread for one in found}
         return out
     return {}
-
-
-Progress = Callable[[str], None]
 
 
 @value
@@ -141,78 +131,13 @@ def loops(
         designs = []
         for design in spec.designs:
             say(f"{spec.name}: {design.name}")
-            if plants is None:
-                designs.append(platform_servo(job, model, spec, design))
-            else:
-                try:
-                    made = _caging(model, spec, design, plants, say)
-                except DesignError as error:
-                    if str(error).startswith(f"{spec.name}, "):
-                        raise
-                    raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
-                designs.append(with_caging_claims(job, made, closed=design.name == spec.use))
+            problem = LoopProblem(job=job, spec=spec, design=design, model=model, plant_set=plants, say=say)
+            try:
+                made = designed(problem)
+            except DesignError as error:
+                if plants is None or str(error).startswith(f"{spec.name}, "):
+                    raise
+                raise type(error)(f"{spec.name}, {design.name}: {error}", error.problem) from None
+            designs.append(made if plants is None else with_caging_claims(job, made, closed=design.name == spec.use))
         out.append(LoopOutcome(spec=spec, designs=tuple(designs), use=spec.use))
     return tuple(out)
-
-
-def _caging(model: LinearModel, spec: LoopSpec, design: DesignSpec, plants: PlantSet, say: Progress) -> LoopDesign:
-    channel = channels(model, rows_of(model, spec.gimbals))
-    if design.method == "hinf":
-        from platform_ctrl.design.riccati.hinf_loop import hinf_controller
-
-        controller, options, claims = hinf_controller(design.options, channel, plants)
-        return certified(spec, design, controller, plants, options, claims)
-    if design.method == "lqg":
-        from platform_ctrl.design.riccati.lqg_loop import lqg_controller
-
-        controller, options, claims = lqg_controller(design.options, channel, plants)
-        return certified(spec, design, controller, plants, options, claims)
-    if design.method == "structured":
-        return _structured(spec, design, channel, plants, say)
-    options = starting_values(design.options, channel, plants.nutation, plants.period)
-    if design.tune:
-        options = tune(
-            options,
-            [name for name in TUNABLE if name in options],
-            lambda trial: classical_controller(trial, channel, plants.period),
-            plants,
-            loop_requirements(spec.limits),
-            upper=upper_bounds(plants.period),
-            progress=lambda ratio: say(f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"),
-        )
-    controller = classical_controller(options, channel, plants.period)
-    return certified(spec, design, controller, plants, options, {})
-
-
-def _structured(spec: LoopSpec, design: DesignSpec, channel: Channels, plants: PlantSet, say: Progress) -> LoopDesign:
-    from platform_ctrl.design.riccati.hinf_loop import hinf_controller
-    from platform_ctrl.design.structured.caging import default_options, tuned_controller
-    from platform_ctrl.design.structured.families import Named
-
-    form = design.structure or "pid"
-    options = default_options(design.options, form, channel, plants.nutation, plants.period)
-    first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
-    cross_axis = Named(
-        lambda trial: classical_controller(trial, channel, plants.period), first, TUNABLE, upper_bounds(plants.period)
-    )
-    hard, soft = hard_and_soft(spec.limits, spec.soft)
-
-    def progress(limits: float, goals: float) -> None:
-        told = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if soft else "")
-        say(f"{spec.name}: {design.name}, {told if math.isfinite(limits) else 'not stable with all plants yet'}")
-
-    found = tuned_controller(
-        options,
-        form,
-        cross_axis,
-        channel,
-        plants,
-        (*hard, *soft),
-        [lambda: hinf_controller({}, channel, plants, method="riccati")[0]],
-        progress,
-    )
-    out = certified(spec, design, found.controller, plants, found.options, found.claims)
-    # What the search took for its ratios is not believed.
-    ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
-    largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
-    return dataclasses.replace(out, claims=out.claims | largest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import field
 from typing import TYPE_CHECKING
 
@@ -13,21 +15,16 @@ from platform_ctrl.analysis.feedback import closed_loop_arrays
 from platform_ctrl.analysis.loop_measures import LoopMeasures, exact_measures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.common.values import value
-from platform_ctrl.design.partition import Block
+from platform_ctrl.design.partition import Block, Channels, channels
+from platform_ctrl.design.plants import rows_of
 from platform_ctrl.errors import DesignError, NotCertifiedError
-from platform_ctrl.job.job import DesignSpec, LoopSpec
+from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.methods import known_method, resolved
 from platform_ctrl.job.requirements import CheckResult, LoopRequirement, hard_and_soft
+from platform_ctrl.mechanics.linearisation import LinearModel
 
 if TYPE_CHECKING:
     import control
-
-# What to try where a method's loop is not stable.
-CURES = {
-    "classical": "a lower crossover_hz, or tune = true",
-    "hinf": "a lower bandwidth_hz, or a larger backoff",
-    "lqg": "a lower bandwidth_hz, or a larger disturbance",
-    "structured": "weaker limits, or another structure",
-}
 
 
 @value
@@ -93,39 +90,108 @@ def sampled_plant(plants: PlantSet, k: int = 0) -> control.StateSpace:
     return named_system(arrays, plants.torques, plants.angles, plants.states)
 
 
-def certified(
-    spec: LoopSpec,
-    design: DesignSpec,
-    controller: Block,
-    plants: PlantSet,
-    options: dict[str, float],
-    claims: dict[str, float],
-) -> LoopDesign:
-    """Return the design with all its figures recomputed from the closed loops."""
-    K = StateArrays(*controller, dt=plants.period)
-    measures = exact_measures(plants, K, asked_of(spec))
-    if not measures.decay[0] > 0.0:
-        raise NotCertifiedError(
-            f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
-            f"loop; try {CURES[design.method]}",
-            plants,
-        )
-    results, goals = judged(spec, design.name, plants, measures)
-    certificates, unproved = proofs(spec, plants, K, measures)
+Progress = Callable[[str], None]
+
+
+@value
+class LoopProblem:
+    """What a design method is given.
+
+    Attributes
+    ----------
+    job, spec, design
+        The job, one of its loops, and one of that loop's designs.
+    model
+        The platform linearised at rest.
+    plant_set
+        The plants of a caging loop, the nominal one first; None for a stabilisation loop.
+    say
+        Called with a line during long work.
+    """
+
+    job: Job
+    spec: LoopSpec
+    design: DesignSpec
+    model: LinearModel
+    plant_set: PlantSet | None = None
+    say: Progress = lambda line: None
+
+    @property
+    def plants(self) -> PlantSet:
+        """The plants of a caging loop, the nominal one first."""
+        assert self.plant_set is not None, "a caging loop has plants"
+        return self.plant_set
+
+    @property
+    def channel(self) -> Channels:
+        """Gyroscopic pairs and inertial directions of the loop's gimbals."""
+        return channels(self.model, rows_of(self.model, self.spec.gimbals))
+
+
+@value
+class Designed:
+    """What a design method returns; nothing of it is trusted before `designed` has measured the closed loop.
+
+    Attributes
+    ----------
+    controller
+        Sampled with the job's period, u = K y.
+    options
+        The method's numbers as finally used, in the units of the job file.
+    claims
+        What the method claims, by name, in SI units.
+    inputs, outputs
+        Names of the signals; by default the pick-offs and the torquers of the loop's plants.
+    """
+
+    controller: Block
+    options: dict[str, float]
+    claims: dict[str, float] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+def designed(problem: LoopProblem) -> LoopDesign:
+    """Return the design that the problem's method makes, with all that it is judged by recomputed.
+
+    Raises
+    ------
+    DesignError
+        The method found no controller, or the closed loop is not stable.
+    """
+    spec, design, plants = problem.spec, problem.design, problem.plant_set
+    method = known_method(design.method)
+    found: Designed = resolved(method.design)(problem)
+    if plants is not None:
+        out = certified(spec, design, found, plants)
+        if method.goals:
+            ratios = {"limit_ratio": out.results, "goal_ratio": out.goals}
+            largest = {name: max(result.ratio for result in results) for name, results in ratios.items() if results}
+            out = dataclasses.replace(out, claims=out.claims | largest)
+        return out
+    K = StateArrays(*found.controller, dt=problem.job.sampling.period)
     return LoopDesign(
         loop=spec.name,
         name=design.name,
         method=design.method,
-        controller=named_system(K, plants.angles, plants.torques, name=f"{spec.name}, {design.name}"),
-        options=options,
-        plants=plants,
-        measures=measures,
-        results=results,
-        goals=goals,
-        claims=claims,
-        certificates=certificates,
-        unproved=unproved,
+        controller=named_system(K, found.inputs, found.outputs, name=f"{spec.name}, {design.name}"),
+        options=found.options,
+        claims=found.claims,
     )
+
+
+def certified(spec: LoopSpec, design: DesignSpec, found: Designed, plants: PlantSet) -> LoopDesign:
+    """Return the design with all its numbers recomputed from the closed loops."""
+    K = StateArrays(*found.controller, dt=plants.period)
+    measures = exact_measures(plants, K, asked_of(spec))
+    if not measures.decay[0] > 0.0:
+        raise NotCertifiedError(
+            f"{spec.name}, {design.name}: the closed loop grows at {-measures.decay[0]:.3g} 1/s; expected a stable "
+            f"loop; try {known_method(design.method).advice}",
+            plants,
+        )
+    out = _with_evidence(spec, design.name, design.method, K, plants, measures)
+    return dataclasses.replace(out, options=found.options, claims=found.claims)
 
 
 def asked_of(spec: LoopSpec) -> tuple[LoopRequirement, ...]:
@@ -158,15 +224,21 @@ def proofs(
 
 
 def remeasured(spec: LoopSpec, name: str, controller: control.StateSpace, plants: PlantSet) -> LoopDesign:
-    """Return an existing controller as a design of `spec`, measured anew: nothing that was claimed is believed."""
+    """Return an existing controller as a design of `spec`, measured anew: none of its claims is taken over."""
     K = plants.joined(controller)
-    measures = exact_measures(plants, K, asked_of(spec))
+    return _with_evidence(spec, name, "given", K, plants, exact_measures(plants, K, asked_of(spec)))
+
+
+def _with_evidence(
+    spec: LoopSpec, name: str, method: str, K: StateArrays, plants: PlantSet, measures: LoopMeasures
+) -> LoopDesign:
+    """Return a measured controller with its results and certificates."""
     results, goals = judged(spec, name, plants, measures)
     certificates, unproved = proofs(spec, plants, K, measures)
     return LoopDesign(
         loop=spec.name,
         name=name,
-        method="given",
+        method=method,
         controller=named_system(K, plants.angles, plants.torques, name=f"{spec.name}, {name}"),
         plants=plants,
         measures=measures,

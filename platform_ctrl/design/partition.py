@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import ComplexArray
+from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray, value
@@ -31,16 +31,6 @@ class Partition:
     D21: FloatArray
     D22: FloatArray
     dt: float = 0.0
-
-
-@value
-class Realisation:
-    """A state-space realisation as bare matrices."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
 
 
 def partition(P: StateSpace, nmeas: int, ncon: int, sampled: bool = False) -> Partition:
@@ -98,18 +88,18 @@ def in_w_plane(plant: Partition) -> Partition:
     )  # fmt: skip
 
 
-def out_of_w_plane(K: Realisation, period: float) -> Realisation:
+def out_of_w_plane(K: StateArrays, period: float) -> StateArrays:
     """Return a controller of the plant that `in_w_plane` made as a sampled one; for `period` 0 as it is."""
     if period == 0.0:
         return K
     A, B, C, D = from_w_plane(K.A, K.B, K.C, K.D, period)
-    return Realisation(A=A, B=B, C=C, D=D)
+    return StateArrays(A=A, B=B, C=C, D=D)
 
 
-def with_direct_path(K: Realisation, D22: FloatArray) -> Realisation:
+def with_direct_path(K: StateArrays, D22: FloatArray) -> StateArrays:
     """Return the controller u = K y for a plant whose D22 was left out when K was made: K (y − D22 u), solved for u."""
     shift = np.linalg.inv(np.eye(len(K.D)) + K.D @ D22)
-    return Realisation(
+    return StateArrays(
         A=K.A - K.B @ D22 @ shift @ K.C,
         B=K.B @ (np.eye(K.B.shape[1]) - D22 @ shift @ K.D),
         C=shift @ K.C,
@@ -117,12 +107,12 @@ def with_direct_path(K: Realisation, D22: FloatArray) -> Realisation:
     )
 
 
-def closed_loop(plant: Partition, K: Realisation) -> Realisation:
+def closed_loop(plant: Partition, K: StateArrays) -> StateArrays:
     """Lower linear fractional transformation of a plant and u = K y, states [x, xK]."""
     E = np.linalg.inv(np.eye(len(K.D)) - K.D @ plant.D22)
     # u = E (D_K y0 + C_K xK), y0 = C2 x + D21 w;  y = y0 + D22 u
     Ux, Uk, Uw = E @ K.D @ plant.C2, E @ K.C, E @ K.D @ plant.D21
-    return Realisation(
+    return StateArrays(
         A=np.block(
             [
                 [plant.A + plant.B2 @ Ux, plant.B2 @ Uk],
@@ -135,9 +125,9 @@ def closed_loop(plant: Partition, K: Realisation) -> Realisation:
     )
 
 
-def whole(plant: Partition) -> Realisation:
+def whole(plant: Partition) -> StateArrays:
     """Return a plant in one piece: from [w, u] to [z, y]."""
-    return Realisation(
+    return StateArrays(
         A=plant.A,
         B=np.hstack([plant.B1, plant.B2]),
         C=np.vstack([plant.C1, plant.C2]),
@@ -145,7 +135,7 @@ def whole(plant: Partition) -> Realisation:
     )
 
 
-def controller_system(P: StateSpace, K: Realisation) -> StateSpace:
+def controller_system(P: StateSpace, K: StateArrays) -> StateSpace:
     """Return u = K y, sampled as P is, with the names that u and y have in P."""
     import control
 
@@ -156,7 +146,7 @@ def controller_system(P: StateSpace, K: Realisation) -> StateSpace:
     )  # fmt: skip
 
 
-def closed_loop_system(P: StateSpace, loop: Realisation) -> StateSpace:
+def closed_loop_system(P: StateSpace, loop: StateArrays) -> StateSpace:
     """Return a `closed_loop` around P, sampled as P is, with the names that w and z have in P."""
     import control
 

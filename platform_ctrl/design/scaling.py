@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Partition, Realisation, with_direct_path
+from platform_ctrl.design.partition import Partition, with_direct_path
 from platform_ctrl.errors import NotStabilisableError
 
 if TYPE_CHECKING:
@@ -145,11 +146,11 @@ def balance(A: FloatArray, B: FloatArray, C: FloatArray, sweeps: int = 50) -> Fl
     return d
 
 
-def unscale(controller: Realisation, scaled: ScaledPlant) -> Realisation:
+def unscale(controller: StateArrays, scaled: ScaledPlant) -> StateArrays:
     """Bring a controller of the scaled plant back to the units of the plant that was given."""
     A, B = scaled.rate * controller.A, scaled.rate * controller.B @ scaled.measurement
     C, D = scaled.control @ controller.C, scaled.control @ controller.D @ scaled.measurement
-    return with_direct_path(Realisation(A=A, B=B, C=C, D=D), scaled.D22)
+    return with_direct_path(StateArrays(A=A, B=B, C=C, D=D), scaled.D22)
 
 
 def require_stabilisable(

@@ -29,7 +29,6 @@ from platform_ctrl.common.values import input_value, value
 from platform_ctrl.design.lower_bounds import hinf_lower_bound
 from platform_ctrl.design.partition import (
     Partition,
-    Realisation,
     closed_loop,
     closed_loop_system,
     controller_system,
@@ -307,7 +306,7 @@ def require_regularisation(where: str, method: str, size: float | None) -> None:
 def certify(
     P: StateSpace,
     plant: Partition,
-    controller: Realisation,
+    controller: StateArrays,
     *,
     gamma_optimal: float,
     backoff: float,
@@ -345,10 +344,8 @@ def certify(
     if not all(np.all(np.isfinite(m)) for m in (loop.A, loop.B, loop.C, loop.D)):
         raise NotCertifiedError(f"{method}: the controller is not finite; {CURE}", P)
     poles = _stable_poles(loop.A, plant.dt, method, P)
-    D = loop.D
     if norm == "h2" and plant.dt == 0.0:
-        D = _without_rounding(D, plant, controller)
-    loop = Realisation(A=loop.A, B=loop.B, C=loop.C, D=D)
+        loop = loop._replace(D=_without_rounding(loop.D, plant, controller))
     least = gamma_optimal if least is None else least
     limit = (1 + backoff + tolerance) * least
     gamma, frequency = _kept(Claim(name="", norm=norm, limit=limit), loop, plant.dt, method, least, P)
@@ -401,7 +398,7 @@ def _stable_poles(A: np.ndarray[Any, Any], dt: float, method: str, P: StateSpace
     return poles
 
 
-def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: Realisation) -> np.ndarray[Any, Any]:
+def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: StateArrays) -> np.ndarray[Any, Any]:
     """Return the direct term of a continuous closed loop, zero where a controller has cancelled it but for rounding."""
     size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(controller.D) * np.linalg.norm(
         plant.D21
@@ -410,7 +407,7 @@ def _without_rounding(D: np.ndarray[Any, Any], plant: Partition, controller: Rea
 
 
 def _kept(
-    claim: Claim, loop: Realisation, dt: float, method: str, least: float | None, P: StateSpace
+    claim: Claim, loop: StateArrays, dt: float, method: str, least: float | None, P: StateSpace
 ) -> tuple[float, float]:
     """Return the norm that is claimed, recomputed, and its frequency, rad/s (nan for the H2 norm)."""
     import control

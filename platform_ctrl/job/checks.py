@@ -6,10 +6,11 @@ Like the checks of the plant, these read the plain data and pass over what the s
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from platform_ctrl.job.job import Job, LoopLimits, manoeuvre_scenario
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.parameter_limits import misfits
 from platform_ctrl.job.run_checks import run_mistakes
 from platform_ctrl.job.variation import CENTRES, DISTRIBUTION_NUMBERS
@@ -127,15 +128,6 @@ def variation_mistakes(job: Job) -> Iterator[Mistake]:
         yield Mistake(("campaign", "vary", k, key), one_line(line))
 
 
-# Every other method designs a caging loop.
-STABILISING = frozenset({"platform-servo"})
-
-# Methods that are told what the controller is made of.
-STRUCTURED = frozenset({"structured"})
-
-# Methods whose numbers can be moved to meet the loop's limits.
-TUNED = frozenset({"classical"})
-
 LOOP_LIMITS = frozenset(field.name for field in dataclasses.fields(LoopLimits))
 # What a stabilisation loop is judged by; it has no plants of its own, so the other limits mean nothing there.
 STABILISATION_LIMITS = frozenset({"torque_noise"})
@@ -147,7 +139,7 @@ NEEDED_BESIDE = (("tracking", "tracking_hz"), ("tracking_hz", "tracking"), ("tor
 LONGEST_DELAY = 100
 
 
-def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, frozenset[str]]) -> list[Mistake]:
+def job_mistakes(data: Data, platform: Platform | None) -> list[Mistake]:
     """Return what does not fit together in a job file; without a platform, what can be said without it."""
     return [
         *unique_names(data, (), "loop"),
@@ -155,7 +147,7 @@ def job_mistakes(data: Data, platform: Platform | None, options: Mapping[str, fr
         *unique_names(data, (), "fault"),
         *_sampling(data),
         *_sets(data),
-        *_designs(data, options),
+        *_designs(data),
         *_loops(data, platform),
         *run_mistakes(data, platform),
         *campaign_mistakes(data),
@@ -198,14 +190,14 @@ def _sampling(data: Data) -> Iterator[Mistake]:
         yield Mistake(("sampling", "delay"), f"{wrong}; expected at most {LONGEST_DELAY}, or a lower rate_hz")
 
 
-def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
+def _designs(data: Data) -> Iterator[Mistake]:
     for i, loop in tables(data, "loop"):
         path: Path = ("loop", i)
         yield from unique_names(loop, path, "design")
         names = []
         for k, design in tables(loop, "design"):
             names.append(text_of(design, "name"))
-            yield from _design(design, (*path, "design", k), text_of(loop, "kind"), options)
+            yield from _design(design, (*path, "design", k), text_of(loop, "kind"))
         use = text_of(loop, "use")
         known = [name for name in names if name is not None]
         if use is not None and known and len(known) == len(names) and use not in known:
@@ -213,25 +205,25 @@ def _designs(data: Data, options: Mapping[str, frozenset[str]]) -> Iterator[Mist
             yield Mistake((*path, "use"), f"{wrong}; {suggestion(use, known)}")
 
 
-def _design(design: Data, path: Path, kind: str | None, options: Mapping[str, frozenset[str]]) -> Iterator[Mistake]:
-    method = text_of(design, "method")
-    if method is None or method not in options:
+def _design(design: Data, path: Path, kind: str | None) -> Iterator[Mistake]:
+    key = text_of(design, "method")
+    if key is None or key not in METHODS:
         return
-    known = ["name", "method", "tune", *sorted(options[method])]
-    if method in STRUCTURED:
+    method = METHODS[key]
+    known = ["name", "method", "tune", *sorted(method.options)]
+    if method.structures:
         known.insert(2, "structure")
-    yield from (unknown_key((*path, key), item, known) for key, item in design.items() if key not in known)
-    for key in options[method]:
-        value = number_of(design, key)
-        if value is not None and not value > 0:
-            yield Mistake((*path, key), f"{key} = {given(value)}: expected a number > 0")
-    if design.get("tune") is True and method not in TUNED:
-        tuned = ", ".join(given(name) for name in sorted(TUNED))
-        yield Mistake((*path, "tune"), f"tune = true: method {given(method)} has no tuner; expected one of {tuned}")
-    if kind in ("caging", "stabilisation") and (method in STABILISING) != (kind == "stabilisation"):
-        fitting = [name for name in options if (name in STABILISING) == (kind == "stabilisation")]
-        expected = " or ".join(given(name) for name in fitting)
-        yield Mistake((*path, "method"), f"method = {given(method)}: does not make a {kind} loop; expected {expected}")
+    yield from (unknown_key((*path, name), item, known) for name, item in design.items() if name not in known)
+    for option in sorted(method.options):
+        number = number_of(design, option)
+        if number is not None and not number > 0:
+            yield Mistake((*path, option), f"{option} = {given(number)}: expected a number > 0")
+    if design.get("tune") is True and not method.tunes:
+        tuned = ", ".join(given(name) for name in sorted(METHODS) if METHODS[name].tunes)
+        yield Mistake((*path, "tune"), f"tune = true: method {given(key)} has no tuner; expected one of {tuned}")
+    if kind in ("caging", "stabilisation") and method.kind != kind:
+        expected = " or ".join(given(name) for name in METHODS if METHODS[name].kind == kind)
+        yield Mistake((*path, "method"), f"method = {given(key)}: does not make a {kind} loop; expected {expected}")
 
 
 def _loops(data: Data, platform: Platform | None) -> Iterator[Mistake]:

@@ -9,12 +9,12 @@ import numpy as np
 
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, input_value
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.job.scenario import Mode as Mode
 from platform_ctrl.job.variation import Vary
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
-Method = Literal["classical", "hinf", "lqg", "structured", "platform-servo"]
 Structure = Literal["cross-axis", "pid", "state-space"]
 LoopKind = Literal["caging", "stabilisation"]
 Points = Literal["sobol", "latin-hypercube", "random"]
@@ -78,7 +78,7 @@ class DesignSpec:
     name
         What the design is called in tables and plots.
     method
-        Which method makes it.
+        Key of the method that makes it: see `job.methods`.
     options
         The method's own numbers, by the names of the job file, in SI units.
     tune
@@ -88,7 +88,7 @@ class DesignSpec:
     """
 
     name: str
-    method: Method
+    method: str
     options: dict[str, float]
     tune: bool = False
     structure: Structure | None = None

@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator, Sequence
 
 from platform_ctrl.common.signatures import check_arguments
+from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.parameters import Parameter, drawn_value, nominal, parameters, unknown_parameter
-from platform_ctrl.job.scenario import Fault, Scenario
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import Vary
 
 

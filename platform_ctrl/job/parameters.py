@@ -11,7 +11,8 @@ import numpy as np
 from platform_ctrl.common.arguments import nearest
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import replaced, value
-from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Scenario
+from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, Fault
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
 from platform_ctrl.plant.force_elements import Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform, Rotor
@@ -57,17 +58,6 @@ _PARTS: tuple[tuple[str, str, str, dict[str, Range]], ...] = (
     ),
     ("erection", "erections", "gimbal", {"gain": ANY, "limit": POSITIVE}),
 )
-_FAULT_RANGES = {
-    "at": NOT_NEGATIVE,
-    "until": POSITIVE,
-    "share": NOT_NEGATIVE,
-    "time_constant": POSITIVE,
-    "amplitude": POSITIVE,
-    "frequency_hz": POSITIVE,
-    "rate": ANY,
-    "probability": SHARE,
-    "impulse": ANY,
-}
 _MANOEUVRE_RANGES = {
     "rate": ANY,
     "rise": POSITIVE,
@@ -136,9 +126,9 @@ def parameters(scenarios: Sequence[Scenario], faults: Sequence[Fault]) -> dict[s
         *_initial(scenarios),
         *_of_manoeuvres(scenarios),
         *(
-            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key, allowed=_FAULT_RANGES[key])
+            Parameter(path=f"fault.{f.name}.{key}", group="fault", part=f.name, key=key, allowed=FAULT_NUMBERS[key])
             for f in faults
-            for key in ("at", *FAULT_KEYS[f.kind].needed, *FAULT_KEYS[f.kind].optional)
+            for key in ("at", *FAULT_KINDS[f.kind].keys)
         ),
     ]
     return {one.path: one for one in found}

@@ -12,6 +12,7 @@ import numpy as np
 
 from platform_ctrl.errors import InputError
 from platform_ctrl.job.checks import job_mistakes, variation_mistakes
+from platform_ctrl.job.faults import Fault
 from platform_ctrl.job.job import (
     Campaign,
     CampaignFault,
@@ -26,7 +27,7 @@ from platform_ctrl.job.job import (
     Sampling,
     Spread,
 )
-from platform_ctrl.job.scenario import Fault, TimeTable, Vibration
+from platform_ctrl.job.scenario import TimeTable, Vibration
 from platform_ctrl.job.tables import (
     CampaignTable,
     FaultTable,
@@ -122,49 +123,6 @@ def _vary(table: VaryTable) -> Vary:
     )
 
 
-# What the weights of a full-order design are made of.
-_WEIGHTS = frozenset(
-    {
-        "bandwidth_hz",
-        "sensitivity_peak",
-        "complementary",
-        "disturbance",
-        "torque",
-        "inertial_bandwidth_hz",
-        "inertial_disturbance",
-        "inertial_torque",
-    }
-)
-# The numbers that each method takes, by the names of the job file.
-OPTIONS: dict[str, frozenset[str]] = {
-    "classical": frozenset(
-        {
-            "crossover_hz",
-            "integral_hz",
-            "inertial_crossover_hz",
-            "inertial_lead_hz",
-            "inertial_rolloff_hz",
-            "damping_hz",
-            "damping2_hz",
-            "lead_hz",
-            "rolloff_hz",
-            "notch_hz",
-            "notch_depth",
-            "notch_width",
-            "lag_hz",
-            "lag_ratio",
-            "spin_notch_hz",
-            "spin_notch_depth",
-            "spin_notch_width",
-        }
-    ),
-    "hinf": _WEIGHTS | {"backoff"},
-    "lqg": _WEIGHTS,
-    "structured": frozenset({"order", "starts", "integral_hz", "rolloff_hz", "reserve", "evaluations"}),
-    "platform-servo": frozenset({"crossover_hz", "position_hz", "filter_hz", "filter_damping"}),
-}
-
-
 def read_job(
     source: str | os.PathLike[str] | Mapping[str, Any], *, folder: str | os.PathLike[str] | None = None
 ) -> Job:
@@ -197,7 +155,7 @@ def read_job(
         raise report(document.label, document.data, crowd)
     platform, plant_wrong = _plant(document, start or document.folder)
     file, wrong = structure(JobFile, document.data)
-    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform, OPTIONS), *wrong]
+    mistakes = [*document.mistakes, *plant_wrong, *job_mistakes(document.data, platform), *wrong]
     if mistakes or file is None or platform is None:
         raise report(document.label, document.data, mistakes)
     job = _job(file, platform)

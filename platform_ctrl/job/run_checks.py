@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any
 
+from platform_ctrl.job.faults import FAULT_KINDS, FAULT_NUMBERS, PART_WORDS, PartKind, part_names
 from platform_ctrl.job.job import Campaign
-from platform_ctrl.job.scenario import FAULT_KEYS
 from platform_ctrl.plant.checks import number_of
 from platform_ctrl.plant.fields import ROUNDING
 from platform_ctrl.plant.mistakes import Mistake, Path, given, suggestion, tables, text_of
@@ -24,14 +24,6 @@ LONGEST_STEP = Campaign().step  # that of manoeuvres, too
 
 # What may happen to a platform that is not moved: one of these is enough of a manoeuvre.
 EVENTS = ("vibration", "faults", "initial")
-
-_FAULT_NUMBERS = sorted({key for keys in FAULT_KEYS.values() for key in (*keys.needed, *keys.optional)})
-_PART_WORDS = {
-    "rotor": "a rotor",
-    "torquer": "a torquer",
-    "pick-off": "a pick-off or rate sensor, by its signal",
-    "gimbal": "a gimbal",
-}
 
 
 def run_mistakes(data: Data, platform: Platform | None) -> Iterator[Mistake]:
@@ -158,16 +150,16 @@ def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mista
     if at is not None and until is not None and at >= until > 0:
         yield Mistake((*path, "until"), f"until = {given(until)}: not after at = {given(at)}; expected a later time")
     kind = text_of(table, "kind")
-    keys = next((keys for name, keys in FAULT_KEYS.items() if name == kind), None)
-    if keys is None:
+    if kind not in FAULT_KINDS:
         return
+    keys = FAULT_KINDS[kind]
     for key in keys.needed:
         if key not in table:
             needed = ", ".join(keys.needed)
             yield Mistake((*path, key), f'missing key "{key}": kind = {given(kind)} needs {needed}')
-    for key in _FAULT_NUMBERS:
-        if key in table and key not in keys.needed + keys.optional:
-            allowed = ", ".join((*keys.needed, *keys.optional)) or "at alone"
+    for key in sorted(FAULT_NUMBERS.keys() - {"at", *keys.keys}):
+        if key in table:
+            allowed = ", ".join(keys.keys) or "at alone"
             wrong = f"{key} = {given(table[key])}: means nothing for kind = {given(kind)}"
             yield Mistake((*path, key), f"{wrong}; expected {allowed}")
     part = text_of(table, "part")
@@ -176,21 +168,16 @@ def _fault(table: Data, path: Path, platform: Platform | None) -> Iterator[Mista
             wrong = f"part = {given(table['part'])}: kind = {given(kind)} is of all controllers"
             yield Mistake((*path, "part"), f"{wrong}; leave the key out")
     elif "part" not in table:
-        wrong = f'missing key "part": kind = {given(kind)} needs the name of {_PART_WORDS[keys.part]}'
+        wrong = f'missing key "part": kind = {given(kind)} needs the name of {PART_WORDS[keys.part]}'
         yield Mistake((*path, "part"), wrong)
     elif part is not None and platform is not None:
         yield from _part(part, keys.part, path, platform)
 
 
-def _part(part: str, kind: str, path: Path, platform: Platform) -> Iterator[Mistake]:
-    known = {
-        "rotor": [rotor.name for rotor in platform.rotors],
-        "torquer": [torquer.name for torquer in platform.torquers],
-        "pick-off": [one.name for one in platform.pickoffs] + [one.name for one in platform.rate_sensors],
-        "gimbal": [*platform.gimbal_names],
-    }[kind]
+def _part(part: str, kind: PartKind, path: Path, platform: Platform) -> Iterator[Mistake]:
+    known = part_names(platform, kind)
     if part not in known:
-        wrong = f"part = {given(part)}: does not exist; expected the name of {_PART_WORDS[kind]}"
+        wrong = f"part = {given(part)}: does not exist; expected the name of {PART_WORDS[kind]}"
         yield Mistake((*path, "part"), f"{wrong}, {suggestion(part, known)}")
     elif kind == "gimbal" and platform.gimbals[platform.gimbal(part)].stops is None:
         having = [gimbal.name for gimbal in platform.gimbals if gimbal.stops is not None]

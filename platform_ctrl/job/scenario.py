@@ -9,32 +9,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole, within
+from platform_ctrl.common.arguments import number, positive, real_array, real_numbers, whole
 from platform_ctrl.common.signatures import check_arguments, short
-from platform_ctrl.common.values import FloatArray, input_value, read_only, value
+from platform_ctrl.common.values import FloatArray, input_value, read_only
 from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.faults import Fault
 from platform_ctrl.plant.platform import Platform
 
 Mode = Literal["caged", "stabilised"]
 VibrationKind = Literal["rate", "force"]
-FaultKind = Literal[
-    "rotor run-down",
-    "rotor run-up",
-    "speed ripple",
-    "torquer dead",
-    "torquer stuck",
-    "torquer weak",
-    "pick-off dead",
-    "pick-off stuck",
-    "pick-off drift",
-    "pick-off dropout",
-    "controller overrun",
-    "stop contact",
-]
-# What a fault happens to: a rotor, a torquer, a pick-off or rate sensor by its signal, a gimbal; None: the controllers.
-PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
-# Numbers of a fault that divide, or would stand still at zero.
-POSITIVE = ("time_constant", "frequency_hz")
 # Sinusoids that a vibration may be the sum of.
 MOST_LINES = 10_000
 
@@ -201,102 +184,6 @@ class Vibration:
         if self.densities.any():  # else it has been scaled to nothing
             density = np.exp(np.interp(np.log(middle), np.log(self.frequencies_hz), np.log(self.densities)))
         return 2.0 * math.pi * middle, np.sqrt(2.0 * density * np.diff(edges))
-
-
-@input_value
-class Fault:
-    """A part that fails at a given time.
-
-    Attributes
-    ----------
-    name
-        What tables call it.
-    kind
-        ``"rotor run-down"``: L falls from its nominal value towards `share` of it with `time_constant` from `at` on;
-        ``"rotor run-up"``: it is at `share` before `at` and rises to the nominal value with `time_constant`;
-        ``"speed ripple"``: L (1 + `amplitude` sin(2π `frequency_hz` (t − `at`))) between `at` and `until`;
-        ``"torquer dead"``: no torque between `at` and `until`;
-        ``"torquer stuck"``: the torque that it had at `at` stays until `until`;
-        ``"torquer weak"``: `share` of the commanded torque between `at` and `until`;
-        ``"pick-off dead"``: reads 0 between `at` and `until`;
-        ``"pick-off stuck"``: the last reading before `at` stays until `until`;
-        ``"pick-off drift"``: reads `rate` (t − `at`) too much between `at` and `until`;
-        ``"pick-off dropout"``: each sample between `at` and `until` is lost with `probability`, and the last one that
-        was delivered is used in its place;
-        ``"controller overrun"``: each sample between `at` and `until` is missed with `probability`: commands and the
-        controllers' states stay;
-        ``"stop contact"``: an `impulse` at the gimbal's joint at `at` throws it towards a stop, the upper one if it is
-        positive.
-    part
-        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; None for the controllers.
-    at, until
-        When it begins and when the part is sound again, s.
-    share, time_constant, amplitude, frequency_hz, rate, probability, impulse
-        Numbers of the kinds above: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
-    """
-
-    name: str
-    kind: FaultKind
-    part: str | None = None
-    at: float
-    until: float = math.inf
-    share: float = 0.0
-    time_constant: float = 0.0
-    amplitude: float = 0.0
-    frequency_hz: float = 0.0
-    rate: float = 0.0
-    probability: float = 1.0
-    impulse: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Judge the times, and the numbers that its kind has."""
-        positive(f"fault {self.name!r}: at", self.at, zero=True)
-        if not self.until > self.at:
-            raise ArgumentError(
-                f"fault {self.name!r}: until is {self.until!r}; expected a time after at = {self.at:.6g} s"
-            )
-        keys = FAULT_KEYS[self.kind]
-        for key in (*keys.needed, *keys.optional):
-            given, called = getattr(self, key), f"fault {self.name!r}: {key}"
-            if key in POSITIVE:
-                positive(called, given)
-            elif key == "probability":
-                within(called, given, 0.0, 1.0)
-            elif key != "until":
-                number(called, given)
-
-
-@value
-class FaultKeys:
-    """What a kind of fault is made of beside `at`.
-
-    Attributes
-    ----------
-    part
-        The kind of part that fails; None for the controllers.
-    needed, optional
-        Names of the numbers that it needs, and of those it may have.
-    """
-
-    part: PartKind | None
-    needed: tuple[str, ...] = ()
-    optional: tuple[str, ...] = ("until",)
-
-
-FAULT_KEYS: dict[FaultKind, FaultKeys] = {
-    "rotor run-down": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
-    "rotor run-up": FaultKeys(part="rotor", needed=("time_constant",), optional=("share",)),
-    "speed ripple": FaultKeys(part="rotor", needed=("amplitude", "frequency_hz")),
-    "torquer dead": FaultKeys(part="torquer"),
-    "torquer stuck": FaultKeys(part="torquer"),
-    "torquer weak": FaultKeys(part="torquer", needed=("share",)),
-    "pick-off dead": FaultKeys(part="pick-off"),
-    "pick-off stuck": FaultKeys(part="pick-off"),
-    "pick-off drift": FaultKeys(part="pick-off", needed=("rate",)),
-    "pick-off dropout": FaultKeys(part="pick-off", needed=("probability",)),
-    "controller overrun": FaultKeys(part=None, optional=("until", "probability")),
-    "stop contact": FaultKeys(part="gimbal", needed=("impulse",), optional=()),
-}
 
 
 @input_value

@@ -6,8 +6,10 @@ from typing import Annotated, get_args
 
 from pydantic import ConfigDict, Field
 
-from platform_ctrl.job.job import LoopKind, Method, Mode, Points, Structure
-from platform_ctrl.job.scenario import FaultKind, VibrationKind
+from platform_ctrl.job.faults import FAULT_KINDS
+from platform_ctrl.job.job import LoopKind, Mode, Points, Structure
+from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.scenario import VibrationKind
 from platform_ctrl.job.variation import Distribution
 from platform_ctrl.plant import fields
 from platform_ctrl.plant.fields import Table
@@ -80,7 +82,7 @@ class DesignTable(Table):
     __pydantic_extra__: dict[str, fields.Number] = Field(init=False)
 
     name: fields.SystemName
-    method: Annotated[Method, fields.one_of(get_args(Method))]
+    method: Annotated[str, fields.one_of(METHODS)]
     tune: fields.Truth = False
     structure: Annotated[Structure, fields.one_of(get_args(Structure))] | None = None
 
@@ -172,7 +174,7 @@ class FaultTable(Table):
     """``[[fault]]``."""
 
     name: fields.Text
-    kind: Annotated[FaultKind, fields.one_of(get_args(FaultKind))]
+    kind: Annotated[str, fields.one_of(FAULT_KINDS)]
     part: fields.Text | None = None
     at: fields.NotNegative
     until: fields.Positive | None = None

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.mechanics.kinematics import Topology
 from platform_ctrl.plant.platform import Platform
 
-# Rounding of a sum over the tree, against the sum of what it adds up.
+# Rounding of a sum over the tree, relative to the sum of the sizes of its terms.
 _ROUNDING = 256 * np.finfo(float).eps
 
 
@@ -30,28 +30,25 @@ def connected(coupled: ArrayLike) -> list[list[int]]:
     return groups
 
 
-def inertia_rounding(platform: Platform) -> FloatArray:
+def inertia_rounding(tree: Topology) -> FloatArray:
     """Return the rounding to expect in what inertias give gimbals i and j, (n, n): only what both carry enters it."""
-    tree = topology(platform)
     size = np.trace(tree.inertias, axis1=1, axis2=2)
     np.add.at(size, tree.carriers, tree.C * tree.regulated)
     return _carried_by_both(tree, size)
 
 
-def momentum_rounding(platform: Platform) -> FloatArray:
+def momentum_rounding(tree: Topology) -> FloatArray:
     """Return the rounding to expect in what rotors' L gives gimbals i and j, (n, n)."""
-    tree = topology(platform)
     size = np.zeros(len(tree.on_path))
     np.add.at(size, tree.carriers, np.abs(tree.L))
     return _carried_by_both(tree, size)
 
 
-def force_rounding(platform: Platform, specific_force: float) -> FloatArray:
+def force_rounding(platform: Platform, tree: Topology, specific_force: float) -> FloatArray:
     """Return the rounding to expect in what elements' torques on gimbal i owe to angle j, (n, n).
 
-    Springs, friction and cages stand on the diagonal alone and have none.
+    Springs, friction and cages act on the diagonal alone and have none.
     """
-    tree = topology(platform)
     moments = np.zeros(len(tree.on_path))
     for unbalance in platform.unbalances:
         moments[platform.body(unbalance.body)] += np.linalg.norm(unbalance.moment)

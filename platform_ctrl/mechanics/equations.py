@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
 from platform_ctrl.mechanics.matrices import mass_matrix, solved_inertia, world_inertias
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
@@ -50,12 +50,13 @@ def inverse_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, acce
 
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5.
     """
-    n = len(topology(platform).parents)
+    tree = topology(platform)
+    n = len(tree.parents)
     angles = real_array("q", q, (n,))
     u = real_array("velocity", velocity, (3 + n,))
     u_dot = real_array("acceleration", acceleration, (3 + n,))
-    at = kinematics(platform, angles)
-    return _moments(platform, at, world_inertias(platform, at), u, u_dot)
+    at = configuration(tree, angles)
+    return _moments(at, world_inertias(at), u, u_dot)
 
 
 def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, force: ArrayLike) -> FloatArray:
@@ -98,20 +99,20 @@ def forward_dynamics(platform: Platform, q: ArrayLike, velocity: ArrayLike, forc
     >>> round(float(acceleration[7]), 3)
     5.014
     """
-    n = len(topology(platform).parents)
+    tree = topology(platform)
+    n = len(tree.parents)
     angles = real_array("q", q, (n,))
     u = real_array("velocity", velocity, (3 + n,))
     torque = real_array("force", force, (3 + n,))
-    at = kinematics(platform, angles)
-    inertias = world_inertias(platform, at)
-    bias = _moments(platform, at, inertias, u, np.zeros(3 + n))
+    at = configuration(tree, angles)
+    inertias = world_inertias(at)
+    bias = _moments(at, inertias, u, np.zeros(3 + n))
     A_star = mass_matrix(at.jacobians, inertias)
     return solved_inertia(A_star, torque - bias, (*OMEGA_NAMES, *platform.angle_names))
 
 
-def _moments(platform: Platform, at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:
-    tree = topology(platform)
-    n = len(tree.parents)
+def _moments(at: Kinematics, inertias: FloatArray, u: FloatArray, u_dot: FloatArray) -> FloatArray:
+    tree, n = at.tree, len(at.axes)
     spin = np.zeros((1 + n, 3))
     np.add.at(spin, tree.carriers, tree.L[:, None] * at.spin_axes)
     rates, accelerations = np.empty((1 + n, 3)), np.empty((1 + n, 3))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
 from platform_ctrl.plant.force_elements import Cage, Friction
 from platform_ctrl.plant.platform import Platform
 
@@ -70,11 +70,16 @@ def element_forces(
 
     See docs/theory.md.
     """
-    n = len(topology(platform).parents)
+    tree = topology(platform)
+    n = len(tree.parents)
     angles = real_array("q", q, (n,), 0.0)
     rates = real_array("velocity", velocity, (3 + n,), 0.0)[3:]
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
-    at = kinematics(platform, angles)
+    return forces_at(platform, configuration(tree, angles), angles, rates, f)
+
+
+def forces_at(platform: Platform, at: Kinematics, angles: FloatArray, rates: FloatArray, f: FloatArray) -> FloatArray:
+    """Return [M, Q] of all force elements at the gimbals' angles and rates under the specific force f, (3 + n,)."""
     out = _unbalance_torque(platform, at) @ f
     for spring in platform.springs:
         k = platform.gimbal(spring.gimbal)
@@ -91,16 +96,18 @@ def element_forces(
 
 
 def force_slopes(
-    platform: Platform, q: FloatArray, specific_force: FloatArray, rate_amplitude: FloatArray | None = None
+    platform: Platform,
+    at: Kinematics,
+    q: FloatArray,
+    specific_force: FloatArray,
+    rate_amplitude: FloatArray | None = None,
 ) -> ForceSlopes:
     """Return the slopes of `element_forces` with the gimbals at rest.
 
-    Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function stands in: the viscous
+    Dry friction has none at rest. With `rate_amplitude` (n,), rad/s, its describing function replaces it: the viscous
     friction that takes as much out of an oscillation of that rate, 4 F/(π amplitude), more with a Stribeck curve.
     """
-    tree = topology(platform)
-    n = len(tree.parents)
-    at = kinematics(platform, q)
+    tree, n = at.tree, len(q)
     rate = np.zeros((n, n))
     angle, force = _unbalance_slope(platform, at, specific_force), _unbalance_torque(platform, at)
     for spring in platform.springs:
@@ -196,8 +203,7 @@ def _unbalance_torque(platform: Platform, at: Kinematics) -> FloatArray:
 
 def _unbalance_slope(platform: Platform, at: Kinematics, f: FloatArray) -> FloatArray:
     """∂[M, Q]/∂q of the moments −(m r) × f, (3 + n, n)."""
-    tree = topology(platform)
-    moments = _moments(platform, at)
+    tree, moments = at.tree, _moments(platform, at)
     # With gimbal j turns the mass moment of all that it carries, and the axes of the gimbals that it carries.
     turned = tree.on_path.T[:, :, None] * np.cross(at.axes[:, None, :], moments[None, :, :])
     out: FloatArray = np.einsum("bxi,jbx->ij", at.jacobians, np.cross(f, turned))

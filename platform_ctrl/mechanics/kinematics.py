@@ -1,8 +1,6 @@
-"""Where everything points: rotations, gimbal axes and spin axes in root axes, and how they turn with q."""
+"""The tree of a platform as arrays, and its directions at angles q: rotations, gimbal axes, spin axes, Jacobians."""
 
 from __future__ import annotations
-
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ __all__ = ["Kinematics", "Topology", "kinematics", "topology"]
 
 @value
 class Topology:
-    """The tree as arrays, worked out once for each platform.
+    """The tree of bodies as arrays.
 
     Body 0 is the root, body k + 1 is the body of gimbal k.
 
@@ -64,7 +62,7 @@ class Topology:
 
 @check_arguments
 def topology(platform: Platform) -> Topology:
-    """Return the tree of a platform as arrays (kept for the platforms used last).
+    """Return the tree of a platform as arrays.
 
     Parameters
     ----------
@@ -80,47 +78,16 @@ def topology(platform: Platform) -> Topology:
     ------
     ArgumentError
         Not a platform, or the gimbals carry each other in a ring.
-
-    References
-    ----------
-    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
-    return _topology(platform)
-
-
-# Plants of a campaign are many and their tree is one.
-@lru_cache(maxsize=256)
-def _tree(parents: tuple[int, ...]) -> tuple[tuple[int, ...], NDArray[np.bool_], NDArray[np.bool_]] | None:
-    """Order, `on_path` and `above` of a Topology; None: the parents form a ring."""
-    n = len(parents)
-    order: list[int] = []
+    parents, carriers = platform.parents, 1 + platform.carriers
+    order = _parents_first(platform.name, parents.tolist())
+    n, rotors = len(parents), platform.rotors
     on_path = np.zeros((1 + n, n), dtype=bool)
-    waiting = list(range(n))
-    while waiting:
-        ready = [k for k in waiting if parents[k] < 0 or parents[k] in order]
-        if not ready:
-            return None
-        for k in ready:
-            on_path[1 + k] = on_path[1 + parents[k]]
-            on_path[1 + k, k] = True
-        order += ready
-        waiting = [k for k in waiting if k not in ready]
+    for k in order:
+        on_path[1 + k] = on_path[1 + parents[k]]
+        on_path[1 + k, k] = True
     above = on_path[1:].T.copy()
     np.fill_diagonal(above, False)
-    on_path.flags.writeable = above.flags.writeable = False
-    return tuple(order), on_path, above
-
-
-@lru_cache(maxsize=256)
-def _topology(platform: Platform) -> Topology:
-    parents = platform.parents
-    n = len(parents)
-    tree = _tree(tuple(parents.tolist()))
-    if tree is None:
-        raise ArgumentError(f"platform {platform.name!r}: the gimbals' parents form a ring; expected a tree")
-    order, on_path, above = tree
-    rotors = platform.rotors
-    carriers = 1 + platform.carriers
     inertias = np.array([platform.root_inertia, *(g.inertia for g in platform.gimbals)], dtype=np.float64)
     spin_axes = np.array([r.axis for r in rotors]).reshape(len(rotors), 3)
     transverse = np.array([r.transverse_inertia for r in rotors])
@@ -141,12 +108,26 @@ def _topology(platform: Platform) -> Topology:
     )
 
 
+def _parents_first(name: str, parents: list[int]) -> tuple[int, ...]:
+    order: list[int] = []
+    left = list(range(len(parents)))
+    while left:
+        ready = [k for k in left if parents[k] < 0 or parents[k] in order]
+        if not ready:
+            raise ArgumentError(f"platform {name!r}: the gimbals' parents form a ring; expected a tree")
+        order += ready
+        left = [k for k in left if k not in ready]
+    return tuple(order)
+
+
 @value
 class Kinematics:
     """Directions in root axes at given angles.
 
     Attributes
     ----------
+    tree
+        The tree that is turned.
     rotations : (1 + n, 3, 3)
         From body axes to root axes, dimensionless.
     axes : (n, 3)
@@ -161,6 +142,7 @@ class Kinematics:
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
 
+    tree: Topology
     rotations: FloatArray
     axes: FloatArray
     spin_axes: FloatArray
@@ -200,7 +182,11 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     ----------
     R. Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 4.
     """
-    tree = topology(platform)
+    return configuration(topology(platform), q)
+
+
+def configuration(tree: Topology, q: FloatArray) -> Kinematics:
+    """Return `kinematics` of a tree that is built already."""
     n = len(tree.parents)
     if q.shape != (n,):
         raise ArgumentError(f"kinematics: q must be ({n},), got {q.shape}")
@@ -217,16 +203,4 @@ def kinematics(platform: Platform, q: FloatArray) -> Kinematics:
     jacobians[:, :, :3] = np.eye(3)
     jacobians[:, :, 3:] = tree.on_path[:, None, :] * axes.T
     spin_axes = np.einsum("rij,rj->ri", rotations[tree.carriers], tree.spin_axes)
-    return Kinematics(rotations=rotations, axes=axes, spin_axes=spin_axes, jacobians=jacobians)
-
-
-def upright(platform: Platform) -> Kinematics:
-    """Return the directions of everything with all angles zero: `kinematics` there, faster."""
-    tree = topology(platform)
-    n = len(tree.parents)
-    jacobians = np.zeros((1 + n, 3, 3 + n))
-    jacobians[:, :, :3] = np.eye(3)
-    jacobians[:, :, 3:] = tree.on_path[:, None, :] * tree.axes.T
-    rotations = np.zeros((1 + n, 3, 3))
-    rotations[:] = np.eye(3)
-    return Kinematics(rotations=rotations, axes=tree.axes, spin_axes=tree.spin_axes, jacobians=jacobians)
+    return Kinematics(tree=tree, rotations=rotations, axes=axes, spin_axes=spin_axes, jacobians=jacobians)

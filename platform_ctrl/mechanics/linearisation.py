@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import one_of, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.forces import element_forces, force_slopes
-from platform_ctrl.mechanics.kinematics import Kinematics, kinematics, topology
+from platform_ctrl.mechanics.forces import force_slopes, forces_at
+from platform_ctrl.mechanics.kinematics import Kinematics, configuration, topology
 from platform_ctrl.mechanics.matrices import derivatives, directions, mass_matrix, world_inertias
 from platform_ctrl.plant.platform import Platform
 
@@ -86,12 +86,12 @@ class LinearModel:
 
     @property
     def damping(self) -> FloatArray:
-        """G − ∂Q/∂q̇, (n, n), N m s: all that stands before q̇ in (19)."""
+        """G − ∂Q/∂q̇, (n, n), N m s: the coefficient of q̇ in (19)."""
         return np.asarray(self.G - self.Q_rate)
 
     @property
     def stiffness(self) -> FloatArray:
-        """K − ∂Q/∂q, (n, n), N m/rad: all that stands before q in (19)."""
+        """K − ∂Q/∂q, (n, n), N m/rad: the coefficient of q in (19)."""
         return np.asarray(self.K - self.Q_angle)
 
     @property
@@ -158,49 +158,47 @@ def linearise(
     """
     tree = topology(platform)
     n = len(tree.parents)
-    rate = real_array("Omega", Omega, (3,))
-    angles = real_array("q", q, (n,), 0.0)
+    Omega0 = real_array("Omega", Omega, (3,))
+    q0 = real_array("q", q, (n,), 0.0)
     one_of("terms", terms, ("exact", "paper"))
     f = platform.specific_force if specific_force is None else real_array("specific_force", specific_force, (3,))
     amplitude = None if rate_amplitude is None else real_array("rate_amplitude", rate_amplitude, (n,))
     if amplitude is not None and not np.all(amplitude > 0.0):
         raise ArgumentError(f"rate_amplitude: given {amplitude.tolist()}; expected {n} numbers > 0, rad/s")
-    slopes = force_slopes(platform, angles, f, amplitude)
-    at = kinematics(platform, angles)
-    inertias = world_inertias(platform, at)
-    A_star, B = mass_matrix(at.jacobians, inertias), directions(platform, at)
-    change = derivatives(platform, at)
-    spin_momentum = B.T @ tree.L
-    # ∂/∂q of the momenta at q̇ = 0: the rotors' part, and with "exact" that of A* Omega.
-    momentum_change = np.einsum("jrx,r->xj", change.B, tree.L)
-    stiffness = _spin_stiffness(platform, at, rate)
-    root_momentum = spin_momentum[:3].copy()
+    at = configuration(tree, q0)
+    inertias = world_inertias(at)
+    A_star, B = mass_matrix(at.jacobians, inertias), directions(at)  # (12), (3)
+    change = derivatives(at)
+    slopes = force_slopes(platform, at, q0, f, amplitude)
+    # T1 = uᵀBᵀL: ∂(BᵀL)/∂q, ∂T1/∂q and ∂²T1/∂q² at u = [Omega0, 0].
+    momentum_slope = np.einsum("jrx,r->xj", change.B, tree.L)
+    energy_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, Omega0)
+    curvature = _spin_curvature(at, Omega0)
+    root_momentum = (B.T @ tree.L)[:3]
     if terms == "exact":
-        momentum_change = momentum_change + np.einsum("jxa,a->xj", change.A_star[:, :, :3], rate)
-        stiffness = stiffness + _inertia_stiffness(platform, at, inertias, rate)
-        root_momentum += A_star[:3, :3] @ rate
-        rate_change = np.einsum("jia->iaj", change.A_star[:, 3:, :3])
-        slope = np.einsum("a,jab,b->j", rate, change.A_star[:, :3, :3], rate)
+        # T2 = ½ uᵀA*u.
+        momentum_slope = momentum_slope + np.einsum("jxa,a->xj", change.A_star[:, :, :3], Omega0)
+        energy_slope = energy_slope + 0.5 * np.einsum("a,jab,b->j", Omega0, change.A_star[:, :3, :3], Omega0)
+        curvature = curvature + _inertia_curvature(at, inertias, Omega0)
+        root_momentum = root_momentum + A_star[:3, :3] @ Omega0
+        M_Omega_q = np.einsum("jia->iaj", change.A_star[:, 3:, :3])
     else:
-        axial = tree.C * tree.regulated
-        half = np.einsum("jri,r,ra->iaj", change.B[:, :, 3:], axial, B[:, :3])
-        rate_change = half + np.einsum("ri,r,jra->iaj", B[:, 3:], axial, change.B[:, :, :3])
-        slope = np.zeros(n)
-    spin_slope = np.einsum("jra,r,a->j", change.B[:, :, :3], tree.L, rate)
-    gyro = momentum_change[3:] - momentum_change[3:].T
+        A_R = tree.C * tree.regulated
+        half = np.einsum("jri,r,ra->iaj", change.B[:, :, 3:], A_R, B[:, :3])
+        M_Omega_q = half + np.einsum("ri,r,jra->iaj", B[:, 3:], A_R, change.B[:, :, :3])
     return LinearModel(
         platform=platform,
         terms=terms,
-        q0=angles,
-        Omega0=rate,
+        q0=q0,
+        Omega0=Omega0,
         specific_force=f,
-        Q0=-(0.5 * slope + spin_slope) - element_forces(platform, angles, specific_force=f)[3:],
+        Q0=-energy_slope - forces_at(platform, at, q0, np.zeros(n), f)[3:],
         M=A_star[3:, 3:],
-        G=gyro,
-        K=-stiffness,
+        G=momentum_slope[3:] - momentum_slope[3:].T,
+        K=-curvature,
         M_Omega=A_star[3:, :3],
-        G_Omega=-momentum_change[:3].T,
-        M_Omega_q=rate_change,
+        G_Omega=-momentum_slope[:3].T,
+        M_Omega_q=M_Omega_q,
         root_inertia=A_star[:3, :3],
         root_momentum=root_momentum,
         Q_angle=slopes.angle[3:],
@@ -211,32 +209,30 @@ def linearise(
     )
 
 
-def _spin_stiffness(platform: Platform, at: Kinematics, rate: FloatArray) -> FloatArray:
-    """∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
-    tree = topology(platform)
-    n = len(tree.parents)
+def _spin_curvature(at: Kinematics, Omega: FloatArray) -> FloatArray:
+    """∂²T1/∂q² = ∂²(Lᵀ B_Omega Omega)/∂q², (n, n): the gyroscopic restraint L Omega."""
+    tree, n = at.tree, len(at.axes)
     out = np.zeros((n, n))
     for rotor, body in enumerate(tree.carriers):
         for j in np.flatnonzero(tree.on_path[body]):
             for i in np.flatnonzero(tree.on_path[1 + j]):
                 # The outer gimbal turns what the inner one has turned.
                 second = np.cross(at.axes[i], np.cross(at.axes[j], at.spin_axes[rotor]))
-                out[i, j] += tree.L[rotor] * (second @ rate)
+                out[i, j] += tree.L[rotor] * (second @ Omega)
     return _mirrored(out)
 
 
-def _inertia_stiffness(platform: Platform, at: Kinematics, inertias: FloatArray, rate: FloatArray) -> FloatArray:
-    """∂²(½ Omegaᵀ A*_OmegaOmega Omega)/∂q², (n, n)."""
-    tree = topology(platform)
-    n = len(tree.parents)
+def _inertia_curvature(at: Kinematics, inertias: FloatArray, Omega: FloatArray) -> FloatArray:
+    """∂²T2/∂q² = ∂²(½ Omegaᵀ A*_OmegaOmega Omega)/∂q², (n, n)."""
+    tree, n = at.tree, len(at.axes)
     out = np.zeros((n, n))
-    turned = np.cross(rate, at.axes)
+    turned = np.cross(Omega, at.axes)
     for body in range(1, 1 + n):
-        momentum = inertias[body] @ rate
+        momentum = inertias[body] @ Omega
         for j in np.flatnonzero(tree.on_path[body]):
             for i in np.flatnonzero(tree.on_path[1 + j]):
                 # In body axes Omega changes by −a_j × Omega, and twice by a_j × (a_i × Omega), i above j.
-                second = np.cross(at.axes[j], np.cross(at.axes[i], rate))
+                second = np.cross(at.axes[j], np.cross(at.axes[i], Omega))
                 out[i, j] += turned[i] @ inertias[body] @ turned[j] + momentum @ second
     return _mirrored(out)
 

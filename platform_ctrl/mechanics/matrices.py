@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import MechanicsError
-from platform_ctrl.mechanics.kinematics import Kinematics, cross_matrix, kinematics, topology
+from platform_ctrl.mechanics.kinematics import Kinematics, configuration, cross_matrix, topology
 from platform_ctrl.plant.platform import Platform
 
 __all__ = ["MagnusMatrices", "matrices"]
@@ -70,10 +70,14 @@ class Derivatives:
     B: FloatArray
 
 
-def world_inertias(platform: Platform, at: Kinematics) -> FloatArray:
+def body_inertias(at: Kinematics) -> FloatArray:
+    """Return the bodies' inertias in root axes without C, (1 + n, 3, 3)."""
+    return np.asarray(at.rotations @ at.tree.inertias @ at.rotations.transpose(0, 2, 1))
+
+
+def world_inertias(at: Kinematics) -> FloatArray:
     """Return the bodies' inertias in root axes, C of regulated rotors included, (1 + n, 3, 3)."""
-    tree = topology(platform)
-    inertias: FloatArray = at.rotations @ tree.inertias @ at.rotations.transpose(0, 2, 1)
+    tree, inertias = at.tree, body_inertias(at)
     for rotor in np.flatnonzero(tree.regulated):
         axis = at.spin_axes[rotor]
         inertias[tree.carriers[rotor]] += tree.C[rotor] * np.outer(axis, axis)
@@ -86,18 +90,16 @@ def mass_matrix(jacobians: FloatArray, inertias: FloatArray) -> FloatArray:
     return 0.5 * (out + out.T)
 
 
-def directions(platform: Platform, at: Kinematics) -> FloatArray:
+def directions(at: Kinematics) -> FloatArray:
     """Return B (3), (m, 3 + n)."""
-    tree = topology(platform)
-    out: FloatArray = np.einsum("ri,rij->rj", at.spin_axes, at.jacobians[tree.carriers])
+    out: FloatArray = np.einsum("ri,rij->rj", at.spin_axes, at.jacobians[at.tree.carriers])
     return out
 
 
-def derivatives(platform: Platform, at: Kinematics) -> Derivatives:
+def derivatives(at: Kinematics) -> Derivatives:
     """Return ∂A*/∂q and ∂B/∂q, exact: each axis turns with the gimbals above it."""
-    tree = topology(platform)
+    tree, inertias = at.tree, world_inertias(at)
     n, m = len(tree.parents), len(tree.carriers)
-    inertias = world_inertias(platform, at)
     cross = cross_matrix(at.axes)
     # Column i of every Jacobian turns with gimbal j if j carries gimbal i.
     turned_axes = np.einsum("jab,ib->jai", cross, at.axes) * tree.above[:, None, :]
@@ -152,27 +154,27 @@ def matrices(platform: Platform, q: ArrayLike | None = None, velocity: ArrayLike
     array([0.15, 0.15, 0.15])
     """
     tree = topology(platform)
-    n, m = len(tree.parents), len(tree.carriers)
-    angles = real_array("q", q, (n,), 0.0)
+    n = len(tree.parents)
     u = real_array("velocity", velocity, (3 + n,), 0.0)
-    at = kinematics(platform, angles)
-    B = directions(platform, at)
-    A_star = mass_matrix(at.jacobians, world_inertias(platform, at))
-    change = derivatives(platform, at)
-    momentum_columns = np.zeros((3 + n, 3 + n))
-    momentum_columns[:, 3:] = (change.A_star @ u).T
-    spin_columns = np.zeros((3 + n, 3 + n))
-    spin_columns[:, 3:] = np.einsum("jrx,r->xj", change.B, tree.L)
+    at = configuration(tree, real_array("q", q, (n,), 0.0))
+    C, L, regulated = tree.C, tree.L, tree.regulated
+    A = mass_matrix(at.jacobians, body_inertias(at))
+    B = directions(at)  # (3)
+    A_star = A + B.T @ np.diag(C * regulated) @ B  # (12)
+    change = derivatives(at)
+    momentum_slope, spin_slope = np.zeros((3 + n, 3 + n)), np.zeros((3 + n, 3 + n))
+    momentum_slope[:, 3:] = (change.A_star @ u).T  # ∂(A* u)/∂q
+    spin_slope[:, 3:] = np.einsum("jrx,r->xj", change.B, L)  # ∂(Bᵀ L)/∂q
     G_root = np.zeros((3 + n, 3 + n))
-    G_root[:3, :3] = -cross_matrix((A_star @ u + B.T @ tree.L)[:3])
+    G_root[:3, :3] = -cross_matrix((A_star @ u + B.T @ L)[:3])
     return MagnusMatrices(
-        A=mass_matrix(at.jacobians, at.rotations @ tree.inertias @ at.rotations.transpose(0, 2, 1)),
-        A_R=np.diag(tree.C) if m else np.zeros((0, 0)),
+        A=A,
+        A_R=np.diag(C),
         B=B,
         A_star=A_star,
-        L=tree.L,
-        G_A=momentum_columns - 0.5 * momentum_columns.T,
-        G_R=spin_columns - spin_columns.T,
+        L=L,
+        G_A=momentum_slope - 0.5 * momentum_slope.T,  # (13)
+        G_R=spin_slope - spin_slope.T,  # (14)
         G_root=G_root,
     )
 

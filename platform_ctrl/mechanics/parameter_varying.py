@@ -7,7 +7,7 @@ import itertools
 import math
 import numbers
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -162,8 +162,12 @@ class FrozenSystem:
     Omega_dot: FloatArray | None = None
 
 
+class _WithDictionary:
+    """A value with slots has none, and cached properties need one."""
+
+
 @value
-class ParameterVaryingModel:
+class ParameterVaryingModel(_WithDictionary):
     """Rows of the chosen gimbals, linear in their angles, polynomial in Omega(t) and Omega'(t).
 
     Attributes
@@ -235,6 +239,10 @@ class ParameterVaryingModel:
         MechanicsError
             M is singular.
         """
+        return self._affine
+
+    @cached_property
+    def _affine(self) -> AffineModel:
         return _affine(self)
 
     def state_space(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> control.StateSpace:
@@ -259,7 +267,7 @@ class ParameterVaryingModel:
         MechanicsError
             M is singular.
         """
-        affine = _affine(self)
+        affine = self._affine
         return affine.system(monomial_values(affine.parameters, Omega, Omega_dot))
 
     def forcing(self, Omega: ArrayLike, Omega_dot: ArrayLike | None = None) -> FloatArray:
@@ -290,7 +298,7 @@ class ParameterVaryingModel:
         rate, change = real_array("Omega", Omega, (3,)), real_array("Omega_dot", Omega_dot, (3,), 0.0)
         if self.form == "rates":
             return np.asarray(-self.M_Omega @ change - self.Q0.at(rate))
-        to_rates = _affine(self).A_0[: len(self.M), len(self.M) :]
+        to_rates = self._affine.A_0[: len(self.M), len(self.M) :]
         carried = to_rates @ self.M_Omega @ rate
         rest = (self.G.at(rate) - _momentum_slope(self).at(rate)) @ carried - self.Q0.at(rate)
         return np.concatenate([-carried, rest])
@@ -390,7 +398,7 @@ class ParameterVaryingModel:
         MechanicsError
             M is singular.
         """
-        affine = _affine(self)
+        affine = self._affine
         rates, changes = _limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)
         high = monomial_values(affine.parameters, rates, changes)
         low = np.array([0.0 if name.endswith("^2") else -1.0 for name in affine.parameters]) * high
@@ -426,7 +434,7 @@ class ParameterVaryingModel:
         MechanicsError
             M is singular.
         """
-        affine = _affine(self)
+        affine = self._affine
         limits = np.concatenate([_limits("Omega_max", Omega_max), _limits("Omega_dot_max", Omega_dot_max)])
         counts = [number if limit > 0.0 else 1 for number, limit in zip(_points(points), limits, strict=True)]
         if (count := math.prod(counts)) > _MOST_POINTS:
@@ -451,7 +459,6 @@ def _momentum_slope(model: ParameterVaryingModel) -> MatrixPolynomial:
     return polynomial({name: model.K[f"{name}'"] for name in OMEGA_NAMES}, model.M.shape)
 
 
-@lru_cache(maxsize=64)
 def _affine(model: ParameterVaryingModel) -> AffineModel:
     k = len(model.M)
     one = polynomial({"1": inverse_inertia(model.M, model.angles)}, (k, k))

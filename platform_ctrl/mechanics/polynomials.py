@@ -14,6 +14,7 @@ from platform_ctrl.common.arguments import known_name, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.coupling import inertia_rounding, momentum_rounding
+from platform_ctrl.mechanics.kinematics import topology
 from platform_ctrl.mechanics.linearisation import LinearModel, Terms, linearise
 from platform_ctrl.plant.platform import OMEGA_NAMES, Platform
 
@@ -169,7 +170,7 @@ def rotor_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     """Return what L does about the angles q (n,): gyroscopic action, restraint and disturbance."""
     n = len(q)
     at = [linearise(bare(platform), rate, "paper", q) for rate in np.eye(3)]
-    shared = momentum_rounding(platform)
+    shared = momentum_rounding(topology(platform))
     G = {"1": clean(at[0].G, shared)}
     K = {name: clean(model.K, shared) for name, model in zip(OMEGA_NAMES, at, strict=True)}
     Q0 = {name: clean(model.Q0, np.diag(shared)) for name, model in zip(OMEGA_NAMES, at, strict=True)}
@@ -181,7 +182,7 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
     n = len(q)
     rotors = tuple(dataclasses.replace(rotor, angular_momentum=0.0) for rotor in platform.rotors)
     still = dataclasses.replace(bare(platform), rotors=rotors)
-    shared = inertia_rounding(platform)
+    shared = inertia_rounding(topology(platform))
     G, K, Q0 = {}, {}, {}
     at: dict[tuple[int, int], LinearModel] = {}
     for a, b in itertools.combinations_with_replacement(range(3), 2):
@@ -203,7 +204,7 @@ def inertia_part(platform: Platform, q: FloatArray) -> RowPolynomials:
 def acceleration_part(platform: Platform, q: FloatArray, terms: Terms) -> MatrixPolynomial:
     """Return the coefficient of q from Omega' about the angles q (n,): all of it, or C alone as the paper has it."""
     turning = linearise(bare(platform), terms=terms, q=q).M_Omega_q
-    shared = inertia_rounding(platform)
+    shared = inertia_rounding(topology(platform))
     return polynomial({f"{a}'": clean(turning[:, k], shared) for k, a in enumerate(OMEGA_NAMES)}, (len(q),) * 2)
 
 

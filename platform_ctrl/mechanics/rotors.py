@@ -11,7 +11,7 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import kinematics, topology
+from platform_ctrl.mechanics.kinematics import configuration, topology
 from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.plant.platform import Gimbal, Platform, RotorControl
 
@@ -72,8 +72,8 @@ def rotor_momenta(platform: Platform, q: ArrayLike | None = None, velocity: Arra
     """
     tree = topology(platform)
     n = len(tree.parents)
-    at = kinematics(platform, real_array("q", q, (n,), 0.0))
-    carried = directions(platform, at) @ real_array("velocity", velocity, (3 + n,), 0.0)
+    at = configuration(tree, real_array("q", q, (n,), 0.0))
+    carried = directions(at) @ real_array("velocity", velocity, (3 + n,), 0.0)
     spin = tree.L / tree.C - np.where(tree.regulated, 0.0, carried)
     return RotorMomenta(L=tree.C * spin, p=tree.C * (spin + carried), spin=spin, rate=spin + carried)
 

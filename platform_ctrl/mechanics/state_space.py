@@ -20,7 +20,7 @@ from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, portable
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding, momentum_rounding
-from platform_ctrl.mechanics.kinematics import cross_matrix
+from platform_ctrl.mechanics.kinematics import cross_matrix, topology
 from platform_ctrl.mechanics.linearisation import LinearModel
 from platform_ctrl.mechanics.matrices import inverse_inertia
 from platform_ctrl.plant.platform import FORCE_NAMES, OMEGA_NAMES, ROOT_TORQUE_NAMES
@@ -95,8 +95,9 @@ def subsystems_of_all(models: Sequence[LinearModel]) -> tuple[tuple[str, ...], .
 def _coupled(model: LinearModel) -> NDArray[np.bool_]:
     """Return which gimbals' rows contain which other's angle or its derivatives at a constant Omega, (n, n)."""
     platform, rate = model.platform, float(np.linalg.norm(model.Omega0))
-    inertia, momentum = inertia_rounding(platform), momentum_rounding(platform)
-    forces = force_rounding(platform, float(np.linalg.norm(model.specific_force)))
+    tree = topology(platform)
+    inertia, momentum = inertia_rounding(tree), momentum_rounding(tree)
+    forces = force_rounding(platform, tree, float(np.linalg.norm(model.specific_force)))
     gyroscopic = momentum + inertia * rate
     coupled = np.abs(model.M) > inertia
     coupled |= (np.abs(model.G) > gyroscopic) | (np.abs(model.K) > gyroscopic * rate)

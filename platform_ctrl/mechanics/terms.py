@@ -15,7 +15,8 @@ from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.mechanics.coupling import connected, force_rounding, inertia_rounding
-from platform_ctrl.mechanics.forces import element_forces, force_slopes
+from platform_ctrl.mechanics.forces import force_slopes, forces_at
+from platform_ctrl.mechanics.kinematics import kinematics, topology
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.mechanics.polynomials import (
     MatrixPolynomial,
@@ -87,7 +88,7 @@ def parts(platform: Platform, q: FloatArray, specific_force: FloatArray, amplitu
 
 
 def _mass(platform: Platform, q: FloatArray) -> Iterator[Part]:
-    model, rounding = linearise(bare(platform), q=q), inertia_rounding(platform)
+    model, rounding = linearise(bare(platform), q=q), inertia_rounding(topology(platform))
     M = clean(model.M, rounding)
     names = platform.gimbal_names
 
@@ -164,6 +165,7 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
         ("unbalance", "unbalances", "body", "(m r f)"),
         ("erection", "erections", "gimbal", "e"),
     )
+    at = kinematics(platform, q)
     for kind, field, where, letter in families:
         for element in getattr(platform, field):
             only: dict[str, Any] = {field: (element,)}
@@ -172,9 +174,9 @@ def _elements(platform: Platform, q: FloatArray, specific_force: FloatArray, amp
             def name(place: tuple[int, ...], given: str = symbol(letter, getattr(element, where))) -> str:
                 return given
 
-            slopes = force_slopes(alone, q, specific_force, amplitude)
-            force = element_forces(alone, q, specific_force=specific_force)[3:]
-            rounding = force_rounding(alone, float(np.linalg.norm(specific_force)))
+            slopes = force_slopes(alone, at, q, specific_force, amplitude)
+            force = forces_at(alone, at, q, np.zeros(len(q)), specific_force)[3:]
+            rounding = force_rounding(alone, at.tree, float(np.linalg.norm(specific_force)))
             yield _part(kind, 0, "1", clean(-slopes.angle[3:], rounding), name)
             yield _part(kind, 1, "1", -slopes.rate, name)
             yield _part(kind, None, "1", clean(-force, rounding.max(axis=1, initial=0.0)), name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache, partial
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -33,9 +33,14 @@ class Unfit(Exception):
 class Expected:
     """Annotation of a key: `judge` returns the value or raises `Unfit`; `words` name what is expected."""
 
-    def __init__(self, words: str, judge: Callable[[Any], Any]) -> None:
-        self.words = words
+    def __init__(self, words: str | Callable[[], str], judge: Callable[[Any], Any]) -> None:
+        self._words = words
         self.judge = judge
+
+    @property
+    def words(self) -> str:
+        """What is expected, as messages say it."""
+        return self._words if isinstance(self._words, str) else self._words()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Let pydantic ask `judge` alone."""
@@ -159,15 +164,15 @@ def _truth(item: object) -> bool:
     return item
 
 
-def one_of(names: Sequence[str]) -> Expected:
-    """Return the annotation of a key that takes one of a few words."""
+def one_of(names: Collection[str]) -> Expected:
+    """Return the annotation of a key that takes one of a few words; names that are added later count, too."""
 
     def judge(item: object) -> str:
         if isinstance(item, str) and item in names:
             return item
         raise Unfit
 
-    return Expected(" or ".join(f'"{name}"' for name in names), judge)
+    return Expected(lambda: " or ".join(f'"{name}"' for name in names), judge)
 
 
 def vector(item: object) -> FloatArray:

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.job.faults import FAULT_KINDS, Fault
 from platform_ctrl.job.job import Campaign, Job, Manoeuvre
-from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Vibration
+from platform_ctrl.job.scenario import Vibration
 from platform_ctrl.plant.force_elements import Cage, Erection, Friction, Spring, Unbalance
 from platform_ctrl.plant.platform import OMEGA_NAMES, ROOT_TORQUE_NAMES, PickOff, Platform, RateSensor, Rotor, Torquer
 from platform_ctrl.verification import records
@@ -87,8 +88,8 @@ def _manoeuvre_data(manoeuvre: Manoeuvre) -> dict[str, Any]:
 
 
 def _fault_data(fault: Fault) -> dict[str, Any]:
-    keys = FAULT_KEYS[fault.kind]
-    own = {key: getattr(fault, key) for key in ("name", "kind", "part", "at", *keys.needed, *keys.optional)}
+    keys = FAULT_KINDS[fault.kind].keys
+    own = {key: getattr(fault, key) for key in ("name", "kind", "part", "at", *keys)}
     return {key: item for key, item in own.items() if item is not None and item != math.inf}
 
 

@@ -3,7 +3,8 @@
 numba is loaded, and the kernel compiled or taken from its cache, with the first run.
 """
 
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.simulation.batch import BatchResult, simulate_batch
 from platform_ctrl.simulation.closed_loop import Trajectory, simulate
 from platform_ctrl.simulation.free_motion import Rollout, rollout

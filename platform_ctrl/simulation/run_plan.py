@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.job.scenario import Fault, FaultKind, Scenario
+from platform_ctrl.job.faults import FAULT_KINDS, Fault
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.simulation.kernel import arrays as layout
 from platform_ctrl.simulation.kernel.arrays import Flight, Shared
 from platform_ctrl.simulation.packing import Packed, Skeleton, numbers, skeleton
@@ -33,18 +34,8 @@ from platform_ctrl.simulation.scenarios import (
 from platform_ctrl.simulation.servo_rotors import check_step, initial_spins
 from platform_ctrl.simulation.step_limit import check_elements
 
-KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
-
-# On one part: what a torquer still gives, what it is stuck at, nothing; what a sensor says too much, what is lost.
-_RANK = {
-    "torquer weak": 0,
-    "torquer stuck": 1,
-    "torquer dead": 2,
-    "pick-off drift": 0,
-    "pick-off dropout": 1,
-    "pick-off stuck": 2,
-    "pick-off dead": 3,
-}
+# Which random numbers an action draws: the upper digits of its channel.
+_STREAM = {layout.PICKOFF_DROPOUT: 3, layout.OVERRUN: 4}
 
 
 class Controller(NamedTuple):
@@ -108,11 +99,9 @@ def prepared(scenario: Scenario, period: float, longest: float) -> Prepared:
         unit_quaternions(scenario.attitude, (4,))
     faults: dict[FaultKey, Fault] = {}
     for fault in scenario.faults:
-        part = fault.part or ""
-        again = 0
-        while (fault.kind, part, again) in faults:
-            again += 1
-        faults[fault.kind, part, again] = fault
+        action, part = layout.ACTIONS[FAULT_KINDS[fault.kind].action], fault.part or ""
+        again = sum(key[:2] == (action, part) for key in faults)
+        faults[action, part, again] = fault
     table = scenario.torque_table if free else scenario.Omega_table
     key = (
         free,
@@ -150,10 +139,7 @@ def batch(members: Sequence[Prepared], controller: Controller, period: float, no
     check_elements(plants.made, longest, free)
     constants, around = numbers(shape, plants.made)
 
-    order = sorted(
-        {key for member in members for key in member.faults},
-        key=lambda key: (_RANK.get(key[0], 0), KINDS.index(key[0]), key[1], key[2]),
-    )
+    order = sorted({key for member in members for key in member.faults})
     shared, rotors = _shared(one, order, members, controller, period, free)
     packed = Packed(shape.links, shape.at._replace(course=len(rotors) > 0), constants[0], around[0])
     flight = _flight(packed, shared, one, controller)
@@ -188,17 +174,16 @@ def _shared(
     free: bool,
 ) -> tuple[Shared, list[int]]:
     platform, scenario, shape = one.scenario.platform, one.scenario, one.skeleton
-    rotors = list(dict.fromkeys(key[1] for key in order if key[0].startswith(("rotor", "speed"))))
+    rotors = list(dict.fromkeys(key[1] for key in order if key[0] <= layout.RIPPLE))
     names = [r.name for r in platform.rotors]
     places = [names.index(name) for name in rotors]
     rows = [(shape.carriers[k], shape.servos.index(k) if k in shape.servos else -1) for k in places]
     faults = []
-    for kind, part, again in order:
-        index = KINDS.index(kind)
-        fault = next(member.faults[kind, part, again] for member in members if (kind, part, again) in member.faults)
-        place = rotors.index(part) if index <= layout.RIPPLE else part_of(platform, fault)
-        channel = 64 * place + 8 * (index - layout.PICKOFF_DEAD) + again if index >= layout.PICKOFF_DEAD else 0
-        faults.append((index, place, channel))
+    for key in order:
+        action, part, again = key
+        fault = next(member.faults[key] for member in members if key in member.faults)
+        place = rotors.index(part) if action <= layout.RIPPLE else part_of(platform, fault)
+        faults.append((action, place, 64 * place + 8 * _STREAM.get(action, 0) + again))
     lines = [(v.axis - 1 if v.kind == "rate" else v.axis + 2) for v in scenario.vibrations for _ in range(v.lines)]
     table = scenario.torque_table if free else scenario.Omega_table
     knots, pieces = np.zeros(0), np.zeros((0, 3, 4))

@@ -13,7 +13,8 @@ from platform_ctrl.common.arguments import positive, real_array, whole
 from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import FAULT_KEYS, Fault, Scenario
+from platform_ctrl.job.faults import FAULT_KINDS, Fault, part_names
+from platform_ctrl.job.scenario import Scenario
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.kernel import arrays as layout
 from platform_ctrl.simulation.packing import Packed, Skeleton
@@ -21,7 +22,6 @@ from platform_ctrl.simulation.servo_rotors import servo_rotors, with_rotor_state
 
 # What a run may take of memory and time.
 _SAMPLES, _PERIODS, _SUBSTEPS = 1e8, 1e3, 1e8
-_WORDS = {"rotor": "rotor", "torquer": "torquer", "pick-off": "sensor", "gimbal": "gimbal"}
 
 
 def expect_scenario(scenario: object) -> None:
@@ -96,19 +96,13 @@ def _motion(scenario: Scenario) -> None:
 
 def part_of(platform: Platform, fault: Fault) -> int:
     """Return the index of the part that a fault happens to; 0 where it is of all controllers."""
-    kind = FAULT_KEYS[fault.kind].part
+    kind = FAULT_KINDS[fault.kind].part
     if kind is None:
         return 0
-    names = {
-        "rotor": [rotor.name for rotor in platform.rotors],
-        "torquer": [torquer.name for torquer in platform.torquers],
-        "pick-off": [sensor.name for sensor in platform.sensors],
-        "gimbal": list(platform.gimbal_names),
-    }[kind]
+    names = part_names(platform, kind)
     if fault.part not in names:
-        raise ArgumentError(
-            f"fault {fault.name!r}: given {_WORDS[kind]} {fault.part!r}; expected one of {', '.join(names)}"
-        )
+        what = "sensor" if kind == "pick-off" else kind
+        raise ArgumentError(f"fault {fault.name!r}: given {what} {fault.part!r}; expected one of {', '.join(names)}")
     return names.index(fault.part)
 
 
@@ -124,8 +118,8 @@ def unit_quaternions(given: ArrayLike | None, shape: tuple[int, ...]) -> FloatAr
     return np.asarray(attitude / norm)
 
 
-# A fault's kind, its part, and which one of these it is.
-FaultKey = tuple[str, str, int]
+# Action of the kernel, part, and which fault of these it is.
+FaultKey = tuple[int, str, int]
 
 
 class Plants(NamedTuple):
@@ -225,7 +219,7 @@ def put_faults(happening: Sequence[dict[FaultKey, Fault]], order: Sequence[Fault
     column = {key: k for k, key in enumerate(order)}
     for row, faults in zip(rows, happening, strict=True):
         for key, fault in faults.items():
-            row[column[key], : layout.STUCK] = _numbers(fault)
+            row[column[key], : layout.STUCK] = fault.at, fault.until, *FAULT_KINDS[fault.kind].numbers(fault)
 
 
 def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: FloatArray) -> None:
@@ -236,26 +230,6 @@ def put_rotors(shape: Skeleton, plants: Plants, rotors: Sequence[int], rows: Flo
         else:
             L = np.array([p.rotors[k].angular_momentum for p in plants.made])[plants.which]
             rows[:, j, :3] = L[:, None] * (shape.frames[shape.carriers[k]] @ shape.spin_axes[k])
-
-
-def _numbers(fault: Fault) -> tuple[float, float, float, float]:
-    """Begin, end and the two numbers of a fault."""
-    match fault.kind:
-        case "rotor run-down" | "rotor run-up":
-            return fault.at, fault.until, fault.share, fault.time_constant
-        case "speed ripple":
-            return fault.at, fault.until, fault.amplitude, 2.0 * math.pi * fault.frequency_hz
-        case "torquer weak":
-            first = fault.share
-        case "pick-off drift":
-            first = fault.rate
-        case "pick-off dropout" | "controller overrun":
-            first = fault.probability
-        case "stop contact":
-            first = fault.impulse
-        case _:
-            first = 0.0
-    return fault.at, fault.until, first, 0.0
 
 
 def put_lines(scenarios: Sequence[Scenario], rows: FloatArray, half: FloatArray) -> None:

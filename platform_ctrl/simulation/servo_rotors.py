@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import upright
+from platform_ctrl.mechanics.kinematics import kinematics
 from platform_ctrl.mechanics.matrices import directions
 from platform_ctrl.plant.platform import Platform, Rotor
 from platform_ctrl.simulation.kernel import arrays as layout
@@ -85,10 +85,10 @@ def check_step(platforms: Sequence[Platform], steps: ArrayLike, free: bool) -> N
     shape = skeleton(platforms[0])
     if not shape.servos:
         return
-    at, servos = upright(platforms[0]), list(shape.servos)
+    at, servos = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals))), list(shape.servos)
     low = 0 if free else 3
     A = masses(shape, platforms, at, ("regulated",))[:, low:, low:]
-    B = directions(platforms[0], at)[servos, low:]
+    B = directions(at)[servos, low:]
     C, gain, integral = np.array(
         [
             [(p.rotors[k].axial_inertia, p.rotors[k].speed_gain, p.rotors[k].speed_integral) for k in servos]

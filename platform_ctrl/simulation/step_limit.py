@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.mechanics.kinematics import Kinematics, upright
+from platform_ctrl.mechanics.kinematics import Kinematics, kinematics
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.simulation.packing import Skeleton, inertias, skeleton
 
@@ -67,7 +67,8 @@ def check_elements(platforms: Sequence[Platform], steps: ArrayLike, free: bool) 
 def _eases(shape: Skeleton, platforms: Sequence[Platform], free: bool) -> FloatArray:
     """How easily each gimbal gives way, (N, n): the diagonal of A*'s inverse; a singular A* is for the run to find."""
     low = 0 if free else 3
-    mass = masses(shape, platforms, upright(platforms[0]), ("regulated", "servo"))[:, low:, low:]
+    at = kinematics(platforms[0], np.zeros(len(platforms[0].gimbals)))
+    mass = masses(shape, platforms, at, ("regulated", "servo"))[:, low:, low:]
     level, modes = np.linalg.eigh(mass)
     regular = level > 1e-15 * level[:, -1:]
     inverse = np.where(regular, 1.0 / np.where(regular, level, 1.0), 0.0)

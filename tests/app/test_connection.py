@@ -13,8 +13,8 @@ from one_gyro_job import JOB
 pytest.importorskip("bokeh")
 pytest.importorskip("tomlkit")
 
-from platform_ctrl.app.page.errands import target
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.page.tasks import target
 from platform_ctrl.errors import DesignError, InputError
 
 if TYPE_CHECKING:
@@ -35,20 +35,20 @@ def test_a_page_whose_server_ends_says_so_and_comes_back_as_it_stood_with_the_se
 ) -> None:
     job = tmp_path / "gyro.toml"
     job.write_text(JOB, encoding="utf-8")
-    workbench = Workbench(job)
+    backend = Backend(job)
     with ExitStack() as stack:
-        with served(workbench) as server:
+        with served(backend) as server:
             port = server.port
             page = stack.enter_context(screen(browser, server.address)).page
             page.wait_for_selector("body:not(.starting)", state="attached")
-            number = page.locator('#knobs [data-knob="crossover_hz"] input[type="text"]')
+            number = page.locator('#sliders [data-slider="crossover_hz"] input[type="text"]')
             other = f"{1.1 * float(number.input_value()):.4g}"
             number.fill(other)
             number.press("Enter")
             until(page, "window.designer.settled() && location.search.includes('state=')")
         until(page, "document.querySelector('#line').textContent.includes('connection to the server is lost')")
         with page.expect_event("load"):
-            stack.enter_context(served(workbench, port=port))
+            stack.enter_context(served(backend, port=port))
         until(page, "!document.body.matches('.starting, .lost') && window.designer.settled()")
         assert number.input_value() == other
         page.close()
@@ -74,6 +74,6 @@ def test_a_sample_rate_that_another_loop_does_not_bear_is_refused_in_its_name(tm
     other = '[[loop]]\nname = "other"\nkind = "caging"\ngimbals = ["4", "5", "7"]\nuse = "classical"\n'
     other += 'design = [{ name = "classical", method = "classical", notch_hz = 200 }]\n'
     job.write_text(JOB + other, encoding="utf-8")
-    workbench = Workbench(job)
+    backend = Backend(job)
     with pytest.raises(DesignError, match="other, classical: notch_hz = 200"):
-        workbench.picture(workbench.moved(workbench.start(), "rate_hz", 300.0))
+        backend.picture(backend.moved(backend.start(), "rate_hz", 300.0))

@@ -17,14 +17,14 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.analysis.loop_figures import LoopFigures
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.analysis.poles import continuous_poles
-from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.closed_loops import ClosedLoops
 from platform_ctrl.app.history import History
 from platform_ctrl.app.pictures import Picture
 from platform_ctrl.app.plants import Bounded, QuickPlants
-from platform_ctrl.app.values import Settings
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.cli import main
-from platform_ctrl.design.loop import certified, closed_loop_poles, sampled_plant
+from platform_ctrl.design.loop import Designed, certified, closed_loop_poles, sampled_plant
 from platform_ctrl.design.plants import LinearPlants, loop_plants, with_spins
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
 from platform_ctrl.job.job import Job, LoopSpec, Spread
@@ -39,35 +39,35 @@ LOOP = "caging 9-10"
 
 
 @pytest.fixture(scope="module")
-def bench() -> Workbench:
-    return Workbench(JOB)
+def bench() -> Backend:
+    return Backend(JOB)
 
 
 @pytest.fixture(scope="module")
-def settings(bench: Workbench) -> Settings:
+def settings(bench: Backend) -> Settings:
     """The loop 9-10, moved: other spins, rate and delay than the job's, the notch off."""
     out = bench.start(LOOP)
-    for knob, number in (("crossover_hz", 61.0), ("spin 11", 1300.0), ("rate_hz", 2100.0), ("delay", 0.0004)):
-        out = bench.moved(out, knob, number)
+    for slider, number in (("crossover_hz", 61.0), ("spin 11", 1300.0), ("rate_hz", 2100.0), ("delay", 0.0004)):
+        out = bench.moved(out, slider, number)
     return bench.switched(out, "notch", False)
 
 
 @pytest.fixture(scope="module")
-def picture(bench: Workbench, settings: Settings) -> Picture:
+def picture(bench: Backend, settings: Settings) -> Picture:
     return bench.picture(settings)
 
 
-def _closed(bench: Workbench, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, StateArrays]:
+def _closed(bench: Backend, settings: Settings) -> tuple[Job, LoopSpec, PlantSet, StateArrays]:
     """The loop as the package's own design route builds it from the settings' job."""
     job = bench.job(settings)
     spec = next(one for one in job.loops if one.name == settings.loop)
-    loop = Closing(bench.read, None).caged(settings)[0]
+    loop = ClosedLoops(bench.read, None).caged(settings)[0]
     plants = loop_plants(job, spec.gimbals)
     return job, spec, plants, loop.controller
 
 
 @pytest.mark.parametrize("gimbals", [("4", "5", "7"), ("9", "10")])
-def test_quick_plants_are_those_of_the_job(bench: Workbench, gimbals: tuple[str, ...]) -> None:
+def test_quick_plants_are_those_of_the_job(bench: Backend, gimbals: tuple[str, ...]) -> None:
     job = bench.job(bench.start())
     quick = QuickPlants(bench.read, gimbals)
     spins = {r.name: (1.0 + 0.1 * k) * r.spin for k, r in enumerate(job.platform.rotors)}
@@ -81,7 +81,7 @@ def test_quick_plants_are_those_of_the_job(bench: Workbench, gimbals: tuple[str,
 
 
 def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
     controller = named_system(K, plants.angles, plants.torques)
@@ -105,11 +105,11 @@ def test_bode_is_the_loop_broken_at_one_torquer_with_the_others_closed(
 
 
 def test_poles_and_requirements_are_those_of_the_certified_design(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     job, spec, plants, K = _closed(bench, settings)
     design = next(d for d in spec.designs if d.name == settings.design)
-    made = certified(spec, design, tuple(K[:4]), plants, {}, {})
+    made = certified(spec, design, Designed(controller=tuple(K[:4]), options={}), plants)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in made.results]
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in made.results], rtol=1e-6)
     s = continuous_poles(closed_loop_poles(plants, made.controller), plants.period)
@@ -123,7 +123,7 @@ def test_poles_and_requirements_are_those_of_the_certified_design(
 
 
 def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
     closed = analysis.closed_loop(sampled_plant(plants), named_system(K, plants.angles, plants.torques))
@@ -140,7 +140,7 @@ def test_time_responses_are_those_of_the_closed_loop_sample_by_sample(
 
 
 def test_the_manoeuvre_is_what_the_held_rate_makes_of_the_closed_loop(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
     shown = picture.Omega_time
@@ -163,7 +163,7 @@ def test_the_manoeuvre_is_what_the_held_rate_makes_of_the_closed_loop(
 
 
 def test_margins_of_the_channel_put_a_pole_on_the_boundary(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     _, _, plants, K = _closed(bench, settings)
     j = plants.torques.index(settings.channel)
@@ -178,7 +178,7 @@ def test_margins_of_the_channel_put_a_pole_on_the_boundary(
     assert picture.margins.delay > 0.0
 
 
-def test_the_band_holds_every_plant_of_the_set(bench: Workbench, settings: Settings, picture: Picture) -> None:
+def test_the_band_holds_every_plant_of_the_set(bench: Backend, settings: Settings, picture: Picture) -> None:
     bode, nichols = picture.bode, picture.nichols
     assert nichols.phase.shape == (len(nichols.labels), len(bode.band_frequency))
     assert nichols.labels[0] == "nominal"
@@ -210,7 +210,7 @@ def test_the_band_holds_every_plant_of_the_set(bench: Workbench, settings: Setti
 
 
 def test_a_platform_rate_is_shown_and_widens_the_range_that_is_asked_for(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     inside = bench.picture(bench.moved(settings, "Omega2", 0.8))
     assert [r.value for r in inside.requirements] == [r.value for r in picture.requirements]
@@ -220,12 +220,12 @@ def test_a_platform_rate_is_shown_and_widens_the_range_that_is_asked_for(
     assert "Omega = (1, 1.7, 1) rad/s" in bench.picture(beyond).plants
 
 
-def test_all_loops_together_are_judged_as_check_does(bench: Workbench) -> None:
+def test_all_loops_together_are_judged_as_check_does(bench: Backend) -> None:
     settings = bench.moved(bench.start("stabilisation"), "crossover_hz", 5.0)
     assert settings.mode == "stabilised"
     picture = bench.picture(settings)
     job = bench.job(settings)
-    controllers = Closing(bench.read, None).all_controllers(settings)[0]
+    controllers = ClosedLoops(bench.read, None).all_controllers(settings)[0]
     expected = coupled_check(job, linearise(job.platform), controllers)
     assert [(r.name, r.passed) for r in picture.requirements] == [(r.name, r.passed) for r in expected.results]
     np.testing.assert_allclose(
@@ -244,59 +244,59 @@ def test_all_loops_together_are_judged_as_check_does(bench: Workbench) -> None:
     assert abs(picture.step.values[0, -1] - picture.step.values[0, -2]) < 0.02 * abs(picture.step.values[0, -1])
 
 
-def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+def test_a_pulled_pole_ends_where_it_was_pulled_to(bench: Backend, settings: Settings, picture: Picture) -> None:
     for k in np.flatnonzero(picture.locus.draggable)[:3]:
         pole = complex(picture.locus.present[k])
         target = pole * (1.04 + 0.02j)
-        pulled = bench.pulled_pole(settings, pole, target, free=True)
-        assert np.nanmin(np.abs(bench.picture(pulled).locus.present - target)) < 1e-6 * abs(target)
+        dragged = bench.drag_pole(settings, pole, target, free=True)
+        assert np.nanmin(np.abs(bench.picture(dragged).locus.present - target)) < 1e-6 * abs(target)
     held = settings.but(fixed=frozenset({"crossover_hz", "damping_hz"}))
-    pulled = bench.pulled_pole(held, pole, target, free=True)
-    mine, now = (one.options[LOOP]["classical"] for one in (settings, pulled))
+    dragged = bench.drag_pole(held, pole, target, free=True)
+    mine, now = (one.options[LOOP]["classical"] for one in (settings, dragged))
     assert {name for name in mine if mine[name] != now[name]} <= {"damping2_hz", "lead_hz", "rolloff_hz"}
 
 
-def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+def test_a_pulled_crossover_ends_where_it_was_pulled_to(bench: Backend, settings: Settings, picture: Picture) -> None:
     target = 1.1 * picture.bode.crossovers[-1]
-    pulled = bench.pulled_crossover(settings, target, free=True)
-    assert np.abs(bench.picture(pulled).bode.crossovers - target).min() < 1e-3 * target
+    dragged = bench.drag_crossover(settings, target, free=True)
+    assert np.abs(bench.picture(dragged).bode.crossovers - target).min() < 1e-3 * target
 
 
 @pytest.mark.parametrize(("share", "nearer"), [(1e-2, 0.4), (0.3, 0.8), (30.0, 0.0)])
 def test_a_crossover_that_cannot_go_all_the_way_goes_as_far_as_it_can_and_stays_one(
-    bench: Workbench, settings: Settings, picture: Picture, share: float, nearer: float
+    bench: Backend, settings: Settings, picture: Picture, share: float, nearer: float
 ) -> None:
     now = float(picture.bode.crossovers[-1])
-    others = [knob.name for knob in bench.knobs(settings) if knob.name != "crossover_hz"]
+    others = [slider.name for slider in bench.sliders(settings) if slider.name != "crossover_hz"]
     held = settings.but(fixed=frozenset(others))
     target = min(share * now, 0.9 * picture.bode.nyquist)
-    pulled = bench.picture(bench.pulled_crossover(held, target, free=True)).bode.crossovers
-    assert len(pulled) > 0
-    assert np.abs(np.log(pulled / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
+    dragged = bench.picture(bench.drag_crossover(held, target, free=True)).bode.crossovers
+    assert len(dragged) > 0
+    assert np.abs(np.log(dragged / target)).min() <= abs(np.log(now / target)) - nearer + 1e-9
 
 
-def test_nothing_is_pulled_where_all_is_fixed(bench: Workbench, settings: Settings, picture: Picture) -> None:
-    fixed = settings.but(fixed=frozenset(knob.name for knob in bench.knobs(settings)))
+def test_nothing_is_pulled_where_all_is_fixed(bench: Backend, settings: Settings, picture: Picture) -> None:
+    fixed = settings.but(fixed=frozenset(slider.name for slider in bench.sliders(settings)))
     pole = complex(picture.locus.present[picture.locus.draggable][0])
-    with pytest.raises(DesignError, match="no knob may move"):
-        bench.pulled_pole(fixed, pole, 1.1 * pole)
-    with pytest.raises(DesignError, match="no knob is free"):
+    with pytest.raises(DesignError, match="no slider may move"):
+        bench.drag_pole(fixed, pole, 1.1 * pole)
+    with pytest.raises(DesignError, match="no slider is free"):
         bench.tuned(fixed)
     with pytest.raises(ArgumentError, match="finite"):
-        bench.pulled_pole(settings, pole, complex(math.nan, 0.0))
+        bench.drag_pole(settings, pole, complex(math.nan, 0.0))
 
 
-def test_influence_is_what_the_moved_knob_does(bench: Workbench, settings: Settings, picture: Picture) -> None:
+def test_influence_is_what_the_moved_slider_does(bench: Backend, settings: Settings, picture: Picture) -> None:
     found = bench.influence(settings)
-    knob = next(k for k in bench.knobs(settings) if k.name == "crossover_hz")
-    after = bench.picture(bench.moved(settings, "crossover_hz", 1.05 * knob.value))
+    slider = next(k for k in bench.sliders(settings) if k.name == "crossover_hz")
+    after = bench.picture(bench.moved(settings, "crossover_hz", 1.05 * slider.value))
     exact = np.array([a.ratio - b.ratio for a, b in zip(after.requirements, picture.requirements, strict=True)])
-    column = found.change[:, found.knobs.index("crossover_hz")]
+    column = found.change[:, found.sliders.index("crossover_hz")]
     np.testing.assert_allclose(column, exact, atol=0.02)
     assert found.requirements == tuple(r.name for r in picture.requirements)
 
 
-def test_an_unstable_loop_has_a_picture_that_says_so(bench: Workbench, settings: Settings) -> None:
+def test_an_unstable_loop_has_a_picture_that_says_so(bench: Backend, settings: Settings) -> None:
     wild = bench.picture(bench.moved(settings, "crossover_hz", 900.0))
     assert not wild.stable
     assert wild.margins.disk == 0.0
@@ -307,7 +307,7 @@ def test_an_unstable_loop_has_a_picture_that_says_so(bench: Workbench, settings:
 
 
 @pytest.mark.parametrize(
-    ("knob", "number"),
+    ("slider", "number"),
     [
         ("crossover_hz", math.nan),
         ("crossover_hz", -1.0),
@@ -323,16 +323,16 @@ def test_an_unstable_loop_has_a_picture_that_says_so(bench: Workbench, settings:
         ("lead_hz", "fast"),
     ],
 )
-def test_a_knob_that_cannot_stand_there_is_told_in_one_line(
-    bench: Workbench, settings: Settings, knob: str, number: float
+def test_a_slider_that_cannot_stand_there_is_told_in_one_line(
+    bench: Backend, settings: Settings, slider: str, number: float
 ) -> None:
     with pytest.raises(ArgumentError) as told:
-        bench.moved(settings, knob, number)
+        bench.moved(settings, slider, number)
     assert "\n" not in str(told.value)
     assert "expected" in str(told.value)
 
 
-def test_settings_of_another_job_are_told_in_one_line(bench: Workbench, settings: Settings) -> None:
+def test_settings_of_another_job_are_told_in_one_line(bench: Backend, settings: Settings) -> None:
     for wrong in (
         settings.but(loop="caging 1"),
         settings.but(design="lqg"),
@@ -348,25 +348,25 @@ def test_settings_of_another_job_are_told_in_one_line(bench: Workbench, settings
 
 
 @pytest.mark.parametrize("end", ["low", "high"])
-def test_every_slider_has_a_picture_at_its_ends(bench: Workbench, settings: Settings, end: str) -> None:
-    for knob in bench.knobs(settings):
-        moved = bench.picture(bench.moved(settings, knob.name, getattr(knob, end)))
-        assert np.isfinite(moved.step.values).all(), knob.name
-        assert np.isfinite(moved.bode.magnitude).all(), knob.name
+def test_every_slider_has_a_picture_at_its_ends(bench: Backend, settings: Settings, end: str) -> None:
+    for slider in bench.sliders(settings):
+        moved = bench.picture(bench.moved(settings, slider.name, getattr(slider, end)))
+        assert np.isfinite(moved.step.values).all(), slider.name
+        assert np.isfinite(moved.bode.magnitude).all(), slider.name
 
 
-def test_parts_are_switched_and_keep_their_numbers(bench: Workbench) -> None:
+def test_parts_are_switched_and_keep_their_numbers(bench: Backend) -> None:
     settings = bench.start(LOOP)
     assert [part.name for part in bench.parts(settings) if part.on] == ["notch"]
     off = bench.switched(settings, "notch", False)
-    assert "notch_hz" not in {knob.name for knob in bench.knobs(off)}
+    assert "notch_hz" not in {slider.name for slider in bench.sliders(off)}
     assert bench.switched(off, "notch", True).data() == settings.data()
     with_lag = bench.switched(off, "lag", True)
     lagged, plain = bench.picture(with_lag).bode, bench.picture(off).bode
     assert lagged.magnitude[0] > 2.0 * np.interp(lagged.frequency[0], plain.frequency, plain.magnitude)
 
 
-def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Workbench) -> None:
+def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Backend) -> None:
     first = bench.start(LOOP)
     history = History(first, room=3)
     steps = [bench.moved(first, "crossover_hz", 50.0 + k) for k in range(5)]
@@ -382,18 +382,18 @@ def test_history_goes_back_and_forth_and_forgets_the_oldest(bench: Workbench) ->
 
 
 @pytest.mark.slow
-def test_nothing_grows_while_knobs_move(bench: Workbench, settings: Settings) -> None:
+def test_nothing_grows_while_sliders_move(bench: Backend, settings: Settings) -> None:
     # A set of one plant is moved in no time.
-    bench = Workbench(dataclasses.replace(bench.read, Omega=np.zeros(3), spread=Spread()))
+    bench = Backend(dataclasses.replace(bench.read, Omega=np.zeros(3), spread=Spread()))
     bare = settings.but(band=False)
     rng = np.random.default_rng(4)
 
     def held(count: int) -> Counter[str]:
         """Move what fills caches, and return how many values of each kind that holds arrays are alive then."""
         for k in range(count):
-            knob = ("rate_hz", "spin 11", "crossover_hz", "Omega1")[k % 4]
-            at = next(one for one in bench.knobs(bare) if one.name == knob)
-            bench.picture(bench.moved(bare, knob, (at.value or 1.0) * rng.uniform(0.9, 1.1)))
+            slider = ("rate_hz", "spin 11", "crossover_hz", "Omega1")[k % 4]
+            at = next(one for one in bench.sliders(bare) if one.name == slider)
+            bench.picture(bench.moved(bare, slider, (at.value or 1.0) * rng.uniform(0.9, 1.1)))
         gc.collect()
         kinds = (PlantSet, LinearPlants, LinearModel, Picture, Settings, LoopFigures)
         # By type, not isinstance: that would ask what stands behind weak references of others.
@@ -414,7 +414,7 @@ def test_a_bounded_cache_lets_the_oldest_go() -> None:
     assert cache.found(9) == 9
 
 
-def _bare_job(**plant: object) -> Workbench:
+def _bare_job(**plant: object) -> Backend:
     gimbal = {"name": "a", "parent": "case", "axis": [0, 1, 0], "inertia": [1e-3, 1e-3, 1e-3]}
     inner = {"name": "b", "parent": "a", "axis": [0, 0, 1], "inertia": [5e-4, 5e-4, 5e-4]}
     whole = {
@@ -429,7 +429,7 @@ def _bare_job(**plant: object) -> Workbench:
     crossover = "crossover_hz" if "rotor" in plant else "inertial_crossover_hz"
     design = {"name": "by hand", "method": "classical", crossover: 5.0}
     loop = {"name": "both", "kind": "caging", "gimbals": ["a", "b"], "use": "by hand", "design": [design]}
-    return Workbench(
+    return Backend(
         read_job(
             {
                 "schema": 1,
@@ -463,10 +463,10 @@ def test_plants_without_gyro_spread_limits_or_delay_have_pictures(rotors: list[d
             assert np.isfinite(shown.bode.magnitude).all()
 
 
-def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Workbench, settings: Settings) -> None:
+def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Backend, settings: Settings) -> None:
     own = [bench.moved(settings.but(band=False), "rate_hz", 1900.0 + 40.0 * k) for k in range(6)]
     alone = [[r.value for r in bench.picture(one).requirements] for one in own]
-    fresh = Workbench(JOB)
+    fresh = Backend(JOB)
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda one: [r.value for r in fresh.picture(one).requirements], own))
     assert together == alone
@@ -474,11 +474,11 @@ def test_pages_side_by_side_get_the_pictures_that_each_would_get_alone(bench: Wo
 
 def test_a_pulled_crossover_stays_in_the_diagram(tmp_path: Path) -> None:
     assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
-    slow = Workbench(tmp_path / "mine.toml")
+    slow = Backend(tmp_path / "mine.toml")
     settings = slow.start()
     for share in (0.8, 1e-3):
         now = float(slow.picture(settings).bode.crossovers[-1])
-        bode = slow.picture(slow.pulled_crossover(settings, share * now, free=True)).bode
+        bode = slow.picture(slow.drag_crossover(settings, share * now, free=True)).bode
         assert bode.frequency[0] < bode.crossovers[-1] < now
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from platform_ctrl.app.page.telling import bar_told
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.page.messages import verdict_data
 from platform_ctrl.app.pictures import Overlay, Picture
-from platform_ctrl.app.values import Settings
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.settings import Settings
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.reading import read_job
 
@@ -20,18 +20,18 @@ SERVO = "stabilisation"
 
 
 @pytest.fixture(scope="module")
-def bench() -> Workbench:
+def bench() -> Backend:
     """The shipped job with a second, slower servo, and nothing that has to be designed first."""
     job = tomllib.loads(SHIPPED.read_text())
     for loop in job["loop"]:
         loop["design"] = [one for one in loop["design"] if one["method"] in ("classical", "platform-servo")]
         loop["use"] = loop["design"][0]["name"]
     job["loop"][-1]["design"].append({"name": "slow", "method": "platform-servo", "crossover_hz": 2.0})
-    return Workbench(read_job(job, folder=SHIPPED.parent))
+    return Backend(read_job(job, folder=SHIPPED.parent))
 
 
 @pytest.fixture(scope="module")
-def settings(bench: Workbench) -> Settings:
+def settings(bench: Backend) -> Settings:
     """Not as the job has it: another caging loop inside, another plant, and another axis."""
     inner = bench.moved(bench.start("caging 9-10"), "crossover_hz", 61.0)
     out = bench.moved(bench.chosen(inner, loop=SERVO), "Omega1", 0.3)
@@ -39,7 +39,7 @@ def settings(bench: Workbench) -> Settings:
 
 
 @pytest.fixture(scope="module")
-def picture(bench: Workbench, settings: Settings) -> Picture:
+def picture(bench: Backend, settings: Settings) -> Picture:
     return bench.picture(settings)
 
 
@@ -60,7 +60,7 @@ def _expect_the_loop_of(over: Overlay, frequency: np.ndarray, own: Picture) -> N
 
 
 def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
-    bench: Workbench, settings: Settings, picture: Picture
+    bench: Backend, settings: Settings, picture: Picture
 ) -> None:
     [over] = picture.bode.overlays
     assert (over.design, over.method) == ("slow", "platform-servo")
@@ -74,7 +74,7 @@ def test_another_servo_over_the_picture_is_what_its_own_picture_draws(
     np.testing.assert_allclose([r.value for r in measured.requirements], [r.value for r in own.requirements], rtol=1e-6)
 
 
-def test_it_follows_what_the_other_loops_are_set_to(bench: Workbench, settings: Settings, picture: Picture) -> None:
+def test_it_follows_what_the_other_loops_are_set_to(bench: Backend, settings: Settings, picture: Picture) -> None:
     bare = settings.but(band=False)
     inner = bench.moved(bench.chosen(bare, loop="caging 9-10"), "crossover_hz", 40.0)
     moved = bench.chosen(inner, loop=SERVO).but(overlays=("slow",), axis=2, channel="M2")
@@ -95,16 +95,16 @@ def test_every_plot_of_the_free_platform_draws_it(picture: Picture) -> None:
 
 
 def test_no_other_loop_is_closed_unless_it_is_asked_for(
-    bench: Workbench, settings: Settings, monkeypatch: pytest.MonkeyPatch
+    bench: Backend, settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     closed: list[str] = []
-    own = bench._closing.stabilised
+    own = bench._loops.stabilised
 
     def counted(given: Settings) -> object:
         closed.append(given.design)
         return own(given)
 
-    monkeypatch.setattr(bench._closing, "stabilised", counted)
+    monkeypatch.setattr(bench._loops, "stabilised", counted)
     bare = settings.but(band=False)
     assert not bench.picture(bare.but(overlays=())).bode.overlays
     assert closed == ["servo"]
@@ -112,7 +112,7 @@ def test_no_other_loop_is_closed_unless_it_is_asked_for(
     assert closed == ["servo", "servo", "slow"]
 
 
-def test_what_is_no_design_of_the_servo_is_refused(bench: Workbench, settings: Settings) -> None:
+def test_what_is_no_design_of_the_servo_is_refused(bench: Backend, settings: Settings) -> None:
     with pytest.raises(ArgumentError, match="design"):
         bench.overlay(settings, "classical")
     # A design that cannot be built is told in a line, and the rest is drawn.
@@ -127,7 +127,7 @@ def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_an
     assert picture.stable
     S = 1.0 / (1.0 + picture.bode.response)
     assert picture.margins.disk == pytest.approx(1.0 / np.abs(S - 0.5).max(), rel=5e-3)
-    bar = bar_told(picture)
+    bar = verdict_data(picture)
     tips = {one["label"]: one["tip"] for one in bar["figures"]}
     assert "at the torquer that is shown" in tips["Disk margin"]
     assert "the platform's axes" in tips["Bandwidth"]
@@ -135,10 +135,10 @@ def test_the_disk_margin_of_the_platform_is_that_of_the_torquer_that_is_shown_an
     assert len(bar["words"]) < 36
 
 
-def test_the_worst_margin_of_the_set_is_called_sampled_where_it_is_the_least_on_a_grid(bench: Workbench) -> None:
+def test_the_worst_margin_of_the_set_is_called_sampled_where_it_is_the_least_on_a_grid(bench: Backend) -> None:
     labels: dict[str, list[str]] = {mode: [] for mode in ("caged", "stabilised")}
-    for loop in bench.offer().loops:
+    for loop in bench.choices().loops:
         picture = bench.picture(bench.start(loop))
-        labels[picture.settings.mode] += [one["label"] for one in bar_told(picture)["figures"]]
+        labels[picture.settings.mode] += [one["label"] for one in verdict_data(picture)["figures"]]
     assert "Worst of the set, sampled" not in labels["caged"]
     assert "Worst of the set, sampled" in labels["stabilised"]

@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 
 from app.test_saving import LOOP, TWO
-from platform_ctrl.app.link import judged, settings_of, text_of
+from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.pictures import Influence
-from platform_ctrl.app.values import Settings
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.errors import DesignError, InputError
 
 pytestmark = pytest.mark.usefixtures("untraced")
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Workbench:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Backend:
     path = tmp_path_factory.mktemp("designs") / "gyro.toml"
     path.write_text(TWO)
-    return Workbench(path)
+    return Backend(path)
 
 
 @pytest.fixture(scope="module")
-def start(bench: Workbench) -> Settings:
+def start(bench: Backend) -> Settings:
     """The page at the LQG design of the job as it stands."""
     settings = bench.chosen(bench.start(), design="lqg")
     bench.redesigned(settings)
@@ -34,22 +34,22 @@ def start(bench: Workbench) -> Settings:
 
 
 @pytest.fixture(scope="module")
-def redesigned(bench: Workbench, start: Settings) -> Settings:
+def redesigned(bench: Backend, start: Settings) -> Settings:
     """The page after another bandwidth was asked for, and the design made."""
     settings = bench.moved(start, "bandwidth_hz", 1.3 * start.options[LOOP]["lqg"]["bandwidth_hz"])
     return bench.redesigned(settings)
 
 
-def column(influence: Influence, knob: str) -> Any:
-    return influence.change[:, influence.knobs.index(knob)]
+def column(influence: Influence, slider: str) -> Any:
+    return influence.change[:, influence.sliders.index(slider)]
 
 
-def values(bench: Workbench, settings: Settings) -> list[float]:
+def values(bench: Backend, settings: Settings) -> list[float]:
     return [one.value for one in bench.picture(settings).requirements]
 
 
 def test_after_a_redesign_and_a_reset_the_page_and_its_arrows_are_those_of_the_start(
-    bench: Workbench, start: Settings, redesigned: Settings
+    bench: Backend, start: Settings, redesigned: Settings
 ) -> None:
     first = bench.influence(start)
     assert values(bench, redesigned) != values(bench, start)
@@ -59,23 +59,23 @@ def test_after_a_redesign_and_a_reset_the_page_and_its_arrows_are_those_of_the_s
     back = bench.moved(back, "bandwidth_hz", start.options[LOOP]["lqg"]["bandwidth_hz"])
     assert back.data() == start.data()
     again = bench.influence(back)
-    assert again.knobs == first.knobs
+    assert again.sliders == first.sliders
     np.testing.assert_array_equal(again.change, first.change)
     np.testing.assert_array_equal(again.ratios, first.ratios)
 
 
-def test_a_rotor_outside_the_loop_does_nothing_to_it(bench: Workbench, start: Settings, redesigned: Settings) -> None:
+def test_a_rotor_outside_the_loop_does_nothing_to_it(bench: Backend, start: Settings, redesigned: Settings) -> None:
     for settings in (start, redesigned, bench.chosen(start, design="by hand")):
         influence = bench.influence(settings)
-        for knob in ("spin 6", "spin 8"):
-            np.testing.assert_array_equal(column(influence, knob), 0.0)
+        for slider in ("spin 6", "spin 8"):
+            np.testing.assert_array_equal(column(influence, slider), 0.0)
         assert np.abs(column(influence, "spin 11")).max() > 1e-3
 
 
-def test_the_controller_stays_as_it_was_made_while_the_plant_is_moved(bench: Workbench, redesigned: Settings) -> None:
-    K = bench._closing.caged(redesigned)[0].controller
+def test_the_controller_stays_as_it_was_made_while_the_plant_is_moved(bench: Backend, redesigned: Settings) -> None:
+    K = bench._loops.caged(redesigned)[0].controller
     moved = bench.moved(redesigned, "spin 11", 1.1 * redesigned.spins["11"])
-    loop, [note] = bench._closing.caged(moved)
+    loop, [note] = bench._loops.caged(moved)
     assert "was made for other settings" in note
     np.testing.assert_array_equal(loop.controller.A, K.A)
     # The arrow of a rotor says what this controller makes of it.
@@ -85,7 +85,7 @@ def test_the_controller_stays_as_it_was_made_while_the_plant_is_moved(bench: Wor
     np.testing.assert_allclose(influence.ratios + column(influence, "spin 11"), ratios, rtol=5e-3, atol=5e-3)
 
 
-def test_what_one_page_designs_changes_nothing_on_another(bench: Workbench, start: Settings) -> None:
+def test_what_one_page_designs_changes_nothing_on_another(bench: Backend, start: Settings) -> None:
     mine = bench.moved(start, "spin 11", 1.07 * start.spins["11"])
     before, arrows = values(bench, mine), bench.influence(mine)
     # Another page: other numbers at the same plant, and the same numbers at just this plant.
@@ -97,13 +97,13 @@ def test_what_one_page_designs_changes_nothing_on_another(bench: Workbench, star
         np.testing.assert_array_equal(bench.influence(mine).change, arrows.change)
 
 
-def test_a_link_holds_for_what_a_design_was_made(bench: Workbench, start: Settings, redesigned: Settings) -> None:
+def test_a_link_holds_for_what_a_design_was_made(bench: Backend, start: Settings, redesigned: Settings) -> None:
     mine = bench.moved(redesigned, "spin 11", 1.07 * start.spins["11"])
-    again = settings_of(bench, text_of(bench, mine))
+    again = decode_state(bench, encode_state(bench, mine))
     assert again.data() == mine.data()
     assert values(bench, again) == values(bench, mine)
     # Where it is not there it is made again, for what it was made for.
-    other = Workbench(bench.path)  # type: ignore[arg-type]
+    other = Backend(bench.path)  # type: ignore[arg-type]
     there = threading.Event()
     other.on_designed(there.set)
     with pytest.raises(DesignError, match="is being designed"):
@@ -126,19 +126,19 @@ def test_a_link_holds_for_what_a_design_was_made(bench: Workbench, start: Settin
         {LOOP: {"lqg": {"options": {}, "rate_hz": 1, "delay": 0, "spins": {}, "Omega": [0, 0]}}},
     ],
 )
-def test_a_damaged_link_says_what_is_wrong_with_it(bench: Workbench, given: object) -> None:
+def test_a_damaged_link_says_what_is_wrong_with_it(bench: Backend, given: object) -> None:
     with pytest.raises(InputError, match="expected"):
         judged(bench, {"designed_for": given})
 
 
-def test_margins_that_are_kept_are_those_of_the_controller_that_is_closed(bench: Workbench, start: Settings) -> None:
+def test_margins_that_are_kept_are_those_of_the_controller_that_is_closed(bench: Backend, start: Settings) -> None:
     new = bench.moved(start, "torque", 1.5 * start.options[LOOP]["lqg"]["torque"])
-    closing = bench._closing
-    assert closing.kept(new)("caging", lambda: {"Q9": 1.0}) == {"Q9": 1.0}
+    loops = bench._loops
+    assert loops.kept(new)("caging", lambda: {"Q9": 1.0}) == {"Q9": 1.0}
     # The design is made; until then another controller was closed.
-    spec, design = closing.design(new)
-    made = closing.store.found(LOOP, "lqg", closing.conditions(start, spec, design))
+    spec, design = loops.design(new)
+    made = loops.store.found(LOOP, "lqg", loops.conditions(start, spec, design))
     assert made is not None
-    closing.store.put(LOOP, "lqg", closing.conditions(new, spec, design), made)
-    assert closing.kept(new)("caging", lambda: {"Q9": 2.0}) == {"Q9": 2.0}
-    assert closing.kept(new)("caging", lambda: {"Q9": 3.0}) == {"Q9": 2.0}
+    loops.store.put(LOOP, "lqg", loops.conditions(new, spec, design), made)
+    assert loops.kept(new)("caging", lambda: {"Q9": 2.0}) == {"Q9": 2.0}
+    assert loops.kept(new)("caging", lambda: {"Q9": 3.0}) == {"Q9": 2.0}

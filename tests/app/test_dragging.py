@@ -25,7 +25,7 @@ from tornado.ioloop import IOLoop
 from browser import Screen, chromium, screen
 from designer_pictures import picture
 from platform_ctrl.app.plots import Plots
-from platform_ctrl.app.plots.pulling import LATE, REST
+from platform_ctrl.app.plots.dragging import LATE, REST
 
 HZ = 1.0 / (2.0 * np.pi)
 browser = pytest.fixture(scope="module")(chromium)
@@ -60,8 +60,8 @@ class Page:
         )
         document.add_root(self.root)
         self.plots.show(picture(self.gain))
-        self.plots.on_pole_pulled(self._pole)
-        self.plots.on_crossover_pulled(self._crossover)
+        self.plots.on_pole_dragged(self._pole)
+        self.plots.on_crossover_dragged(self._crossover)
 
     def at_rest(self) -> bool:
         """Return whether no drag is still coming to rest, asked between two acts of the server."""
@@ -185,7 +185,7 @@ def test_a_pole_is_dragged_and_the_last_place_wins(shown: tuple[Page, Screen]) -
     assert page.gain == pytest.approx(90.0**2 + 100.0, rel=0.03)
     # The plots have followed: the cross is where the ring was let go, and its conjugate opposite.
     assert page.plots is not None
-    until(lambda: len(page.plots.sources["pulled"].data["x0"]) == 0)  # type: ignore[union-attr]
+    until(lambda: len(page.plots.sources["dragged"].data["x0"]) == 0)  # type: ignore[union-attr]
     assert sorted(page.plots.sources["poles"].data["im"]) == pytest.approx([-90.0, 90.0], rel=0.02)
     assert seen.complaints == []
 

@@ -16,16 +16,16 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, Div, Range1d
 from bokeh.protocol import Protocol
 
+from platform_ctrl.app.backend import Backend
 from platform_ctrl.app.pictures import Drawing
 from platform_ctrl.app.web import Together
-from platform_ctrl.app.workbench import Workbench
 
 
 @pytest.mark.parametrize("loop", ["caging 9-10", "stabilisation"])
 def test_what_is_drawn_is_the_pictures_and_comes_before_it_is_measured(
     loop: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = Workbench("examples/three_gyro_platform.toml")
+    bench = Backend("examples/three_gyro_platform.toml")
     settings = bench.start(loop)
     told: list[Drawing] = []
     picture = bench.picture(settings, told.append)

@@ -20,11 +20,11 @@ pytest.importorskip("tomlkit")
 
 from bokeh.document import Document
 
-from platform_ctrl.app.page.asking import ASKS, ask_of
-from platform_ctrl.app.page.errands import check_line, target
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.page.changes import LatestTasks, chosen
+from platform_ctrl.app.page.requests import REQUESTS, parse_request
 from platform_ctrl.app.page.session import Session
-from platform_ctrl.app.page.wiring import Newest, chosen
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.page.tasks import check_line, target
 from platform_ctrl.cli import main
 from platform_ctrl.errors import InputError, PlatformCtrlError
 from questions import Sleeping
@@ -100,7 +100,7 @@ hold = 0.02
 duration = 0.05
 limits = { angle = 0.1 }
 """
-CROSSOVER = '#knobs [data-knob="crossover_hz"]'
+CROSSOVER = '#sliders [data-slider="crossover_hz"]'
 LOOP = """() => {
   for (const model of Bokeh.documents[0]._all_models.values()) {
     if (model.name === "loop") return Array.from(model.data.gain);
@@ -130,18 +130,18 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def workbench(job: Path) -> Iterator[Workbench]:
-    made = Workbench(job)
+def backend(job: Path) -> Iterator[Backend]:
+    made = Backend(job)
     yield made
     made.close()
 
 
 @pytest.fixture(scope="module")
-def server(workbench: Workbench) -> Iterator[PageServer]:
+def server(backend: Backend) -> Iterator[PageServer]:
     with pytest.MonkeyPatch.context() as patch:
         # Pages that were lost without a word are waited for a shorter time.
         patch.setattr("platform_ctrl.app.web.LINGER", 6_000)
-        with served(workbench) as running:
+        with served(backend) as running:
             yield running
 
 
@@ -185,17 +185,17 @@ def until(page: Page, what: Any, patience: float = 20.0) -> Any:
     return found
 
 
-def number(page: Page, knob: str) -> Locator:
-    return page.locator(f'#knobs [data-knob="{knob}"] input[type="text"]')
+def number(page: Page, slider: str) -> Locator:
+    return page.locator(f'#sliders [data-slider="{slider}"] input[type="text"]')
 
 
-def shows(page: Page, knob: str, value: str) -> None:
-    until(page, lambda: number(page, knob).input_value() == value)
+def shows(page: Page, slider: str, value: str) -> None:
+    until(page, lambda: number(page, slider).input_value() == value)
 
 
-def typed(page: Page, knob: str, text: str) -> None:
-    number(page, knob).fill(text)
-    number(page, knob).press("Enter")
+def typed(page: Page, slider: str, text: str) -> None:
+    number(page, slider).fill(text)
+    number(page, slider).press("Enter")
     settled(page)
 
 
@@ -227,7 +227,7 @@ def test_a_slider_that_is_dragged_changes_the_plots_and_one_undo_takes_the_drag_
 
 
 def test_a_drag_that_moves_the_ends_of_other_sliders_goes_on(page: Page) -> None:
-    rate = '#knobs [data-knob="rate_hz"] input[type="range"]'
+    rate = '#sliders [data-slider="rate_hz"] input[type="range"]'
     thumb = page.locator(rate).bounding_box()
     assert thumb is not None
     middle = thumb["y"] + thumb["height"] / 2
@@ -420,14 +420,15 @@ def test_the_rest_is_tuned_saved_and_checked(page: Page, job: Path) -> None:
     shows(page, "crossover_hz", "25")
     until(page, lambda: "bad" in (page.locator("#verdict").get_attribute("class") or ""))
     fixed = {
-        knob: number(page, knob).input_value() for knob in ("integral_hz", "damping_hz", "damping2_hz", "rolloff_hz")
+        slider: number(page, slider).input_value()
+        for slider in ("integral_hz", "damping_hz", "damping2_hz", "rolloff_hz")
     }
-    for knob in (*fixed, "lead_hz"):
-        page.locator(f'#knobs [data-knob="{knob}"] .pin').click()
+    for slider in (*fixed, "lead_hz"):
+        page.locator(f'#sliders [data-slider="{slider}"] .pin').click()
         settled(page)
     page.keyboard.press("t")
     until(page, lambda: "good" in (page.locator("#verdict").get_attribute("class") or ""), 60.0)
-    assert {knob: number(page, knob).input_value() for knob in fixed} == fixed
+    assert {slider: number(page, slider).input_value() for slider in fixed} == fixed
     assert number(page, "crossover_hz").input_value() != "25"
 
     page.locator("#save").click()
@@ -453,7 +454,7 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_i
     assert "is being designed" in line(page, "H-infinity: is being designed")
     assert page.locator("#line").get_attribute("class") == "quiet"
     assert page.locator("#design").input_value() == "H-infinity"
-    page.locator('#knobs [data-knob="bandwidth_hz"]').wait_for(state="attached")
+    page.locator('#sliders [data-slider="bandwidth_hz"]').wait_for(state="attached")
     assert page.locator("#design").input_value() == "H-infinity"
     page.keyboard.press("Control+z")
     shows(page, "crossover_hz", "40")
@@ -477,13 +478,13 @@ def test_a_design_that_takes_seconds_is_announced_and_drawn_everywhere_once_it_i
 
 
 def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
-    page: Page, workbench: Workbench, monkeypatch: pytest.MonkeyPatch
+    page: Page, backend: Backend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    manoeuvre = workbench.offer().manoeuvres[1]
+    manoeuvre = backend.choices().manoeuvres[1]
     page.locator("#manoeuvre").select_option(manoeuvre)
     page.locator("h1").click()
     with monkeypatch.context() as patch:
-        patch.setattr("platform_ctrl.app.workbench.Flying", lambda **_: Sleeping())
+        patch.setattr("platform_ctrl.app.backend.Simulating", lambda **_: Sleeping())
         page.keyboard.press("s")
         until(page, lambda: f"{manoeuvre}: the first run" in (page.locator("#busy").text_content() or ""))
         typed(page, "crossover_hz", "41")
@@ -493,14 +494,14 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
         page.keyboard.press("Escape")
         line(page, "was cancelled")
         assert not page.locator("#busy").is_visible()
-        assert not workbench.flown
+        assert not backend.flown
 
     page.locator("#fly").click()
     tree = page.locator("gimbal-tree")
     until(page, lambda: tree.evaluate("one => one.run?.there"), 90.0)
-    assert workbench.flown
-    settings = workbench.moved(workbench.start(), "crossover_hz", 41.0)
-    run = workbench.run(settings, manoeuvre)
+    assert backend.flown
+    settings = backend.moved(backend.start(), "crossover_hz", 41.0)
+    run = backend.run(settings, manoeuvre)
     assert np.ptp(run.q[:, -1]) > 1e-5
     turned = []
     for time_shown in (0.011, 0.037):
@@ -510,7 +511,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
         q = np.array([np.interp(time_shown, run.t, column) for column in run.q.T])
         np.testing.assert_allclose(np.array(seen["turned"][: len(q)]) / seen["factor"], q, rtol=1e-6, atol=1e-12)
         attitude = [np.interp(time_shown, run.t, column) for column in run.attitude.T]
-        root = seen["rotations"][workbench.read.platform.root_name]
+        root = seen["rotations"][backend.read.platform.root_name]
         np.testing.assert_allclose(np.abs(np.dot(root, attitude)), 1.0, rtol=1e-6)
         turned.append(seen["turned"])
     assert np.max(np.abs(np.subtract(*turned))) > 1e-2  # so much larger that it is seen
@@ -519,7 +520,7 @@ def test_a_run_leaves_the_page_alive_can_be_cancelled_and_turns_the_gimbal_tree(
 def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
     path = tmp_path / "gyros.toml"
     path.write_text(JOB.replace('use = "classical"', 'use = "H-infinity"'), encoding="utf-8")
-    session = Session(Workbench(path), Document(), "")
+    session = Session(Backend(path), Document(), "")
     session.later = lambda act: act()  # type: ignore[method-assign]
     session._asked("asked", "", '{"n": 1, "what": "save", "name": "new", "overwrite": false}')
     end = time.monotonic() + 20.0
@@ -532,7 +533,7 @@ def test_what_is_to_be_known_of_a_saved_job_is_said(tmp_path: Path) -> None:
 
 
 def test_what_each_slider_does_is_told_once_it_rests_and_hovering_shows_its_column(page: Page) -> None:
-    cells = page.locator('#requirements td.cell[data-knob="crossover_hz"]')
+    cells = page.locator('#requirements td.cell[data-slider="crossover_hz"]')
     until(page, lambda: any(cells.all_text_contents()))
     page.locator(CROSSOVER).hover()
     until(page, lambda: "near" in (cells.first.get_attribute("class") or ""))
@@ -547,19 +548,19 @@ def test_nothing_is_cut_off_or_scrolls_sideways(only: Screen, page: Page) -> Non
         page.set_viewport_size({"width": width, "height": height})
         size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
         assert size == [width, height]
-        assert page.evaluate(cut, "button, .knob label, #figures div, h1, .panel .top, #requirements") == []
+        assert page.evaluate(cut, "button, .slider label, #figures div, h1, .panel .top, #requirements") == []
     # Smaller windows scroll downwards alone, and a zoomed one is as a smaller one.
     for width, height in ((1280, 720), (1024, 768), (960, 600)):
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("document.documentElement.scrollWidth") == width
-        assert page.evaluate(cut, "button, .knob label, #figures div, #requirements") == []
+        assert page.evaluate(cut, "button, .slider label, #figures div, #requirements") == []
     page.set_viewport_size({"width": 1440, "height": 900})
     assert only.complaints == []
 
 
-def test_what_is_done_for_a_page_that_is_just_going_is_dropped(workbench: Workbench) -> None:
+def test_what_is_done_for_a_page_that_is_just_going_is_dropped(backend: Backend) -> None:
     document, done = Document(), []
-    session = Session(workbench, document, "")
+    session = Session(backend, document, "")
     document.callbacks.destroy()
     session.later(lambda: done.append(1))
     session.close(None)
@@ -568,9 +569,9 @@ def test_what_is_done_for_a_page_that_is_just_going_is_dropped(workbench: Workbe
 
 
 @pytest.mark.parametrize("state", ["nonsense", "%00%ff", "eJwrSS0uAQAEXQHB", "A" * 5000])
-def test_nonsense_in_a_link_leaves_the_job_as_it_is(workbench: Workbench, state: str) -> None:
-    session = Session(workbench, Document(), state)
-    assert session.settings is workbench.start()
+def test_nonsense_in_a_link_leaves_the_job_as_it_is(backend: Backend, state: str) -> None:
+    session = Session(backend, Document(), state)
+    assert session.settings is backend.start()
 
 
 def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> None:
@@ -580,9 +581,9 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
         5,
         None,
         {"a": 1},
-        '{"n": 7, "what": "move", "moves": [{"knob": "crossover_hz", "value": NaN}], "gesture": 1}',
-        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "no such", "value": 1}], "gesture": 1}),
-        json.dumps({"n": 0, "what": "move", "moves": [{"knob": "crossover_hz", "value": 1e308}], "gesture": 1}),
+        '{"n": 7, "what": "move", "moves": [{"slider": "crossover_hz", "value": NaN}], "gesture": 1}',
+        json.dumps({"n": 0, "what": "move", "moves": [{"slider": "no such", "value": 1}], "gesture": 1}),
+        json.dumps({"n": 0, "what": "move", "moves": [{"slider": "crossover_hz", "value": 1e308}], "gesture": 1}),
         json.dumps({"n": 0, "what": "set", "name": "plant", "value": ["x"]}),
         json.dumps({"n": 0, "what": "set", "name": "loop", "value": "__class__"}),
         json.dumps({"n": 0, "what": "fly", "manoeuvre": "none"}),
@@ -598,7 +599,7 @@ def test_a_page_refuses_nonsense_over_its_websocket_and_goes_on(page: Page) -> N
 def test_a_link_opens_the_same_state_and_a_page_that_is_closed_leaves_nothing_behind(
     browser: Browser, server: PageServer, page: Page, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from platform_ctrl.app.page import app as page_app
+    from platform_ctrl.app.page import document as page_app
 
     kept: list[weakref.ref[Any]] = []
 
@@ -646,30 +647,30 @@ def test_what_is_no_number_is_answered_and_the_page_goes_on(page: Page) -> None:
 
 
 def test_messages_are_judged() -> None:
-    ask = ask_of('{"n": 3, "what": "move", "moves": [{"knob": "a", "value": 2}], "gesture": 0}')
+    ask = parse_request('{"n": 3, "what": "move", "moves": [{"slider": "a", "value": 2}], "gesture": 0}')
     assert (ask.count, ask.what, ask.more["moves"]) == (3, "move", (("a", 2.0),))
-    assert ask_of('{"n": 3, "what": "undo", "more": 1}').more == {}
-    for what, parts in ASKS.items():
+    assert parse_request('{"n": 3, "what": "undo", "more": 1}').more == {}
+    for what, parts in REQUESTS.items():
         right: dict[type, Any] = {bool: True, int: 1, str: "a", list: [], object: None}
         whole = {"n": 1, "what": what, **{name: right[kind] for name, kind in parts.items()}}
-        assert ask_of(json.dumps(whole)).what == what
+        assert parse_request(json.dumps(whole)).what == what
         for name, kind in [("n", int), *parts.items()]:
             if kind is not object:
                 with pytest.raises(InputError, match=f"{what}: {name}: given"):
-                    ask_of(json.dumps(whole | {name: {"x": 1}}))
-    huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"knob": "a", "value": 1%s}]}'
+                    parse_request(json.dumps(whole | {name: {"x": 1}}))
+    huge = '{"n": 1, "what": "move", "gesture": 1, "moves": [{"slider": "a", "value": 1%s}]}'
     with pytest.raises(InputError, match="finite"):
-        ask_of(huge % ("0" * 400))
+        parse_request(huge % ("0" * 400))
     for text in ("[" * 9000, '{"what": []}', "x" * 30_000, '{"n": -1, "what": "undo"}', '{"n": true, "what": "undo"}'):
         with pytest.raises(InputError):
-            ask_of(text)
+            parse_request(text)
 
 
-def test_choices_are_judged(workbench: Workbench) -> None:
-    start = workbench.start()
-    assert chosen(workbench, start, "axis", 3, ()).axis == 3
-    assert chosen(workbench, start, "overlays", ["slower"], ()).overlays == ("slower",)
-    assert chosen(workbench, start, "mode", "caged", ()) is start
+def test_choices_are_judged(backend: Backend) -> None:
+    start = backend.start()
+    assert chosen(backend, start, "axis", 3, ()).axis == 3
+    assert chosen(backend, start, "overlays", ["slower"], ()).overlays == ("slower",)
+    assert chosen(backend, start, "mode", "caged", ()) is start
     wrong = [
         ("axis", 4),
         ("axis", "1"),
@@ -682,7 +683,7 @@ def test_choices_are_judged(workbench: Workbench) -> None:
     wrong += [("mode", "stabilised"), ("mode", None), ("rate_hz", 3)]
     for name, given in wrong:
         with pytest.raises(PlatformCtrlError):
-            chosen(workbench, start, name, given, ("nominal",))
+            chosen(backend, start, name, given, ("nominal",))
 
 
 def test_a_job_is_saved_under_a_plain_name_alone(tmp_path: Path) -> None:
@@ -702,7 +703,7 @@ def test_only_the_newest_of_a_kind_is_worked_out() -> None:
         begun.set()
         assert go.wait(10.0)
 
-    newest: Newest[int] = Newest(work)
+    newest: LatestTasks[int] = LatestTasks(work)
     newest.add("a", 0)
     assert begun.wait(10.0)
     for k in range(1, 100):

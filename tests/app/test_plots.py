@@ -447,8 +447,8 @@ def test_the_models_have_no_faults(plots: Plots, document: Document, caplog: pyt
 
 def test_a_dragged_pole_tells_where_it_is_wanted(fresh: Plots) -> None:
     plots = fresh
-    pulled: list[tuple[complex, complex]] = []
-    plots.on_pole_pulled(lambda pole, target: pulled.append((pole, target)))
+    dragged: list[tuple[complex, complex]] = []
+    plots.on_pole_dragged(lambda pole, target: dragged.append((pole, target)))
     shown = picture()
     plots.show(shown)
     [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
@@ -457,29 +457,29 @@ def test_a_dragged_pole_tells_where_it_is_wanted(fresh: Plots) -> None:
     assert complex(box.left + wide, box.bottom + high) == pytest.approx(pole)
     target = complex(-30.0, 40.0)
     box.update(left=target.real - wide, right=target.real + wide, bottom=target.imag - high, top=target.imag + high)
-    assert pulled[-1] == (pytest.approx(pole), pytest.approx(target))
-    data = plots.sources["pulled"].data
+    assert dragged[-1] == (pytest.approx(pole), pytest.approx(target))
+    data = plots.sources["dragged"].data
     assert list(data["y1"]) == pytest.approx([40.0, -40.0])  # the conjugate goes with it
 
 
 def test_a_dragged_pole_is_followed_from_picture_to_picture(fresh: Plots) -> None:
     plots = fresh
-    pulled: list[tuple[complex, complex]] = []
+    dragged: list[tuple[complex, complex]] = []
 
     def answered(pole: complex, target: complex) -> None:
-        pulled.append((pole, target))
+        dragged.append((pole, target))
         plots.show(picture(abs(target) ** 2))
 
-    plots.on_pole_pulled(answered)
+    plots.on_pole_dragged(answered)
     plots.show(picture())
     [box] = [one for one in named(plots, BoxAnnotation) if (one.name or "").startswith("pole-handle") and one.visible]
     centre = box.bottom
     box.update(bottom=centre + 20.0, top=box.top + 20.0)
     where = (box.left, box.bottom)
-    pulled.clear()
+    dragged.clear()
     box.update(bottom=centre + 40.0, top=box.top + 20.0)
     assert (box.left, box.bottom) == (where[0], centre + 40.0)  # what is dragged stays under the mouse
-    present = pulled[-1][0]
+    present = dragged[-1][0]
     assert present.imag > 70.0  # as it stands after the first answer, not where it began
 
 
@@ -493,7 +493,7 @@ def test_the_plane_stays_while_a_pole_is_dragged_over_it(fresh: Plots) -> None:
     box.update(bottom=box.bottom + 20.0, top=box.top + 20.0)
     fresh.show(far)
     assert y.end == before
-    fresh._locus.handles.pulling.end()
+    fresh._locus.handles.drag.end()
     assert y.end > 500.0
 
 
@@ -527,8 +527,8 @@ def test_a_ring_keeps_its_pole_when_another_becomes_slower(fresh: Plots) -> None
 
 def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
     plots = fresh
-    pulled: list[float] = []
-    plots.on_crossover_pulled(pulled.append)
+    dragged: list[float] = []
+    plots.on_crossover_dragged(dragged.append)
     shown = picture()
     plots.show(shown)
     [box] = [one for one in named(plots, BoxAnnotation) if one.name == "crossover-handle"]
@@ -536,20 +536,20 @@ def test_a_dragged_crossover_tells_its_frequency(fresh: Plots) -> None:
     assert plots.drags == 0
     box.update(left=1.5 * box.left, right=1.5 * box.right)
     assert plots.drags == 1
-    assert pulled[-1] == pytest.approx(1.5 * shown.margins.crossover)  # type: ignore[operator]
+    assert dragged[-1] == pytest.approx(1.5 * shown.margins.crossover)  # type: ignore[operator]
 
 
 def test_nonsense_from_a_browser_moves_nothing(fresh: Plots) -> None:
     plots = fresh
-    pulled: list[object] = []
-    plots.on_pole_pulled(lambda pole, target: pulled.append(pole))
-    plots.on_crossover_pulled(pulled.append)
+    dragged: list[object] = []
+    plots.on_pole_dragged(lambda pole, target: dragged.append(pole))
+    plots.on_crossover_dragged(dragged.append)
     plots.show(picture())
     for box in named(plots, BoxAnnotation):
         if box.editable:
             box.update(left=float("nan"), right=-1.0, top=float("inf"))
     figure(plots, "bode").x_range.update(start=float("nan"), end=-3.0)
     figure(plots, "locus").y_range.update(start=5.0, end=5.0)
-    assert pulled == []
+    assert dragged == []
     shown: Picture = picture(5000.0)
     plots.show(shown)

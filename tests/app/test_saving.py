@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.app.background import Abandoned
-from platform_ctrl.app.link import judged, settings_of, text_of
-from platform_ctrl.app.values import Settings
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.processes import TaskCancelled
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.url_state import decode_state, encode_state, judged
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import ArgumentError, DesignError, InputError, PlatformCtrlError
@@ -88,40 +88,40 @@ def job_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def bench(job_file: Path) -> Workbench:
-    return Workbench(job_file)
+def bench(job_file: Path) -> Backend:
+    return Backend(job_file)
 
 
 @pytest.fixture(scope="module")
-def shipped() -> Workbench:
-    return Workbench(SHIPPED)
+def shipped() -> Backend:
+    return Backend(SHIPPED)
 
 
-def _moved(bench: Workbench, settings: Settings, **knobs: float) -> Settings:
-    for name, number in knobs.items():
+def _moved(bench: Backend, settings: Settings, **sliders: float) -> Settings:
+    for name, number in sliders.items():
         settings = bench.moved(settings, name, number)
     return settings
 
 
-def test_a_link_reproduces_the_state_and_is_short(shipped: Workbench) -> None:
+def test_a_link_reproduces_the_state_and_is_short(shipped: Backend) -> None:
     start = shipped.start()
-    assert text_of(shipped, start) == ""
-    assert settings_of(shipped, "").data() == start.data()
+    assert encode_state(shipped, start) == ""
+    assert decode_state(shipped, "").data() == start.data()
     settings = _moved(shipped, shipped.start(LOOP), crossover_hz=61.123456789, rate_hz=2100.0, delay=3e-4, Omega2=-0.5)
     settings = shipped.moved(shipped.switched(settings, "lag", True), "spin 11", 1234.5)
     settings = settings.but(fixed=frozenset({"lead_hz"}), overlays=("H-infinity",), axis=3, band=False, channel="Q10")
-    text = text_of(shipped, settings)
-    assert settings_of(shipped, text).data() == settings.data()
+    text = encode_state(shipped, settings)
+    assert decode_state(shipped, text).data() == settings.data()
     assert len(text) < 400
     assert set(text) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_")
     servo = _moved(shipped, shipped.start("stabilisation"), position_hz=1.0)
-    assert settings_of(shipped, text_of(shipped, servo)).data() == servo.data()
+    assert decode_state(shipped, encode_state(shipped, servo)).data() == servo.data()
 
 
 @pytest.mark.parametrize("text", ["x", "é", "A" * 30_000, "eJwDAAAAAAE", "eNoDAAAAAAE", "-_-_", "%00", "AAAA\n"])
-def test_a_damaged_link_is_told_in_one_line(shipped: Workbench, text: str) -> None:
+def test_a_damaged_link_is_told_in_one_line(shipped: Backend, text: str) -> None:
     with pytest.raises(InputError, match=r"^link: ") as told:
-        settings_of(shipped, text)
+        decode_state(shipped, text)
     assert "\n" not in str(told.value)
 
 
@@ -155,7 +155,7 @@ def test_a_damaged_link_is_told_in_one_line(shipped: Workbench, text: str) -> No
         {"design": 7},
     ],
 )
-def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Workbench, changed: object) -> None:
+def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Backend, changed: object) -> None:
     with pytest.raises(InputError) as told:
         judged(shipped, changed)
     assert "\n" not in str(told.value)
@@ -163,7 +163,7 @@ def test_a_state_that_the_job_does_not_know_is_told_in_one_line(shipped: Workben
 
 
 def test_a_saved_job_is_the_picture_and_check_accepts_it(
-    bench: Workbench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    bench: Backend, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = _moved(bench, bench.start(), crossover_hz=58.5, rate_hz=2100.0, **{"spin 11": 1290.0})
     settings = bench.switched(bench.moved(settings, "Omega2", 1.25), "notch", False)
@@ -181,7 +181,7 @@ def test_a_saved_job_is_the_picture_and_check_accepts_it(
     assert data["operation"]["Omega"] == [1.0, 1.25, 1.0]
     assert data["sampling"]["rate_hz"] == 2100
     assert next(r for r in data["plant"]["rotor"] if r["name"] == "11")["spin"] == 1290.0
-    again = Workbench(saved.job)
+    again = Backend(saved.job)
     for ours, theirs in zip(picture.requirements, again.picture(again.start()).requirements, strict=True):
         assert theirs.value == pytest.approx(ours.value, rel=1e-9)
     # `design` makes the same controller from the file, `check` finds the one beside it.
@@ -223,15 +223,15 @@ def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdi
 ) -> None:
     folder = tmp_path_factory.mktemp("saved")
     (folder / "one.toml").write_text(WRITTEN)
-    bench = Workbench(folder / "one.toml")
+    bench = Backend(folder / "one.toml")
     start = bench.start().but(fixed=frozenset(fixed))
     locus = bench.picture(start).locus
     held = complex(locus.present[locus.draggable][pole])
-    pulled = bench.pulled_pole(start, held, held * size * cmath.exp(1j * turn))
-    saved = bench.saved(pulled, folder / "two.toml")
+    dragged = bench.drag_pole(start, held, held * size * cmath.exp(1j * turn))
+    saved = bench.saved(dragged, folder / "two.toml")
     text = saved.job.read_text()
     [design] = tomllib.loads(text)["loop"][0]["design"]
-    first, now = (one.options["caging 9-10"]["classical"] for one in (start, pulled))
+    first, now = (one.options["caging 9-10"]["classical"] for one in (start, dragged))
     for name in fixed:
         assert now[name] == first[name]
         assert f"{name} = {LITERALS[name]}," in text
@@ -241,19 +241,19 @@ def test_what_is_saved_after_a_drag_is_as_it_was_or_short_and_has_the_same_verdi
         elif name in design:
             assert design[name] == pytest.approx(x, rel=1e-3)
             assert len(f"{design[name]!r}".replace(".", "").strip("0")) <= 6
-    again = Workbench(saved.job)
-    before, after = (b.picture(s).requirements for b, s in ((bench, pulled), (again, again.start())))
+    again = Backend(saved.job)
+    before, after = (b.picture(s).requirements for b, s in ((bench, dragged), (again, again.start())))
     assert [one.passed for one in after] == [one.passed for one in before]
     # What is saved as it was read changes no digit any more.
     once_more = again.saved(again.start(), folder / "three.toml")
     assert once_more.job.read_text() == text
 
 
-def test_a_pole_that_is_let_go_where_it_was_moves_no_digit_of_a_slider(bench: Workbench) -> None:
+def test_a_pole_that_is_let_go_where_it_was_moves_no_digit_of_a_slider(bench: Backend) -> None:
     settings = _moved(bench, bench.start(), lead_hz=7.0, crossover_hz=70.0)
     locus = bench.picture(settings).locus
     pole = complex(locus.present[locus.draggable][0])
-    assert bench.pulled_pole(settings, pole, pole).options == settings.options
+    assert bench.drag_pole(settings, pole, pole).options == settings.options
 
 
 def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_a_plant_in_the_job_keeps_what_the_page_does_not_change(tmp_path: Path) 
     own = re.sub(r"(?m)^(\[+)(\w+)", r"\1plant.\2", platform_source("three_gyro_platform"))
     whole = ONE.replace('plant = "three_gyro_platform"', "") + "\n[plant]\n" + own
     (tmp_path / "own.toml").write_text(whole)
-    bench = Workbench(tmp_path / "own.toml")
+    bench = Backend(tmp_path / "own.toml")
     saved = bench.saved(_moved(bench, bench.start(), **{"spin 11": 1290.0}), tmp_path / "new.toml")
     lines, new = whole.splitlines(), saved.job.read_text().splitlines()
     kept = [line for line in lines if line.strip() and line not in new]
@@ -276,7 +276,7 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["new", "mine", "-o", str(tmp_path), "-q"]) == 0
-    bench = Workbench(tmp_path / "mine.toml")
+    bench = Backend(tmp_path / "mine.toml")
     settings = bench.start()
     plant = (tmp_path / "mine_plant.toml").read_text()
     with pytest.raises(InputError, match=r"mine_plant\.toml: the job reads its plant from it"):
@@ -296,7 +296,7 @@ def test_saving_never_lands_on_the_plant_or_a_folder_and_leaves_nothing_half_wri
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
-def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Workbench, job_file: Path, tmp_path: Path) -> None:
+def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Backend, job_file: Path, tmp_path: Path) -> None:
     settings = bench.start()
     with pytest.raises(InputError, match="stands there already"):
         bench.saved(settings, job_file)
@@ -309,12 +309,12 @@ def test_saving_keeps_what_stands_there_unless_it_may_go(bench: Workbench, job_f
     with pytest.raises(InputError):
         bench.saved(settings, tmp_path / "nowhere" / "gyro.toml")
     with pytest.raises(InputError, match="not read from a file"):
-        Workbench(bench.read).saved(settings, tmp_path / "other.toml")
+        Backend(bench.read).saved(settings, tmp_path / "other.toml")
 
 
 def test_inline_tables_are_saved_too(tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text(ONE)
-    bench = Workbench(tmp_path / "one.toml")
+    bench = Backend(tmp_path / "one.toml")
     settings = _moved(bench, bench.start(), crossover_hz=42.0, delay=4e-4)
     saved = bench.saved(settings, tmp_path / "two.toml")
     job = read_job(saved.job)
@@ -328,12 +328,12 @@ def test_a_plant_beside_the_job_is_found_from_another_folder(tmp_path: Path) -> 
     (tmp_path / "plant.toml").write_text(platform_source("three_gyro_platform"))
     (tmp_path / "gyro.toml").write_text(TWO.replace('"three_gyro_platform"', '"plant.toml"'))
     (tmp_path / "deep").mkdir()
-    bench = Workbench(tmp_path / "gyro.toml")
+    bench = Backend(tmp_path / "gyro.toml")
     saved = bench.saved(bench.start(), tmp_path / "deep" / "new.toml")
     assert read_job(saved.job).platform.name == bench.read.platform.name
 
 
-def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Workbench) -> None:
+def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Backend) -> None:
     settings = bench.start().but(fixed=frozenset({"crossover_hz"}))
     settings = _moved(bench, settings, damping_hz=30.0, damping2_hz=30.0)
     assert not all(r.passed for r in bench.picture(settings).requirements)
@@ -349,14 +349,14 @@ def test_tuning_leaves_what_is_fixed_and_meets_what_tune_meets(bench: Workbench)
     assert all(r.passed for r in loops(bench.read)[0].closed.results)
 
 
-def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Workbench) -> None:
+def test_a_task_that_is_not_wanted_any_more_ends_at_once(bench: Backend) -> None:
     begun = time.monotonic()
-    with pytest.raises(Abandoned):
+    with pytest.raises(TaskCancelled):
         bench.tuned(bench.start(), cancelled=lambda: True)
     assert time.monotonic() - begun < 30.0
 
 
-def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench) -> None:
+def test_a_design_made_in_the_background_is_that_of_its_method(bench: Backend) -> None:
     settings = bench.chosen(bench.start(), design="lqg")
     assert not bench.designed(settings)
     there = threading.Event()
@@ -384,32 +384,32 @@ def test_a_design_made_in_the_background_is_that_of_its_method(bench: Workbench)
     moved = bench.picture(bench.moved(settings, "rate_hz", 2200.0))
     assert moved.stable
     assert "Tustin" in moved.notes[0]
-    bandwidth = next(k for k in bench.knobs(settings) if k.name == "bandwidth_hz")
+    bandwidth = next(k for k in bench.sliders(settings) if k.name == "bandwidth_hz")
     assert bandwidth.background
     assert not bandwidth.tunable
     with pytest.raises(DesignError, match="was made for other settings"):
         bench.saved(bench.moved(settings, "bandwidth_hz", 1.1 * bandwidth.value), "unwritten.toml")
 
 
-def test_controllers_of_a_result_are_shown_as_they_are(bench: Workbench, tmp_path: Path) -> None:
+def test_controllers_of_a_result_are_shown_as_they_are(bench: Backend, tmp_path: Path) -> None:
     from platform_ctrl.verification import checked, result_record, write_record
 
     result = checked(bench.read, loops(bench.read))
     write_record(result_record(result), tmp_path / "result.json")
-    given = Workbench(tmp_path / "gyro.toml", tmp_path / "result.json")
+    given = Backend(tmp_path / "gyro.toml", tmp_path / "result.json")
     settings = given.start()
-    # What tuning made of the knobs is where they start.
+    # What tuning made of the sliders is where they start.
     closed = next(design for design in result.loops[0].designs if design.name == "by hand")
     picture = given.picture(settings.but(overlays=("lqg",)))
     np.testing.assert_allclose([r.value for r in picture.requirements], [r.value for r in closed.results], rtol=1e-6)
     assert [o.design for o in picture.bode.overlays] == ["lqg"]
     assert not picture.notes
-    K = given._closing.caged(settings)[0].controller
+    K = given._loops.caged(settings)[0].controller
     assert isinstance(K, StateArrays)
     assert np.allclose(K.A, closed.controller.A)
 
 
-def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Workbench) -> None:
+def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Backend) -> None:
     settings = _moved(bench, bench.start(), crossover_hz=60.0)
     flown = bench.run(settings, "turn")
     shown = bench.picture(settings.but(axis=1)).Omega_time
@@ -419,7 +419,7 @@ def test_a_manoeuvre_is_flown_with_the_loops_as_they_are_set(bench: Workbench) -
         bench.run(settings, "roll")
 
 
-def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Workbench, tmp_path: Path) -> None:
+def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Backend, tmp_path: Path) -> None:
     saved = shipped.saved(shipped.start(), tmp_path / "new.toml")
     assert len(saved.notes) == 2
     assert "classical is closed in place of structured" in saved.notes[0]
@@ -432,21 +432,21 @@ def test_a_loop_whose_design_is_not_there_is_told_when_it_is_saved(shipped: Work
 @pytest.mark.parametrize("model", shipped_models())
 def test_every_shipped_plant_has_a_page(model: str, tmp_path: Path) -> None:
     assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
-    bench = Workbench(tmp_path / "mine.toml")
-    for loop in bench.offer().loops:
+    bench = Backend(tmp_path / "mine.toml")
+    for loop in bench.choices().loops:
         settings = bench.start(loop)
         picture = bench.picture(settings)
         assert picture.stable
         told = []
-        for knob in bench.knobs(settings):
-            for number in (knob.low, knob.high):
+        for slider in bench.sliders(settings):
+            for number in (slider.low, slider.high):
                 try:
-                    bench.picture(bench.moved(settings, knob.name, number))
+                    bench.picture(bench.moved(settings, slider.name, number))
                 except PlatformCtrlError as error:
                     told.append(str(error))
         assert not any("\n" in line for line in told)
         pole = complex(picture.locus.present[picture.locus.draggable][0])
-        there = bench.picture(bench.pulled_pole(settings, pole, 1.03 * pole, free=True)).locus.present
+        there = bench.picture(bench.drag_pole(settings, pole, 1.03 * pole, free=True)).locus.present
         assert np.nanmin(np.abs(there - 1.03 * pole)) < 1e-6 * abs(pole)
     saved = bench.saved(settings, tmp_path / "saved.toml")
-    assert Workbench(saved.job).picture(Workbench(saved.job).start(settings.loop)).stable
+    assert Backend(saved.job).picture(Backend(saved.job).start(settings.loop)).stable

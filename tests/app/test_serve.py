@@ -16,7 +16,7 @@ import pytest
 
 from browser import served
 from plain_web import Socket, answer, asked, message, token
-from platform_ctrl.app.hosts import Hosts
+from platform_ctrl.app.allowed_hosts import AllowedHosts
 from platform_ctrl.errors import InputError
 
 pytest.importorskip("bokeh")
@@ -27,7 +27,7 @@ from platform_ctrl.app import web
 from platform_ctrl.app.server import Building, PageServer
 
 
-def a_slider(workbench: object, document: Any) -> None:
+def a_slider(backend: object, document: Any) -> None:
     from bokeh.models.widgets import Slider
 
     document.add_root(Slider(start=0.0, end=1.0, value=0.5, step=0.1))
@@ -355,7 +355,7 @@ def test_a_workbench_made_for_the_server_is_closed_with_it_and_one_that_was_give
 
 
 def test_a_page_that_cannot_be_made_says_so_in_a_plain_line(capfd: pytest.CaptureFixture[str]) -> None:
-    def failing(workbench: object, document: Any) -> None:
+    def failing(backend: object, document: Any) -> None:
         document.add_root(Div(text="half"))
         raise InputError("job.toml: is no job\nany more, <b>")
 
@@ -398,8 +398,8 @@ def test_a_workbench_that_cannot_be_made_ends_the_server_and_its_page_says_why(
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "lab-pc"])
 def test_other_machines_are_let_in_only_by_name(host: str) -> None:
     with pytest.raises(InputError, match=f"--host {host}: other machines could reach the pages; expected --allow"):
-        Hosts.of(host)
-    hosts = Hosts.of(host, ["Lab-PC.local", "192.0.2.7", "2001:db8::1"])
+        AllowedHosts.of(host)
+    hosts = AllowedHosts.of(host, ["Lab-PC.local", "192.0.2.7", "2001:db8::1"])
     assert not hosts.own
     for named in ("lab-pc.local:5006", "192.0.2.7:5006", "[2001:db8::1]:5006", "LAB-PC.LOCAL."):
         assert hosts.refusal({"Host": named, "Origin": f"http://{named}"}) is None
@@ -410,7 +410,7 @@ def test_other_machines_are_let_in_only_by_name(host: str) -> None:
 @pytest.mark.parametrize("name", ["http://lab-pc", "lab-pc:5006", "", "a b", "*", "<x>", "-x", "é"])
 def test_a_name_to_allow_that_is_none_is_one_line(name: str) -> None:
     with pytest.raises(InputError, match=r"--allow .*: expected a name or an address as browsers show it"):
-        Hosts.of("0.0.0.0", [name])
+        AllowedHosts.of("0.0.0.0", [name])
 
 
 def test_a_taken_port_and_a_strange_host_are_one_line(server: PageServer) -> None:

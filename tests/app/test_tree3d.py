@@ -141,7 +141,7 @@ def views() -> list[TreeView]:
 
 
 def page_of(name: str, views: list[TreeView], run: bool = True) -> Callable[[Any, Any], None]:
-    def make(workbench: object, document: Any) -> None:
+    def make(backend: object, document: Any) -> None:
         view = TreeView(plant(name))
         if run:
             view.show(a_run(plant(name)))

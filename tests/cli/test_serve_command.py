@@ -30,9 +30,9 @@ from refused_command import refused
 
 pytest.importorskip("bokeh")
 
-from platform_ctrl.app.page.app import page
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.page.document import page
 from platform_ctrl.app.server import PORT
-from platform_ctrl.app.workbench import Workbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -147,7 +147,7 @@ def test_another_port_than_the_usual_one_is_said(job: Path) -> None:
 
 def test_the_page_is_loaded_without_what_compiles_draws_or_solves() -> None:
     script = (
-        "import sys, platform_ctrl.app.page.app, platform_ctrl.app.server, platform_ctrl.app.workbench;"
+        "import sys, platform_ctrl.app.page.document, platform_ctrl.app.server, platform_ctrl.app.backend;"
         "print(sorted({'numba', 'cvxpy', 'control', 'sympy', 'matplotlib'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -160,7 +160,7 @@ def test_a_workbench_that_cannot_be_made_ends_the_command_with_its_line(
     def fails(*args: object) -> None:
         raise InputError("gyro.toml: nothing to design")
 
-    monkeypatch.setattr("platform_ctrl.app.workbench.Workbench", fails)
+    monkeypatch.setattr("platform_ctrl.app.backend.Backend", fails)
     # Playwright has a loop of its own in this thread.
     with ThreadPoolExecutor(1) as other:
         assert other.submit(main, ["serve", str(job), "-q", "--port", "0", "--no-browser"]).result() == 2
@@ -170,11 +170,11 @@ def test_a_workbench_that_cannot_be_made_ends_the_command_with_its_line(
 def test_pages_are_apart_load_nothing_from_elsewhere_and_leave_nothing(job: Path, browser: Browser) -> None:
     made: list[weakref.ref[Any]] = []
 
-    def make(workbench: Any, document: Any) -> None:
-        page(workbench, document)
+    def make(backend: Any, document: Any) -> None:
+        page(backend, document)
         made.append(weakref.ref(document))
 
-    with served(Workbench(job), make=make) as server:
+    with served(Backend(job), make=make) as server:
         with screen(browser, server.address) as one, screen(browser, server.address, dark=True) as two:
             for shown in (one, two):
                 shown.page.get_by_text("requirements met").first.wait_for()
@@ -196,11 +196,11 @@ NONSENSE: tuple[Any, ...] = (
 
 def test_nonsense_sent_to_the_pages_own_models_is_answered_and_leaves_the_others_alone(job: Path) -> None:
     noise = random.Random(3)
-    with served(Workbench(job)) as server, Socket(server, f"bokeh, {token(server)}") as sent:
+    with served(Backend(job)) as server, Socket(server, f"bokeh, {token(server)}") as sent:
         sent.message()
         sent.send_message("PULL-DOC-REQ", {})
         models = list(_models(sent.message()[1]["doc"]))
-        (wire,) = [one for one in models if one["name"].endswith(".Wire")]
+        (wire,) = [one for one in models if one["name"].endswith(".MessageModel")]
         for _ in range(30):
             model = noise.choice([wire, noise.choice(models)])
             event = {

@@ -13,7 +13,7 @@ from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
 from platform_ctrl.design.classical.stabilisation import low_pass, platform_servo, rate_estimate
-from platform_ctrl.design.loop import certified, closed_loop_poles, exact_measures, sampled_plant
+from platform_ctrl.design.loop import Designed, LoopProblem, certified, closed_loop_poles, exact_measures, sampled_plant
 from platform_ctrl.design.partition import channels, first_order, gain, notch, series, side_by_side, stacked
 from platform_ctrl.design.plants import cases, changed, loop_plants
 from platform_ctrl.design.riccati.pole_placement import pole_placement
@@ -187,7 +187,8 @@ def test_certified_figures_come_from_the_closed_loop(job, model, two_axis):
     spec = job.loops[1]
     channel = channels(model, [3, 4])
     options = starting_values(spec.designs[0].options, channel, two_axis.nutation, PERIOD)
-    design = certified(spec, spec.designs[0], classical_controller(options, channel, PERIOD), two_axis, options, {})
+    found = Designed(controller=classical_controller(options, channel, PERIOD), options=options)
+    design = certified(spec, spec.designs[0], found, two_axis)
     P, K = sampled_plant(two_axis), design.controller
     loop = control.feedback(P, K, sign=1)
     radius = np.abs(control.poles(loop)).max()
@@ -228,8 +229,9 @@ def test_torque_noise_is_what_a_long_random_run_shows(job, model, two_axis):
 
 def test_an_unstable_controller_is_not_certified(job, two_axis):
     spec = job.loops[1]
+    growing = Designed(controller=gain(np.array([[0.0, 40.0], [40.0, 0.0]])), options={})
     with pytest.raises(DesignError, match="grows at"):
-        certified(spec, spec.designs[0], gain(np.array([[0.0, 40.0], [40.0, 0.0]])), two_axis, {}, {})
+        certified(spec, spec.designs[0], growing, two_axis)
 
 
 def test_an_option_without_meaning_is_named(model):
@@ -261,7 +263,7 @@ def test_numbers_that_make_no_sense_are_named(job, model):
         starting_values({"notch_hz": 1500.0}, channel, 474.0, PERIOD)
     servo = dataclasses.replace(job.loops[2].designs[0], options={"filter_hz": 1000.0})
     with pytest.raises(DesignError, match="filter_hz = 1000; expected less than half the sample rate"):
-        platform_servo(job, model, job.loops[2], servo)
+        platform_servo(LoopProblem(job=job, spec=job.loops[2], design=servo, model=model))
 
 
 def test_a_lag_raises_the_gain_at_low_frequencies_alone(model):

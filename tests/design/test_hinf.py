@@ -11,9 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import hinf_norm
 from platform_ctrl.design.lmi.bounded_real import inequalities, minimised
-from platform_ctrl.design.partition import Realisation, closed_loop, partition
+from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.design.riccati.hinf import _central, _floor, _normal_form, _sides, _trial, hinf_riccati
 from platform_ctrl.design.scaling import autoscale, balance, require_stabilisable
 from platform_ctrl.design.synthesis import Claim, certify, hinf
@@ -216,7 +217,7 @@ def test_closed_loop_is_the_linear_fractional_transformation():
     D[4:, 4:] = 0.3
     P = control.ss(P.A, P.B, P.C, D)
     K = control.ss(*(0.5 * rng.normal(size=s) for s in ((3, 3), (3, 2), (2, 3), (2, 2))))
-    loop = closed_loop(partition(P, 2, 2), Realisation(A=K.A, B=K.B, C=K.C, D=K.D))
+    loop = closed_loop(partition(P, 2, 2), StateArrays(A=K.A, B=K.B, C=K.C, D=K.D))
     for s in (0.3j, 2j, 1 + 1j):
         p, k = P(s), K(s)
         expected = p[:4, :4] + p[:4, 4:] @ k @ np.linalg.solve(np.eye(2) - p[4:, 4:] @ k, p[4:, :4])
@@ -276,15 +277,15 @@ def test_certificate_refuses_a_wrong_controller_and_a_claim_that_is_too_good():
     P, _, _ = coprime_problem(*gyro())
     good = hinf(P, 2, 2, method="riccati")
     K = good.controller
-    kept = _certify(P, Realisation(A=K.A, B=K.B, C=K.C, D=K.D), good.gamma_optimal)
+    kept = _certify(P, StateArrays(A=K.A, B=K.B, C=K.C, D=K.D), good.gamma_optimal)
     assert kept.gamma == pytest.approx(good.gamma, rel=1e-6)
     with pytest.raises(DesignError, match="has a pole at") as refused:
-        _certify(P, Realisation(A=K.A, B=K.B, C=-K.C, D=-K.D), good.gamma_optimal)
+        _certify(P, StateArrays(A=K.A, B=K.B, C=-K.C, D=-K.D), good.gamma_optimal)
     assert refused.value.problem is P
     with pytest.raises(DesignError, match="the closed loop has the norm"):
-        _certify(P, Realisation(A=K.A, B=K.B, C=K.C, D=K.D), 0.9 * good.gamma_optimal)
+        _certify(P, StateArrays(A=K.A, B=K.B, C=K.C, D=K.D), 0.9 * good.gamma_optimal)
     with pytest.raises(DesignError, match="the closed loop has the norm"):
-        _certify(P, Realisation(A=K.A, B=K.B, C=1.2 * K.C, D=K.D), good.gamma_optimal)
+        _certify(P, StateArrays(A=K.A, B=K.B, C=1.2 * K.C, D=K.D), good.gamma_optimal)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -528,7 +529,7 @@ def test_a_zero_on_the_axis_is_shifted_when_asked():
 def test_promised_norms_are_judged_one_by_one():
     P, _, _ = coprime_problem(*gyro())
     good = hinf(P, 2, 2, method="riccati")
-    K = Realisation(**{name: getattr(good.controller, name) for name in "ABCD"})
+    K = StateArrays(**{name: getattr(good.controller, name) for name in "ABCD"})
     torque = Claim(name="of the torques", norm="hinf", limit=np.inf, outputs=(0, 1))
     arguments = {"gamma_optimal": good.gamma_optimal, "backoff": 0.02, "method": "test", "residual": {}}
     kept = certify(P, partition(P, 2, 2), K, **arguments, claims=[torque])

@@ -1,14 +1,15 @@
 """The full-order caging loop: two routes, the certificate, and what the disturbance input is for."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_measures import measure
-from platform_ctrl.design.loop import certified
-from platform_ctrl.design.partition import channels
+from platform_ctrl.design.loop import LoopProblem, certified
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.hinf_loop import default_options, hinf_controller, weighted_plant
+from platform_ctrl.design.riccati.weighted_loop import hinf_design, hinf_options, weighted_plant
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
@@ -17,41 +18,41 @@ from platform_ctrl.mechanics.linearisation import linearise
 @pytest.fixture(scope="module")
 def loop():
     job = read_job("examples/three_gyro_platform.toml")
-    plants = loop_plants(job, ("9", "10"))
-    return job.loops[1], plants.only([0, *range(1, 9)]), channels(linearise(job.platform), [3, 4])
+    plants, spec = loop_plants(job, ("9", "10")).only([0, *range(1, 9)]), job.loops[1]
+    return LoopProblem(job=job, spec=spec, design=spec.designs[1], model=linearise(job.platform), plant_set=plants)
+
+
+def with_options(problem, options):
+    return dataclasses.replace(problem, design=dataclasses.replace(problem.design, options=options))
 
 
 @pytest.fixture(scope="module")
 def by_route(loop):
-    spec, plants, channel = loop
-    return {route: hinf_controller(spec.designs[1].options, channel, plants, route) for route in ("lmi", "riccati")}
+    return {route: hinf_design(loop, route) for route in ("lmi", "riccati")}
 
 
 def test_both_routes_find_the_same_bound(by_route):
-    lmi, riccati = (by_route[route][2] for route in ("lmi", "riccati"))
+    lmi, riccati = (by_route[route].claims for route in ("lmi", "riccati"))
     assert lmi["gamma_optimal"] == pytest.approx(riccati["gamma_optimal"], rel=5e-3)
     for claims in (lmi, riccati):
         assert claims["gamma_optimal"] <= claims["gamma"] <= 1.11 * claims["gamma_optimal"]
 
 
 def test_a_job_s_loop_takes_the_riccati_route_by_default(loop, by_route):
-    spec, plants, channel = loop
-    assert hinf_controller(spec.designs[1].options, channel, plants)[2] == by_route["riccati"][2]
+    assert hinf_design(loop).claims == by_route["riccati"].claims
 
 
 @pytest.mark.parametrize("route", ["lmi", "riccati"])
 def test_the_sampled_controller_meets_what_the_job_asks(loop, by_route, route):
-    spec, plants, _ = loop
-    controller, options, claims = by_route[route]
-    design = certified(spec, spec.designs[1], controller, plants, options, claims)
+    design = certified(loop.spec, loop.design, by_route[route], loop.plants)
     assert [r.name for r in design.results if not r.passed] == []
     assert {"bandwidth", "disk margin over the spread", "damping over the spread"} < {r.name for r in design.results}
 
 
 def test_the_claimed_norm_is_that_of_the_weighted_sampled_loop(loop, by_route):
     """Recomputed along the unit circle from plant, controller and weights alone."""
-    _, plants, channel = loop
-    controller, options, claims = by_route["lmi"]
+    plants, channel, found = loop.plants, loop.channel, by_route["lmi"]
+    controller, options, claims = found.controller, found.options, found.claims
     T = plants.period
     w = np.concatenate([np.geomspace(0.1, 6200.0, 1500), np.linspace(200, 600, 800)])
     z = np.exp(1j * w * T)
@@ -76,23 +77,23 @@ def test_the_claimed_norm_is_that_of_the_weighted_sampled_loop(loop, by_route):
 
 
 def test_without_the_torque_disturbance_nutation_is_left_undamped(loop, by_route):
-    spec, plants, channel = loop
-    damped = measure(plants, StateArrays(*by_route["riccati"][0], dt=plants.period)).damping[0]
-    options = spec.designs[1].options | {"disturbance": 0.004}
-    bare = measure(plants, StateArrays(*hinf_controller(options, channel, plants, "riccati")[0], dt=plants.period))
+    plants = loop.plants
+    damped = measure(plants, StateArrays(*by_route["riccati"].controller, dt=plants.period)).damping[0]
+    undisturbed = with_options(loop, loop.design.options | {"disturbance": 0.004})
+    bare = measure(plants, StateArrays(*hinf_design(undisturbed, "riccati").controller, dt=plants.period))
     assert bare.damping[0] < 0.1 * damped
 
 
 def test_the_weighted_plant_has_the_delay_inside(loop):
     """Two channels: gimbal angles and momenta, two lags, two held torques, two integrators: ten states, no Padé."""
-    spec, plants, channel = loop
-    weighted = weighted_plant(default_options(spec.designs[1].options, channel, plants.nutation), channel, plants)
+    plants, channel = loop.plants, loop.channel
+    options = hinf_options(loop.design, channel, plants.nutation, plants.period)
+    weighted = weighted_plant(options, channel, plants)
     assert weighted.arrays.A.shape == (10, 10)
 
 
 def test_wrong_options_are_named(loop):
-    _, plants, channel = loop
     with pytest.raises(DesignError, match="inertial_torque"):
-        hinf_controller({"inertial_torque": 1.0}, channel, plants)
+        hinf_design(with_options(loop, {"inertial_torque": 1.0}))
     with pytest.raises(DesignError, match="expected a number > 0"):
-        hinf_controller({"torque": 0.0}, channel, plants)
+        hinf_design(with_options(loop, {"torque": 0.0}))

@@ -13,10 +13,11 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from platform_ctrl import design, parameter_varying, read_platform
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.channel import Channel
 from platform_ctrl.analysis.norms import h2_norm, hinf_norm
 from platform_ctrl.design.lmi import conic
-from platform_ctrl.design.partition import Realisation, closed_loop, partition
+from platform_ctrl.design.partition import closed_loop, partition
 from platform_ctrl.errors import ArgumentError, IllPosedError, InfeasibleError, TimeLimitError, UnscalableError
 from platform_ctrl.job.requirements import requirement
 
@@ -340,7 +341,7 @@ def test_along_a_fast_motion_energy_is_bounded_by_gamma():
     step, steps = 2e-3, 8000
     x, energy_w, energy_z, worst = np.zeros(6), 0.0, 0.0, 0.0
     loops = [
-        closed_loop(partition(p, 1, 1), Realisation(A=K.A, B=K.B, C=K.C, D=K.D))
+        closed_loop(partition(p, 1, 1), StateArrays(A=K.A, B=K.B, C=K.C, D=K.D))
         for p, K in ((spring(k), result.at([k])) for k in (0.5, 0.9, 1.4, 2.0))
     ]
     w = np.zeros(2)
@@ -404,7 +405,7 @@ def test_state_feedback_for_two_plants_is_the_best_that_one_matrix_allows():
 
 def test_one_output_feedback_serves_both_ends_and_what_is_between():
     result = design.robust([spring(0.5), spring(2.0)], 1, 1, [hinf_bound(), requirement("stability", 0.05)])
-    K = Realisation(**{name: getattr(result.controller, name) for name in "ABCD"})
+    K = StateArrays(**{name: getattr(result.controller, name) for name in "ABCD"})
     for stiffness in (0.5, 1.0, 1.7, 2.0):
         loop = closed_loop(partition(spring(stiffness), 1, 1), K)
         assert hinf_norm(control.ss(loop.A, loop.B, loop.C, loop.D))[0] <= result.ratio

@@ -1,15 +1,16 @@
 """The caging loop of least rms: its claim recomputed, its robustness, and its place in a job."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.jobs import loops
-from platform_ctrl.design.partition import channels
+from platform_ctrl.design.loop import LoopProblem
 from platform_ctrl.design.plants import loop_plants
-from platform_ctrl.design.riccati.hinf_loop import hinf_controller
-from platform_ctrl.design.riccati.lqg_loop import lqg_controller
+from platform_ctrl.design.riccati.weighted_loop import hinf_design, lqg_design
 from platform_ctrl.errors import DesignError
 from platform_ctrl.job.reading import read_job
 from platform_ctrl.mechanics.linearisation import linearise
@@ -37,13 +38,14 @@ JOB = {
 @pytest.fixture(scope="module")
 def loop():
     job = read_job(JOB)
-    return loop_plants(job, ("9", "10")), channels(linearise(job.platform), [3, 4])
+    (spec,), plants = job.loops, loop_plants(job, ("9", "10"))
+    return LoopProblem(job=job, spec=spec, design=spec.designs[0], model=linearise(job.platform), plant_set=plants)
 
 
 def test_the_claimed_norm_is_the_rms_of_the_weighted_sampled_loop(loop):
     """Recomputed by integrating along the unit circle, from plant, controller and weights alone."""
-    plants, channel = loop
-    controller, options, claims = lqg_controller({}, channel, plants)
+    plants, channel, found = loop.plants, loop.channel, lqg_design(loop)
+    controller, options, claims = found.controller, found.options, found.claims
     assert claims["gamma"] == pytest.approx(claims["gamma_optimal"], rel=1e-6)
     T = plants.period
     # Half steps keep clear of the integrator at z = 1; the sum of a periodic function converges fast.
@@ -66,10 +68,9 @@ def test_the_claimed_norm_is_the_rms_of_the_weighted_sampled_loop(loop):
 
 
 def test_it_needs_less_torque_noise_than_the_loop_that_bounds_the_peak(loop):
-    plants, channel = loop
     rms, peak = (
-        measure(plants, StateArrays(*make({}, channel, plants)[0], dt=plants.period))
-        for make in (lqg_controller, lambda *given: hinf_controller(*given, "riccati"))
+        measure(loop.plants, StateArrays(*found.controller, dt=loop.plants.period))
+        for found in (lqg_design(loop), hinf_design(loop, "riccati"))
     )
     assert rms.torque_noise.max() < 0.5 * peak.torque_noise.max()
     assert rms.damping.min() > 0.1
@@ -83,9 +84,9 @@ def test_a_job_may_ask_for_it_and_its_loop_meets_the_limits_over_the_spread():
 
 
 def test_an_option_of_another_method_is_refused(loop):
-    plants, channel = loop
+    other = dataclasses.replace(loop.design, options={"backoff": 0.1})
     with pytest.raises(DesignError, match="lqg: option 'backoff' has no meaning"):
-        lqg_controller({"backoff": 0.1}, channel, plants)
+        lqg_design(dataclasses.replace(loop, design=other))
 
 
 def test_a_design_that_fails_is_named_by_loop_and_design():

@@ -14,10 +14,15 @@ from hypothesis import strategies as st
 
 from job.test_reading_job import PUSH, TURN, job, refused_alike
 from plant.test_reading_plant import JUNK, Change, both, drop, mutate, outcome, put, refusal
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.faults import FAULT_KINDS, FaultKind, register_fault
 from platform_ctrl.job.job import manoeuvre_scenario
 from platform_ctrl.job.reading import read_job
-from platform_ctrl.job.scenario import FAULT_KEYS, HalfCosine
+from platform_ctrl.job.scenario import HalfCosine
 from platform_ctrl.report.record import job_data
+from platform_ctrl.simulation.kernel.arrays import ACTIONS
+
+ROOT = Path(__file__).parents[2]
 
 STILL = '[[manoeuvre]] 3 "still"'
 SHAKE = f"{TURN}: [[manoeuvre.vibration]] 1"
@@ -362,9 +367,25 @@ def test_an_empty_campaign_flies_all_manoeuvres_alike() -> None:
     ]
 
 
-@pytest.mark.parametrize("kind", FAULT_KEYS)
+@pytest.mark.parametrize("kind", FAULT_KINDS.values(), ids=FAULT_KINDS)
+def test_every_kind_of_fault_is_an_action_of_the_kernel_and_a_row_of_the_documentation(kind: FaultKind) -> None:
+    part = {"pick-off": "sensor", "gimbal": "gimbal with stops", None: "none"}.get(kind.part, kind.part)
+    cells = (f'"{kind.name}"', part, ", ".join(kind.needed), ", ".join(kind.optional), kind.effect)
+    row = "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+    assert row in (ROOT / "docs" / "job-file.md").read_text(encoding="utf-8").splitlines()
+    assert kind.action in ACTIONS
+
+
+def test_a_kind_of_fault_is_registered_once_and_has_numbers_of_faults() -> None:
+    with pytest.raises(ArgumentError, match="fault kind 'torquer dead' exists already"):
+        register_fault(FAULT_KINDS["torquer dead"])
+    with pytest.raises(ArgumentError, match="fault kind 'tired': number: given 'mood'; expected 'at'"):
+        register_fault(FaultKind(name="tired", effect="", part=None, needed=("mood",), action="no torque"))
+
+
+@pytest.mark.parametrize("kind", FAULT_KINDS)
 def test_every_kind_of_fault_is_read_with_what_it_needs(kind: Any) -> None:
-    keys = FAULT_KEYS[kind]
+    keys = FAULT_KINDS[kind]
     part = {None: {}, "rotor": {"part": "8"}, "torquer": {"part": "M1"}, "pick-off": {"part": "alpha4"}}.get(
         keys.part, {"part": "4"}
     )

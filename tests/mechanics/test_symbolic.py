@@ -158,7 +158,7 @@ def test_zero_and_first_order_are_those_of_the_numeric_route(platform, seed):
     n = len(platform.gimbals)
     velocity = rng.normal(size=3 + n)
     found = equations(platform, "sympy", terms="exact")
-    at, change = matrices(platform, velocity=velocity), derivatives(platform, kinematics(platform, np.zeros(n)))
+    at, change = matrices(platform, velocity=velocity), derivatives(kinematics(platform, np.zeros(n)))
     for name in ("A", "A_star", "B", "G_A", "G_R", "G_root"):
         assert_close(found.evaluate(getattr(found, name), velocity=velocity), getattr(at, name))
     held = np.array([r.control == "regulated" for r in platform.rotors], float)[:, None] * at.A_R

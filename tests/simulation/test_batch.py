@@ -12,7 +12,8 @@ import pytest
 
 from platform_ctrl import simulation
 from platform_ctrl.errors import ArgumentError
-from platform_ctrl.job.scenario import Fault, Scenario
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import Scenario
 from signal_and_gimbal import PERIOD, RMS, fault, gain, plant, scenario
 
 LOOP = [

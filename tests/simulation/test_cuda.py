@@ -15,7 +15,8 @@ import pytest
 
 from platform_ctrl import read_platform
 from platform_ctrl.errors import ArgumentError, SimulationError
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, Vibration
 from platform_ctrl.simulation import BatchResult, rollout, simulate_batch
 
 # Rounding alone differs: where products and sums are fused, which multiplies by what a run makes of small differences.
@@ -122,7 +123,7 @@ def agree(ours: BatchResult, theirs: BatchResult) -> None:
     """BatchResult equal to rounding, and the same counts."""
     for name in ("angle", "attitude", "torque_share"):
         close(getattr(ours, name), getattr(theirs, name))
-    for name in ("saturated", "stop_contacts", "samples", "asked"):
+    for name in ("saturated", "stop_contacts", "samples", "requested"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 
@@ -163,7 +164,7 @@ def test_a_thread_of_the_simulator_flies_its_scenario_as_the_processor_does(tmp_
         from platform_ctrl.simulation import simulate_batch
 
         figures = simulate_batch(**some_scenarios({mode!r}, 2, 3e-3), device="cuda")
-        names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "asked")
+        names = ("angle", "attitude", "torque_share", "saturated", "stop_contacts", "samples", "requested")
         np.savez(out, **{{name: getattr(figures, name) for name in names}})
         """,
     )

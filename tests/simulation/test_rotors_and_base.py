@@ -12,7 +12,8 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 import platform_ctrl as pc
 from platform_ctrl import simulation
-from platform_ctrl.job.scenario import Fault, HalfCosine, Scenario, TimeTable, Vibration
+from platform_ctrl.job.faults import Fault
+from platform_ctrl.job.scenario import HalfCosine, Scenario, TimeTable, Vibration
 from platform_ctrl.plant.platform import Platform
 
 pytestmark = pytest.mark.usefixtures("untraced")

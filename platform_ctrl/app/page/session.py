@@ -7,15 +7,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.designs import Awaited
+from platform_ctrl.app.designs import DesignPending
 from platform_ctrl.app.history import History
-from platform_ctrl.app.link import settings_of, text_of
-from platform_ctrl.app.page import telling
-from platform_ctrl.app.page.asking import Ask, ask_of, count_of
-from platform_ctrl.app.page.errands import Errands, words_of
-from platform_ctrl.app.page.wiring import Newest, Wire, chosen
+from platform_ctrl.app.page import messages
+from platform_ctrl.app.page.changes import LatestTasks, MessageModel, chosen
+from platform_ctrl.app.page.requests import Request, parse_request, request_count
+from platform_ctrl.app.page.tasks import PageTasks, words_of
 from platform_ctrl.app.plots import Plots
 from platform_ctrl.app.tree3d.scene import TreeView
+from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import value
 from platform_ctrl.errors import PlatformCtrlError
@@ -23,9 +23,9 @@ from platform_ctrl.errors import PlatformCtrlError
 if TYPE_CHECKING:
     from bokeh.document import Document
 
+    from platform_ctrl.app.backend import Backend
     from platform_ctrl.app.pictures import Drawing, Picture
-    from platform_ctrl.app.values import Settings
-    from platform_ctrl.app.workbench import Workbench
+    from platform_ctrl.app.settings import Settings
 
 # Milliseconds without a change after which the influence of the sliders is worked out.
 IDLE = 350
@@ -47,13 +47,13 @@ class Task:
 class Outcome:
     """What came of some tasks, the `turn`-th time: a picture, or a line that says why there is none.
 
-    `held_by` are the limits that kept a drag from going all the way.
+    `limited_by` are the limits that kept a drag from going all the way.
     """
 
     settings: Settings
     picture: Picture | None
     line: str | None
-    held_by: tuple[str, ...]
+    limited_by: tuple[str, ...]
     awaits: bool
     count: int
     gesture: object
@@ -67,7 +67,7 @@ class Session:
 
     Parameters
     ----------
-    workbench
+    backend
         Shared with the other pages.
     document
         The page's.
@@ -75,33 +75,33 @@ class Session:
         What the address of the page asks for; empty: the job as it is.
     """
 
-    def __init__(self, workbench: Workbench, document: Document, state: str) -> None:
-        self.workbench = workbench
+    def __init__(self, backend: Backend, document: Document, state: str) -> None:
+        self.backend = backend
         self.document: Document | None = document
-        self.offer = workbench.offer()
-        self.title = workbench.read.name
-        self.settings = workbench.start()
+        self.choices = backend.choices()
+        self.title = backend.read.name
+        self.settings = backend.start()
         self._line: str | None = None
         if state:
             try:
-                self.settings = settings_of(workbench, state)
+                self.settings = decode_state(backend, state)
             except PlatformCtrlError as error:
                 self._line = f"The state in the link was not used: {error}"
         self.history = History(self.settings)
         self.picture: Picture | None = None
-        self.wire = Wire(name="wire")
+        self.wire = MessageModel(name="wire")
         self.wire.on_change("asked", self._asked)
         self.plots = Plots(dark=False)
         roots: list[Any] = list(self.plots.layout.values())
         for root in roots:
             # Beside the headings the template has a button.
             root.children[0].margin = (0, 24, 0, 0)
-        self.tree = TreeView(workbench.read.platform)
-        self.plots.on_pole_pulled(self._pole_pulled)
-        self.plots.on_crossover_pulled(self._crossover_pulled)
+        self.tree = TreeView(backend.read.platform)
+        self.plots.on_pole_dragged(self._pole_dragged)
+        self.plots.on_crossover_dragged(self._crossover_dragged)
         self._answered = 0
         self._gesture: object = None
-        self._newest: Newest[Task] = Newest(self._work)
+        self._changes: LatestTasks[Task] = LatestTasks(self._work)
         self._lock = threading.Lock()
         self._outcome: Outcome | None = None
         # What is to be drawn next; which time of working out that is of, and of which what the plots show.
@@ -114,8 +114,8 @@ class Session:
         # Whether a drag may make limits missed that are met, and which of them hold the present one back.
         self._free = False
         self._held_by: tuple[str, ...] = ()
-        self._errands = Errands(self)
-        self._deaf = workbench.on_designed(self._designed)
+        self._tasks = PageTasks(self)
+        self._deaf = backend.on_designed(self._designed)
 
     def roots(self) -> list[Any]:
         """Return what the document holds, each under the name that the template knows."""
@@ -124,8 +124,8 @@ class Session:
     def close(self, session_context: object) -> None:
         """End what is going on and let go of everything; the page is gone."""
         self._deaf()
-        self._newest.close()
-        self._errands.close()
+        self._changes.close()
+        self._tasks.close()
         self.document = self._idle = self._outcome = self.picture = self._drawing = self._awaited = None
 
     def later(self, act: Callable[[], None]) -> None:
@@ -153,102 +153,102 @@ class Session:
 
     def change(self, key: str, change: Change, *, count: int = 0, gesture: object = None) -> None:
         """Have the settings changed and shown. A change of the same key that still waits is dropped."""
-        self._errands.cancel_tuning()
+        self._tasks.cancel_tuning()
         self._no_rest()
         if gesture is None:
             gesture = object()
-        self._newest.add(key, Task(count=count, change=change, gesture=gesture))
+        self._changes.add(key, Task(count=count, change=change, gesture=gesture))
 
     # What the page asks for.
 
     def _asked(self, name: str, old: object, new: object) -> None:
         """Do what a message asks for; nonsense is answered by a line."""
         try:
-            ask = ask_of(new)
-            getattr(self, f"_ask_{ask.what}", self._errands.ask)(ask)
+            ask = parse_request(new)
+            getattr(self, f"_ask_{ask.what}", self._tasks.ask)(ask)
         except PlatformCtrlError as error:
             # What was typed gives way to what is shown.
             rows = {} if self.picture is None else self._rows(self.picture.settings)
-            self.answer(count_of(new), line={"text": str(error), "kind": "error"}, **rows)
+            self.answer(request_count(new), line={"text": str(error), "kind": "error"}, **rows)
 
-    def _ask_ready(self, ask: Ask) -> None:
+    def _ask_ready(self, ask: Request) -> None:
         self.change("ready", lambda settings: settings, count=ask.count, gesture="ready")
 
-    def _ask_dark(self, ask: Ask) -> None:
+    def _ask_dark(self, ask: Request) -> None:
         self.plots.dark(ask.more["dark"])
         self.answer(ask.count)
 
-    def _ask_move(self, ask: Ask) -> None:
-        moved = self.workbench.moved
-        for knob, number in ask.more["moves"]:
+    def _ask_move(self, ask: Request) -> None:
+        moved = self.backend.moved
+        for slider, number in ask.more["moves"]:
 
-            def change(settings: Settings, knob: str = knob, number: float = number) -> Settings:
-                return moved(settings, knob, number)
+            def change(settings: Settings, slider: str = slider, number: float = number) -> Settings:
+                return moved(settings, slider, number)
 
-            self.change(f"move {knob}", change, count=ask.count, gesture=("move", knob, ask.more["gesture"]))
+            self.change(f"move {slider}", change, count=ask.count, gesture=("move", slider, ask.more["gesture"]))
         if not ask.more["moves"]:
             self.answer(ask.count)
 
-    def _ask_fix(self, ask: Ask) -> None:
-        knob, fixed, knobs = ask.more["knob"], ask.more["fixed"], self.workbench.knobs
+    def _ask_fix(self, ask: Request) -> None:
+        slider, fixed, sliders = ask.more["slider"], ask.more["fixed"], self.backend.sliders
 
         def change(settings: Settings) -> Settings:
-            known_name("slider", knob, [one.name for one in knobs(settings)])
-            return settings.but(fixed=settings.fixed | {knob} if fixed else settings.fixed - {knob})
+            known_name("slider", slider, [one.name for one in sliders(settings)])
+            return settings.but(fixed=settings.fixed | {slider} if fixed else settings.fixed - {slider})
 
-        self.change(f"fix {knob}", change, count=ask.count)
+        self.change(f"fix {slider}", change, count=ask.count)
 
-    def _ask_reset(self, ask: Ask) -> None:
-        knob, starts, moved = ask.more["knob"], self._starts, self.workbench.moved
+    def _ask_reset(self, ask: Request) -> None:
+        slider, starts, moved = ask.more["slider"], self._starts, self.backend.moved
 
         def change(settings: Settings) -> Settings:
             first = starts(settings)
-            known_name("slider", knob, list(first))
-            return moved(settings, knob, first[knob])
+            known_name("slider", slider, list(first))
+            return moved(settings, slider, first[slider])
 
-        self.change(f"move {knob}", change, count=ask.count)
+        self.change(f"move {slider}", change, count=ask.count)
 
-    def _ask_part(self, ask: Ask) -> None:
-        switched, part, on = self.workbench.switched, ask.more["part"], ask.more["on"]
+    def _ask_part(self, ask: Request) -> None:
+        switched, part, on = self.backend.switched, ask.more["part"], ask.more["on"]
         self.change(f"part {part}", lambda settings: switched(settings, part, on), count=ask.count)
 
-    def _ask_set(self, ask: Ask) -> None:
-        workbench, name, given = self.workbench, ask.more["name"], ask.more["value"]
+    def _ask_set(self, ask: Request) -> None:
+        backend, name, given = self.backend, ask.more["name"], ask.more["value"]
         plants = () if self.picture is None else self.picture.plants
-        self.change(f"set {name}", lambda settings: chosen(workbench, settings, name, given, plants), count=ask.count)
+        self.change(f"set {name}", lambda settings: chosen(backend, settings, name, given, plants), count=ask.count)
 
-    def _ask_undo(self, ask: Ask) -> None:
+    def _ask_undo(self, ask: Request) -> None:
         self._gone_to(ask, self.history.undo if self.history.can_undo else None, "There is nothing to undo.")
 
-    def _ask_redo(self, ask: Ask) -> None:
+    def _ask_redo(self, ask: Request) -> None:
         self._gone_to(ask, self.history.redo if self.history.can_redo else None, "There is nothing to redo.")
 
-    def _gone_to(self, ask: Ask, step: Callable[[], Settings] | None, nothing: str) -> None:
+    def _gone_to(self, ask: Request, step: Callable[[], Settings] | None, nothing: str) -> None:
         if step is None:
             self.say(nothing, count=ask.count)
             return
         there = step()
         self.change("history", lambda settings: there, count=ask.count, gesture="history")
 
-    def _ask_free(self, ask: Ask) -> None:
+    def _ask_free(self, ask: Request) -> None:
         self._free = ask.more["free"]
         self.answer(ask.count)
 
-    def _pole_pulled(self, pole: complex, target: complex) -> None:
-        pulled, free = self.workbench.pulled_pole, self._free
+    def _pole_dragged(self, pole: complex, target: complex) -> None:
+        dragged, free = self.backend.drag_pole, self._free
 
         def change(settings: Settings) -> Settings:
-            return pulled(settings, pole, target, free=free, held=self._held)
+            return dragged(settings, pole, target, free=free, held=self._held)
 
-        self.change("pull", change, gesture=("pole", self.plots.drags))
+        self.change("drag", change, gesture=("pole", self.plots.drags))
 
-    def _crossover_pulled(self, frequency: float) -> None:
-        pulled, free = self.workbench.pulled_crossover, self._free
+    def _crossover_dragged(self, frequency: float) -> None:
+        dragged, free = self.backend.drag_crossover, self._free
 
         def change(settings: Settings) -> Settings:
-            return pulled(settings, frequency, free=free, held=self._held)
+            return dragged(settings, frequency, free=free, held=self._held)
 
-        self.change("pull", change, gesture=("crossover", self.plots.drags))
+        self.change("drag", change, gesture=("crossover", self.plots.drags))
 
     def _held(self, names: tuple[str, ...]) -> None:
         """Note which limits hold a drag back; called while a change is worked out."""
@@ -265,7 +265,7 @@ class Session:
                 task = Task(count=0, change=lambda settings: settings, gesture="ready")
             else:
                 task = Task(count=0, change=lambda settings: awaited.settings, gesture=awaited.gesture)
-            self._newest.add("again", task)
+            self._changes.add("again", task)
 
         self.later(again)
 
@@ -280,8 +280,8 @@ class Session:
             except Exception as error:
                 line = words_of(error)
         try:
-            picture = self.workbench.picture(settings, self._drawn)
-        except Awaited as error:
+            picture = self.backend.picture(settings, self._drawn)
+        except DesignPending as error:
             line, awaits = str(error), True
         except Exception as error:
             line = words_of(error)
@@ -299,7 +299,7 @@ class Session:
                 settings=settings,
                 picture=picture,
                 line=line,
-                held_by=self._held_by,
+                limited_by=self._held_by,
                 awaits=awaits,
                 count=count,
                 gesture=gesture,
@@ -335,8 +335,8 @@ class Session:
         line = self._line or out.line
         self._line = None
         notes = () if out.picture is None else out.picture.notes
-        if out.held_by:
-            notes = (f"Held back by {' and '.join(out.held_by)}; with Shift the drag goes on", *notes)
+        if out.limited_by:
+            notes = (f"Held back by {' and '.join(out.limited_by)}; with Shift the drag goes on", *notes)
         kind = "error" if line and not out.awaits else "quiet"
         told: dict[str, Any] = {"line": {"text": line or ". ".join(notes), "kind": kind}}
         if out.gesture != "ready" or out.awaits:
@@ -369,7 +369,7 @@ class Session:
 
     def _told(self, picture: Picture) -> dict[str, Any]:
         settings = picture.settings
-        knobs = self._knobs(settings)
+        sliders = self._sliders(settings)
         return {
             "state": {
                 "mode": settings.mode,
@@ -380,34 +380,34 @@ class Session:
                 "plant": settings.plant,
                 "band": settings.band,
                 "overlays": list(settings.overlays),
-                "choices": telling.choices_told(self.offer, settings, picture.plants),
+                "choices": messages.choice_data(self.choices, settings, picture.plants),
                 "undo": self.history.can_undo,
                 "redo": self.history.can_redo,
-                "tunable": any(one["tunable"] and not one["fixed"] for one in knobs),
-                "link": text_of(self.workbench, settings),
-                **self._errands.told(),
+                "tunable": any(one["tunable"] and not one["fixed"] for one in sliders),
+                "link": encode_state(self.backend, settings),
+                **self._tasks.told(),
             },
             "parts": self._parts(settings),
-            "knobs": knobs,
-            "bar": telling.bar_told(picture),
-            "requirements": telling.requirements_told(picture),
+            "sliders": sliders,
+            "bar": messages.verdict_data(picture),
+            "requirements": messages.requirement_data(picture),
         }
 
     def _rows(self, settings: Settings) -> dict[str, Any]:
-        return {"knobs": self._knobs(settings), "parts": self._parts(settings)}
+        return {"sliders": self._sliders(settings), "parts": self._parts(settings)}
 
-    def _knobs(self, settings: Settings) -> list[dict[str, Any]]:
-        return telling.knobs_told(self.workbench.knobs(settings), self._starts(settings))
+    def _sliders(self, settings: Settings) -> list[dict[str, Any]]:
+        return messages.slider_data(self.backend.sliders(settings), self._starts(settings))
 
     def _parts(self, settings: Settings) -> list[dict[str, Any]]:
-        parts = self.workbench.parts(settings)
+        parts = self.backend.parts(settings)
         return [{"name": one.name, "label": one.label, "on": one.on, "tip": one.tip} for one in parts]
 
     def _starts(self, settings: Settings) -> dict[str, float]:
         """Return where the sliders of these settings stood first: in the job file."""
-        first = self.workbench.start()
+        first = self.backend.start()
         there = first.but(loop=settings.loop, design=settings.design, optional=settings.optional)
-        return {one.name: one.value for one in self.workbench.knobs(there)}
+        return {one.name: one.value for one in self.backend.sliders(there)}
 
     def _rest(self) -> None:
         """Once nothing has changed for a while, work out what each slider does to each requirement."""
@@ -419,7 +419,7 @@ class Session:
         def rested() -> None:
             self._idle = None
             if self.picture is not None:
-                self._errands.influence(self.picture.settings)
+                self._tasks.influence(self.picture.settings)
 
         self._idle = document.add_timeout_callback(rested, IDLE)
 

@@ -54,7 +54,7 @@ class Plots:
     @property
     def drags(self) -> int:
         """How many drags of a pole or of the crossover have begun: all calls of one drag see the same number."""
-        return self._locus.handles.pulling.begun + self._bode.handle.pulling.begun
+        return self._locus.handles.drag.begun + self._bode.handle.drag.begun
 
     def show(self, picture: Drawing) -> None:
         """Follow a picture: what has changed goes to the browser in one go, no model is made or removed.
@@ -64,7 +64,7 @@ class Plots:
         Parameters
         ----------
         picture
-            Of `Workbench.picture`; its measures are not shown here.
+            Of `Backend.picture`; its measures are not shown here.
         """
         about = _about(picture)
         if self._picture is not None and _about(self._picture) != about:
@@ -88,7 +88,7 @@ class Plots:
             if self._picture is not None:
                 self.show(self._picture)
 
-    def on_pole_pulled(self, callback: Callable[[complex, complex], None]) -> None:
+    def on_pole_dragged(self, callback: Callable[[complex, complex], None]) -> None:
         """Call `callback` while a pole is dragged: a few times a second, and once more where it is let go.
 
         Parameters
@@ -97,9 +97,9 @@ class Plots:
             Gets the pole as it stands in the picture shown last, and where it is wanted, both rad/s in the upper half
             of the s-plane; its conjugate goes with it.
         """
-        self._locus.on_pulled(callback)
+        self._locus.on_dragged(callback)
 
-    def on_crossover_pulled(self, callback: Callable[[float], None]) -> None:
+    def on_crossover_dragged(self, callback: Callable[[float], None]) -> None:
         """Call `callback` while the crossover is dragged: a few times a second, and once more where it is let go.
 
         Parameters
@@ -107,7 +107,7 @@ class Plots:
         callback
             Gets the frequency at which the gain is wanted to pass 1, rad/s.
         """
-        self._bode.on_pulled(callback)
+        self._bode.on_dragged(callback)
 
     @contextmanager
     def _held(self) -> Iterator[None]:

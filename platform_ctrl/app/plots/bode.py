@@ -11,8 +11,8 @@ from bokeh.models import ColumnDataSource
 from bokeh.models.annotations.geometry import BoxAnnotation, Span
 
 from platform_ctrl.app.pictures import Bode, Drawing
+from platform_ctrl.app.plots.dragging import Drag
 from platform_ctrl.app.plots.panel import Key, OverlayCurves, Panel, Theme, overlay_keys, tell
-from platform_ctrl.app.plots.pulling import Pulling
 from platform_ctrl.app.plots.sources import ASKED, Sources, column, decibels, extent, finite, inner_width
 from platform_ctrl.app.plots.views import View, stepped
 from platform_ctrl.common.values import FloatArray
@@ -48,7 +48,7 @@ class CrossoverHandle:
         self.line: Any = Span(dimension="height", location=None, line_width=1.2)
         theme.paint(self.line, line_color="series-1")
         plot.add_layout(self.line)
-        self.pulling: Pulling[float] = Pulling(plot, self._pulled, self._place)
+        self.drag: Drag[float] = Drag(plot, self._dragged, self._place)
         for name in ("left", "right"):
             self.box.on_change(name, self._moved)
         for name in ("start", "end"):
@@ -59,7 +59,7 @@ class CrossoverHandle:
         """Stand at the crossover, Hz, or nowhere; a bar that is being dragged stays under the mouse."""
         self._shown = frequency if frequency is not None and math.isfinite(frequency) and frequency > 0.0 else None
         self.line.location = self._shown
-        if not self.pulling.active:
+        if not self.drag.active:
             self._place()
 
     def _place(self) -> None:
@@ -78,7 +78,7 @@ class CrossoverHandle:
         return math.exp(math.log(high / low) * min(_HALF / inner_width(self._plot), 0.2))
 
     def _zoomed(self, name: str, old: object, new: object) -> None:
-        if not self.pulling.active:
+        if not self.drag.active:
             self._place()
 
     def _moved(self, name: str, old: object, new: object) -> None:
@@ -88,9 +88,9 @@ class CrossoverHandle:
         if self._put is not None and (left == self._put[0] or right == self._put[1]):
             return
         if name == "right":  # both ends come one after the other, this one last
-            self.pulling.move(math.sqrt(left * right))
+            self.drag.move(math.sqrt(left * right))
 
-    def _pulled(self, frequency: float) -> None:
+    def _dragged(self, frequency: float) -> None:
         for callback in self.callbacks:
             callback(RAD_PER_S * frequency)
 
@@ -161,7 +161,7 @@ class BodePanel:
         self.handle = CrossoverHandle(above, theme)
         self._message = self.panel.message(above)
 
-    def on_pulled(self, callback: Callable[[float], None]) -> None:
+    def on_dragged(self, callback: Callable[[float], None]) -> None:
         """Call `callback` with a frequency, rad/s, while the crossover is dragged."""
         self.handle.callbacks.append(callback)
 
@@ -194,7 +194,7 @@ class BodePanel:
             span.location = asked
         seen = extent([f])
         # An axis that moves would move the crossover under the mouse.
-        still = self.handle.pulling.active or seen is None or seen[0] <= 0.0
+        still = self.handle.drag.active or seen is None or seen[0] <= 0.0
         self._frequency.fit(None if still else seen)
         self._gain.fit(extent([gain, band[1], band[2]]))
         self._phase.fit(extent([phase]))

@@ -13,8 +13,8 @@ from bokeh.models.annotations.geometry import BoxAnnotation, Span
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.app.pictures import Drawing, Locus
 from platform_ctrl.app.plots.bode import HZ
+from platform_ctrl.app.plots.dragging import Drag
 from platform_ctrl.app.plots.panel import Panel, Theme, tell
-from platform_ctrl.app.plots.pulling import Pulling
 from platform_ctrl.app.plots.sources import (
     ASKED,
     FONT,
@@ -109,7 +109,7 @@ class PoleHandles:
     theme
         Colours.
     sources
-        Where the data of all plots stand; the source ``pulled`` shows where a pole and its conjugate are wanted.
+        Where the data of all plots stand; the source ``dragged`` shows where a pole and its conjugate are wanted.
     ended
         Called after a drag.
     """
@@ -140,7 +140,7 @@ class PoleHandles:
             for name in ("left", "right", "bottom", "top"):
                 box.on_change(name, self._mover(k))
             self.boxes.append(box)
-        self.pulling: Pulling[complex] = Pulling(plot, self._pulled, self._ended)
+        self.drag: Drag[complex] = Drag(plot, self._dragged, self._ended)
         for one in (plot.x_range, plot.y_range):
             one.on_change("start", self._zoomed)
             one.on_change("end", self._zoomed)
@@ -213,20 +213,20 @@ class PoleHandles:
             # The lower half plane is the upper one's mirror: the pole wanted is the upper of the pair.
             target = complex(middle.real, abs(middle.imag))
             self._mark(self._caught[1], target)
-            self.pulling.move(target)
+            self.drag.move(target)
 
         return moved
 
     def _mark(self, pole: complex, target: complex) -> None:
         self._sources.put(
-            "pulled",
+            "dragged",
             x0=column([pole.real, pole.real]),
             y0=column([pole.imag, -pole.imag]),
             x1=column([target.real, target.real]),
             y1=column([target.imag, -target.imag]),
         )
 
-    def _pulled(self, target: complex) -> None:
+    def _dragged(self, target: complex) -> None:
         if self._caught is None:
             return
         pole, self._wanted = self._caught[1], target
@@ -235,7 +235,7 @@ class PoleHandles:
 
     def _ended(self) -> None:
         self._caught = None
-        self._sources.put("pulled", **{name: column([]) for name in ("x0", "y0", "x1", "y1")})
+        self._sources.put("dragged", **{name: column([]) for name in ("x0", "y0", "x1", "y1")})
         self._place()
         self._then()
 
@@ -280,7 +280,7 @@ class LocusPanel:
         asked = sources.new("asked_damping", "x", "y")
         poles = sources.new("poles", "re", "im", "damping", "hz")
         marks = sources.new("plane_labels", "x", "y", "dx", "dy", lists=("text", "align", "baseline"))
-        away = sources.new("pulled", "x0", "y0", "x1", "y1")
+        away = sources.new("dragged", "x0", "y0", "x1", "y1")
         paint = theme.paint
         wrong = plot.harea(
             x1=[0.0, 0.0], x2=[_END, _END], y=[-_END, _END], fill_alpha=1.0,
@@ -336,7 +336,7 @@ class LocusPanel:
             y1=column([_END] * len(slopes) + [-_END] * len(slopes)),
         )
 
-    def on_pulled(self, callback: Callable[[complex, complex], None]) -> None:
+    def on_dragged(self, callback: Callable[[complex, complex], None]) -> None:
         """Call `callback` with a pole and where it is dragged to, rad/s, while it is."""
         self.handles.callbacks.append(callback)
 
@@ -404,7 +404,7 @@ class LocusPanel:
     def _look(self, locus: Locus) -> None:
         """Show the upper half plane as far as it matters; a reach that changes a little moves nothing."""
         reach = locus.reach
-        if self.handles.pulling.active:
+        if self.handles.drag.active:
             # A view that moves would move the pole under the mouse; it follows afterwards.
             self._later = locus
             return

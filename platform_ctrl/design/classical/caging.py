@@ -23,9 +23,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.loop import completed
+from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Block, Channels, first_order, gain, notch
+from platform_ctrl.design.tuning import tune
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.job import DesignSpec
+from platform_ctrl.job.methods import METHODS
+from platform_ctrl.job.requirements import loop_requirements
 
 Kind = Literal["mix", "integral", "lag", "lead", "notch", "low-pass"]
 
@@ -76,20 +80,32 @@ def flattened(stages: Sequence[Stage], inputs: Sequence[str], outputs: Sequence[
     return later[:, :n], later[:, n:], given[:, :n], given[:, n:]
 
 
-# Which options may be moved by the tuner; the integral action is the user's: it trades ramp error for margin.
-TUNABLE = (
-    "crossover_hz",
-    "damping_hz",
-    "damping2_hz",
-    "lead_hz",
-    "rolloff_hz",
-    "inertial_crossover_hz",
-    "inertial_lead_hz",
-    "inertial_rolloff_hz",
-    "notch_hz",
-    "notch_depth",
-    "notch_width",
-)
+# Moved by the tuner, in this order: the simplex depends on it.
+TUNABLE = METHODS["classical"].tunable
+
+
+def classical_design(problem: LoopProblem) -> Designed:
+    """Return the classical loop of a job, with ``tune = true`` moved until its limits are met."""
+    spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
+    options = default_options(design, channel, plants.nutation, plants.period)
+    if design.tune:
+        options = tune(
+            options,
+            [name for name in TUNABLE if name in options],
+            lambda trial: classical_controller(trial, channel, plants.period),
+            plants,
+            loop_requirements(spec.limits),
+            upper=upper_bounds(plants.period),
+            progress=lambda ratio: problem.say(
+                f"{spec.name}: {design.name}, worst requirement at {ratio:.0%} of its limit"
+            ),
+        )
+    return Designed(controller=classical_controller(options, channel, plants.period), options=options)
+
+
+def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
+    """Return all options of the classical loop, those not given from rules of thumb."""
+    return starting_values(design.options, channel, nutation, period)
 
 
 def upper_bounds(period: float) -> dict[str, float]:

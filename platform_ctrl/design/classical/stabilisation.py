@@ -13,13 +13,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from platform_ctrl.analysis.arrays import StateArrays, named_system
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, flattened
-from platform_ctrl.design.loop import LoopDesign, completed
+from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Block, first_order, gain, series
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
 from platform_ctrl.mechanics.linearisation import LinearModel
 
 # A gyro torque whose share in a rate is smaller than this (relative to the largest) is not measured for it.
@@ -42,11 +40,12 @@ def rate_estimate(model: LinearModel) -> tuple[FloatArray, list[int]]:
     return inverse[:, used], used
 
 
-def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignSpec) -> LoopDesign:
-    """Return the servo of the three root axes for the options of `design`.
+def platform_servo(problem: LoopProblem) -> Designed:
+    """Return the servo of the three root axes for the options of the design.
 
     ``crossover_hz`` ωc of the rate loop, ``position_hz`` ωp, ``filter_hz`` and ``filter_damping`` of the low-pass.
     """
+    job, model, spec, design = problem.job, problem.model, problem.spec, problem.design
     crossover = design.options.get("crossover_hz", 5.0)
     defaults = {
         "crossover_hz": crossover,
@@ -70,18 +69,11 @@ def platform_servo(job: Job, model: LinearModel, spec: LoopSpec, design: DesignS
     turns, speeds = _per_axis("turn"), _per_axis("speed")
     axes = flattened(_axis_stages(options, period), turns, speeds)
     servo = series(gain(estimate), axes, gain(_strength(options, model)))
-    controller = named_system(
-        StateArrays(*servo, dt=period),
-        [torquers[model.gimbal_names[k]] for k in used],
-        [roots[k] for k in (1, 2, 3)],
-        name=f"{spec.name}, {design.name}",
-    )
-    return LoopDesign(
-        loop=spec.name,
-        name=design.name,
-        method=design.method,
-        controller=controller,
+    return Designed(
+        controller=servo,
         options=options,
+        inputs=tuple(torquers[model.gimbal_names[k]] for k in used),
+        outputs=tuple(roots[k] for k in (1, 2, 3)),
     )
 
 

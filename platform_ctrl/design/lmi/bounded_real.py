@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.conic import cvxpy, solve
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.errors import IllPosedError
 
 # Largest separation t in [[X, tI], [tI, Y]] ≥ 0 that is asked for.
@@ -157,7 +158,7 @@ def lyapunov_matrix(X: FloatArray, Y: FloatArray, N: FloatArray, M: FloatArray) 
     return np.asarray(0.5 * (V + V.T))
 
 
-def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> Realisation:
+def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> StateArrays:
     """Controller from strictly feasible X and Y; r and s are the ranks of D12 and D21 (Gahinet 1996).
 
     In the variables Â, B̂, Ĉ of the linearised inequality, Ĉ meets the part of X, B̂ that of Y, and Â removes
@@ -176,10 +177,10 @@ def reconstructed(plant: Partition, r: int, s: int, best: Pair, P: object) -> Re
     seen = np.vstack([p.D21.T, np.zeros((nz, p.D21.shape[0]))])
     Bt, My = _gain(p.A.T @ Y, p.C2.T, np.vstack([p.B1.T @ Y, Cc]), seen, weight, s, P)
     A = -through.T - My.T @ weight @ Mx
-    return from_linearised(plant, X, Y, Realisation(A=A, B=Bt.T, C=C, D=D))
+    return from_linearised(plant, X, Y, StateArrays(A=A, B=Bt.T, C=C, D=D))
 
 
-def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: Realisation) -> Realisation:
+def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: StateArrays) -> StateArrays:
     """Controller from the linearising variables Â, B̂, Ĉ, D̂ (Scherer, Gahinet and Chilali 1997)."""
     p, D = plant, hat.D
     N, M = factors(X, Y)
@@ -187,7 +188,7 @@ def from_linearised(plant: Partition, X: FloatArray, Y: FloatArray, hat: Realisa
     CK = np.linalg.solve(M, (hat.C - D @ p.C2 @ X).T).T
     inner = hat.A - Y @ (p.A + p.B2 @ D @ p.C2) @ X - N @ BK @ p.C2 @ X - Y @ p.B2 @ CK @ M.T
     AK = np.linalg.solve(M, np.linalg.solve(N, inner).T).T
-    return Realisation(A=np.asarray(AK), B=np.asarray(BK, dtype=np.float64), C=np.asarray(CK, dtype=np.float64), D=D)
+    return StateArrays(A=np.asarray(AK), B=np.asarray(BK, dtype=np.float64), C=np.asarray(CK, dtype=np.float64), D=D)
 
 
 def _feedthrough(p: Partition, r: int, s: int, gamma: float) -> FloatArray:

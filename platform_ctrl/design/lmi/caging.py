@@ -1,7 +1,7 @@
 """A caging loop that follows the platform's rate, proved for every Omega(t) within limits.
 
-The mixed-sensitivity problem of `design.hinf_loop` in continuous time, around the parameter-varying model: its
-parameters are Omega and products of it, and with momentum states nothing has to be known of how fast they change.
+The mixed-sensitivity problem of `design.riccati.weighted_loop` in continuous time, around the parameter-varying model:
+its parameters are Omega and products of it, and with momentum states nothing has to be known of how fast they change.
 
     ::
 
@@ -27,8 +27,8 @@ from platform_ctrl.common.arguments import positive, real_array
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.scheduled import Scheduled, scheduled
 from platform_ctrl.design.partition import channels, series
+from platform_ctrl.design.riccati.weighted_loop import signal_names
 from platform_ctrl.design.synthesis import hinf
-from platform_ctrl.design.weighting import signal_names
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.mechanics.linearisation import Terms, linearise
 from platform_ctrl.mechanics.parameter_varying import AffineModel, monomial_values, parameter_varying

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import value
 from platform_ctrl.design.lmi import worker
 from platform_ctrl.design.side_process import Ended, Late, SideProcess
@@ -174,3 +175,8 @@ def _request(data: dict[str, Any], time_limit: float, tolerance: float) -> dict[
         "cones": cones,
         "settings": settings,
     }
+
+
+def solved(unknowns: StateArrays) -> StateArrays:
+    """Return what the solver found for (transformed) controller matrices that are its unknowns."""
+    return StateArrays(*(np.asarray(getattr(part, "value", part)) for part in unknowns[:4]), dt=unknowns.dt)

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.bounded_real import Pair, balancing, from_linearised, turned
-from platform_ctrl.design.lmi.conic import cvxpy, solve
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.lmi.conic import cvxpy, solve, solved
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.riccati.assumptions import without_direct_path
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale
 from platform_ctrl.errors import UnscalableError
@@ -41,12 +42,12 @@ class Found(NamedTuple):
 
     level: float
     pair: Pair
-    hat: Realisation
+    hat: StateArrays
 
 
 def h2_lmi(
     plant: Partition, direct: bool, backoff: float, time_limit: float, P: StateSpace
-) -> tuple[Realisation, float, dict[str, float]]:
+) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller in the units of `plant`, the least norm, and figures of merit (scaled)."""
     scaled, T, gain, least = _least(plant, direct, time_limit, P)
     flat = _in_states(_posed(scaled, P)[0], T)
@@ -58,7 +59,7 @@ def h2_lmi(
         except (UnscalableError, np.linalg.LinAlgError) as error:
             failure = failure or UnscalableError(f"{WHERE}: {error}; {CURE}", P)
             continue
-        made = Realisation(A=made.A, B=made.B, C=made.C, D=made.D + gain)
+        made = StateArrays(A=made.A, B=made.B, C=made.C, D=made.D + gain)
         residual = {"separation of X and Y": best.pair.separation}
         return unscale(made, scaled), least.level * _unit(scaled), residual
     assert failure is not None
@@ -130,15 +131,15 @@ def _separated(
     return _solved(problem, X, Y, hat, level, t, "separating X and Y", time_limit, P, 1e-7)
 
 
-def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, Realisation]:
+def _unknowns(p: Partition, direct: bool) -> tuple[Any, Any, StateArrays]:
     cp = cvxpy()
     n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
     D: Any = cp.Variable((nu, ny)) if p.dt and direct else np.zeros((nu, ny))
-    hat = Realisation(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=D)
+    hat = StateArrays(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=D)
     return cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True), hat
 
 
-def _inequalities(p: Partition, X: Any, Y: Any, hat: Realisation, level: Any, margin: float) -> list[Any]:
+def _inequalities(p: Partition, X: Any, Y: Any, hat: StateArrays, level: Any, margin: float) -> list[Any]:
     """Constraints: the norm is below `level`, by the Lyapunov matrix whose congruent form is [[X, I], [I, Y]]."""
     cp = cvxpy()
     (nz, nw), one = p.D11.shape, np.eye(len(p.A))
@@ -162,7 +163,7 @@ def _solved(
     problem: Any,
     X: Any,
     Y: Any,
-    hat: Realisation,
+    hat: StateArrays,
     level: Any,
     t: Any,
     step: str,
@@ -173,8 +174,5 @@ def _solved(
     solve(
         problem, (X, Y), what=f"{WHERE}: {step}", time_limit=time_limit, P=P, tolerance=tolerance, cure=CURE,
     )  # fmt: skip
-    values = Realisation(
-        **{name: np.asarray(getattr(getattr(hat, name), "value", getattr(hat, name))) for name in "ABCD"}
-    )
     bound, separation = (float(getattr(x, "value", x)) for x in (level, t))
-    return Found(bound, Pair(gamma=bound, X=X.value, Y=Y.value, separation=separation), values)
+    return Found(bound, Pair(gamma=bound, X=X.value, Y=Y.value, separation=separation), solved(hat))

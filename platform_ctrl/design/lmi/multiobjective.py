@@ -26,7 +26,6 @@ from platform_ctrl.design.lmi.solutions import Solution, solutions
 from platform_ctrl.design.lmi.tasks import judged, proofs, tasks
 from platform_ctrl.design.partition import (
     Partition,
-    Realisation,
     closed_loop,
     closed_loop_system,
     controller_system,
@@ -189,7 +188,7 @@ def _finished(
     size = np.linalg.norm(plant.D11) + np.linalg.norm(plant.D12) * np.linalg.norm(K.D) * np.linalg.norm(plant.D21)
     D = np.where(np.abs(loop.D) > 1e-12 * size, loop.D, 0.0)
     controller = controller_system(P, K)
-    system = closed_loop_system(P, Realisation(A=loop.A, B=loop.B, C=loop.C, D=D))
+    system = closed_loop_system(P, loop._replace(D=D))
     poles = np.linalg.eigvals(loop.A).astype(np.complex128)
     if not spectral_abscissa(continuous_poles(poles, plant.dt)) < 0:
         raise NotCertifiedError(f"{WHERE}: the closed loop is not stable; expected it stable; {CURE}", P)

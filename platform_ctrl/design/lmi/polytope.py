@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Partition, Realisation, partition
+from platform_ctrl.design.partition import Partition, partition
 from platform_ctrl.errors import ArgumentError, IllPosedError
 
 if TYPE_CHECKING:
@@ -62,10 +63,10 @@ def box(names: Sequence[str], low: ArrayLike, high: ArrayLike, where: str) -> Bo
     return Box(names=names, low=a, high=b)
 
 
-def combined(matrices: Sequence[Realisation], shares: FloatArray) -> Realisation:
+def combined(matrices: Sequence[StateArrays], shares: FloatArray) -> StateArrays:
     """Return the convex combination of realisations in common states."""
     A, B, C, D = (np.tensordot(shares, np.array([getattr(one, name) for one in matrices]), axes=1) for name in "ABCD")
-    return Realisation(A=A, B=B, C=C, D=D)
+    return StateArrays(A=A, B=B, C=C, D=D)
 
 
 def vertex_plants(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.bounded_real import (
     CURE,
@@ -25,7 +26,7 @@ from platform_ctrl.design.lmi.bounded_real import (
     separated,
     turned,
 )
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale, unscale, weakest_mode
 from platform_ctrl.errors import DesignError, TimeLimitError, UnscalableError
 
@@ -88,7 +89,7 @@ class Quadratic:
         How well the inequalities hold (scaled).
     """
 
-    controllers: tuple[Realisation, ...]
+    controllers: tuple[StateArrays, ...]
     least: float
     lyapunov: FloatArray
     residual: dict[str, float]
@@ -234,7 +235,7 @@ def _rough(
 
 def hinf_lmi(
     plant: Partition, backoff: float, time_limit: float, P: StateSpace
-) -> tuple[Realisation, float, dict[str, float]]:
+) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller in the units of `plant`, the least gamma, and how well the inequalities hold (scaled)."""
     found = quadratic_hinf([plant], backoff, time_limit, P)
     return found.controllers[0], found.least, found.residual

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.conic import cvxpy
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant
 from platform_ctrl.errors import ArgumentError, IllPosedError
 from platform_ctrl.job.requirements import LoopRequirement
@@ -122,20 +123,7 @@ class LinearLoop(NamedTuple):
     D: Any
 
 
-class Hats(NamedTuple):
-    """Transformed controller variables."""
-
-    A: Any
-    B: Any
-    C: Any
-    D: Any
-
-    def values(self) -> Realisation:
-        """Return what the solver found."""
-        return Realisation(**{name: np.asarray(getattr(part, "value", part)) for name, part in self._asdict().items()})
-
-
-def output_feedback(p: Partition, X: Any, Y: Any, hat: Hats) -> LinearLoop:
+def output_feedback(p: Partition, X: Any, Y: Any, hat: StateArrays) -> LinearLoop:
     """Return the loop of a full-order controller with transformed variables `hat`."""
     cp = cvxpy()
     one = np.eye(len(p.A))

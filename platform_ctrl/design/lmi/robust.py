@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.common.arguments import positive
 from platform_ctrl.common.signatures import check_arguments
@@ -27,7 +28,6 @@ from platform_ctrl.design.lmi.solutions import KnownMatrix, least_ratio, slackes
 from platform_ctrl.design.lmi.tasks import claimed_loop, judged, tasks
 from platform_ctrl.design.partition import (
     Partition,
-    Realisation,
     closed_loop,
     closed_loop_system,
     controller_system,
@@ -86,7 +86,7 @@ class _Found(NamedTuple):
 
     problem: Problem
     plants: list[Partition]
-    K: Realisation
+    K: StateArrays
     V: FloatArray
     ratio: float
 
@@ -209,7 +209,7 @@ def _state_feedback(problem: Problem, parts: Sequence[Partition], backoff: float
     ratio = (1 + backoff) * least if problem.asked.norms else 1.0
     X, L, _ = solved(ratio if problem.soft else min(ratio, 1.0), "effort", 1.0, MARGIN)
     C2 = plants[0].C2
-    K = Realisation(
+    K = StateArrays(
         A=np.zeros((0, 0)), B=np.zeros((0, len(C2))), C=np.zeros((nu, 0)),
         D=np.linalg.solve(C2.T, np.linalg.solve(X, L.T)).T,
     )  # fmt: skip
@@ -274,7 +274,7 @@ def _between(a: Partition, b: Partition, share: float) -> Partition:
     return Partition(**{name: (1 - share) * getattr(a, name) + share * getattr(b, name) for name in names})
 
 
-def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> Realisation:
+def _for_matrix(problem: Problem, plants: Sequence[Partition], V: FloatArray) -> StateArrays:
     """The controller of the least ratio for a known matrix; without norms, of the most slack."""
     cp = cvxpy()
     known = KnownMatrix(plants, V, direct(problem))

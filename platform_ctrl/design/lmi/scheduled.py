@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.analysis.certificates.certificate import Certificate, proved
 from platform_ctrl.analysis.norms import hinf_norm_arrays
 from platform_ctrl.common.arguments import positive
@@ -21,7 +22,7 @@ from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.polytope import Box, box, combined, needed, require_common, vertex_plants
 from platform_ctrl.design.lmi.quadratic import quadratic_hinf
 from platform_ctrl.design.lmi.tasks import claimed_loop
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, controller_system
+from platform_ctrl.design.partition import Partition, closed_loop, controller_system
 from platform_ctrl.design.scaling import require_stabilisable
 from platform_ctrl.errors import NotCertifiedError, UnscalableError
 from platform_ctrl.mechanics.parameter_varying import monomial_values
@@ -229,7 +230,7 @@ def scheduled(
 
 
 def _certificate(
-    parts: Sequence[Partition], controllers: Sequence[Realisation], level: float, V: FloatArray, problem: object
+    parts: Sequence[Partition], controllers: Sequence[StateArrays], level: float, V: FloatArray, problem: object
 ) -> Certificate:
     """The proof for all vertices with one matrix, at the level or hardly above it."""
     loops = tuple(
@@ -249,7 +250,7 @@ def _certificate(
 def _combined(systems: Sequence[StateSpace], shares: FloatArray) -> StateSpace:
     import control
 
-    mean = combined([Realisation(A=s.A, B=s.B, C=s.C, D=s.D) for s in systems], shares)
+    mean = combined([state_arrays(system, "scheduled") for system in systems], shares)
     first = systems[0]
     return control.StateSpace(
         mean.A, mean.B, mean.C, mean.D,

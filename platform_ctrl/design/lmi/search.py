@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.bounded_real import LARGEST_SEPARATION, Pair, balancing, turned
-from platform_ctrl.design.lmi.conic import cvxpy, solve
+from platform_ctrl.design.lmi.conic import cvxpy, solve, solved
 from platform_ctrl.design.lmi.regions import (
-    Hats,
     LinearLoop,
     h2_below,
     hinf_below,
@@ -26,7 +26,7 @@ from platform_ctrl.design.lmi.regions import (
     require_movable,
 )
 from platform_ctrl.design.lmi.tasks import NormTask, Tasks
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.scaling import ScaledPlant, autoscale
 from platform_ctrl.errors import IllPosedError, InfeasibleError, UnscalableError
 
@@ -74,7 +74,7 @@ class Found(NamedTuple):
     """An answer of the solver: X, Y and the controller, the ratio, the ratios of all norms, where tangents touch."""
 
     pair: Pair
-    hats: Realisation
+    hats: StateArrays
     ratio: float
     ratios: tuple[float, ...]
     splits: tuple[float, ...]
@@ -153,11 +153,11 @@ def _descended(
     return problem, found
 
 
-def _unknowns(problem: Problem) -> tuple[Any, Any, Hats]:
+def _unknowns(problem: Problem) -> tuple[Any, Any, StateArrays]:
     cp, p = cvxpy(), problem.plant
     n, nu, ny = len(p.A), p.B2.shape[1], len(p.C2)
     X, Y = cp.Variable((n, n), symmetric=True), cp.Variable((n, n), symmetric=True)
-    hats = Hats(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
+    hats = StateArrays(A=cp.Variable((n, n)), B=cp.Variable((n, ny)), C=cp.Variable((nu, n)), D=direct(problem))
     return X, Y, hats
 
 
@@ -245,7 +245,7 @@ def minimised(
     least = float(ratio.value) if any(goals) else float("nan")
     pair = Pair(gamma=least, X=X.value, Y=Y.value, separation=1.0)
     shown = tuple(least if goal else 1.0 for goal in goals)
-    return Found(pair=pair, hats=hats.values(), ratio=least, ratios=shown, splits=tangents(problem, pairs))
+    return Found(pair=pair, hats=solved(hats), ratio=least, ratios=shown, splits=tangents(problem, pairs))
 
 
 def separated(problem: Problem, found: Found, backoff: float, margin: float) -> Found:
@@ -275,8 +275,8 @@ def separated(problem: Problem, found: Found, backoff: float, margin: float) -> 
         time_limit=problem.time_limit, P=problem.P, tolerance=FINE, cure=CURE,
     )  # fmt: skip
     pair = Pair(gamma=ratio, X=X.value, Y=Y.value, separation=float(t.value))
-    return Found(pair=pair, hats=hats.values(), ratio=ratio, ratios=tuple(ratios), splits=tangents(problem, pairs))
+    return Found(pair=pair, hats=solved(hats), ratio=ratio, ratios=tuple(ratios), splits=tangents(problem, pairs))
 
 
-def _variables(hats: Hats) -> tuple[Any, ...]:
+def _variables(hats: StateArrays) -> tuple[Any, ...]:
     return tuple(part for part in hats if hasattr(part, "value"))

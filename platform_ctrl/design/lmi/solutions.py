@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lmi.bounded_real import Pair, balancing, factors, from_linearised, lyapunov_matrix, turned
 from platform_ctrl.design.lmi.conic import cvxpy, solve
-from platform_ctrl.design.lmi.regions import Hats, LinearLoop, output_feedback
+from platform_ctrl.design.lmi.regions import LinearLoop, output_feedback
 from platform_ctrl.design.lmi.search import (
     CURE,
     FINE,
@@ -23,7 +24,7 @@ from platform_ctrl.design.lmi.search import (
     minimised,
     separated,
 )
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop
+from platform_ctrl.design.partition import Partition, closed_loop
 from platform_ctrl.errors import DesignError, IllPosedError, InfeasibleError, TimeLimitError, UnscalableError
 
 # Largest eigenvalue of V relative to the one before, on the average, and the inverse of the least one.
@@ -37,7 +38,7 @@ def slackest(
     plants: Sequence[Partition],
     ratios: Sequence[Any],
     V: FloatArray,
-    K: Realisation,
+    K: StateArrays,
     near: FloatArray | None = None,
 ) -> FloatArray:
     """Return the matrix for which the requirements hold with the most slack, the norms at `ratios` times their limits.
@@ -61,7 +62,7 @@ def slackest(
 
 
 def least_ratio(
-    problem: Problem, plants: Sequence[Partition], V: FloatArray, K: Realisation, backoff: float
+    problem: Problem, plants: Sequence[Partition], V: FloatArray, K: StateArrays, backoff: float
 ) -> tuple[float, FloatArray]:
     """Return the least ratio of the goals that a common matrix proves, and the matrix; see `slackest`."""
     cp = cvxpy()
@@ -76,7 +77,7 @@ def _solved(
     plants: Sequence[Partition],
     ratios: Sequence[Any],
     V: FloatArray,
-    K: Realisation,
+    K: StateArrays,
     slack: Any,
     objective: Any,
     more: list[Any],
@@ -159,7 +160,7 @@ class KnownMatrix:
         self.loops: list[LinearLoop] = []
         for plant in plants:
             q = turned(plant, T)
-            hat = Hats(
+            hat = StateArrays(
                 A=NAM + NB @ (q.C2 @ X) + (Y @ q.B2) @ CM + Y @ (q.A + q.B2 @ D @ q.C2) @ X,
                 B=NB + Y @ q.B2 @ D,
                 C=CM + D @ (q.C2 @ X),
@@ -172,11 +173,11 @@ class KnownMatrix:
                 )
             )
 
-    def controller(self) -> Realisation:
+    def controller(self) -> StateArrays:
         """Return what the solver found, in the states xK."""
         NB, CM, D = self._parts
         inverse = np.linalg.inv(self.own)
-        return Realisation(
+        return StateArrays(
             A=inverse @ self.A_K.value @ self.own,
             B=inverse @ np.linalg.solve(self._N, NB.value),
             C=np.linalg.solve(self._M, CM.value.T).T @ self.own,
@@ -190,7 +191,7 @@ MOST_ROUNDS, LEAST_PROGRESS = 40, 1e-3
 MARGIN, BELOW = 1e-6, 0.999
 
 
-def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Realisation:
+def slowed(problem: Problem, best: Found, K: StateArrays, bound: float) -> StateArrays:
     """Return a controller whose poles are smaller than `bound` (scaled), with the requirements still met."""
     n = len(problem.plant.A)
     X, Y = best.pair.X, best.pair.Y
@@ -222,11 +223,11 @@ def slowed(problem: Problem, best: Found, K: Realisation, bound: float) -> Reali
     )
 
 
-def _fastest(K: Realisation) -> float:
+def _fastest(K: StateArrays) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(K.A)), initial=0.0))
 
 
-def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Realisation:
+def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> StateArrays:
     """The controller with the least r in [[−r W, W A_K], [(W A_K)', −r W]] < 0, for a known V."""
     cp = cvxpy()
     known = KnownMatrix([problem.plant], V, direct(problem))
@@ -242,7 +243,7 @@ def _slowest(problem: Problem, best: Found, V: FloatArray, W: FloatArray) -> Rea
     return known.controller()
 
 
-def _own(K: Realisation, fastest: float) -> FloatArray:
+def _own(K: StateArrays, fastest: float) -> FloatArray:
     """W > 0 with A_K' W A_K < r² W for an r just above the fastest pole."""
     from scipy.linalg import solve_discrete_lyapunov
 
@@ -268,7 +269,7 @@ class Solution(NamedTuple):
     problem: Problem
     best: Found
     least: float
-    made: Realisation
+    made: StateArrays
 
 
 def solutions(problem: Problem, backoff: float) -> Iterator[Solution | DesignError]:

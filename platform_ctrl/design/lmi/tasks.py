@@ -23,7 +23,7 @@ from platform_ctrl.analysis.sampled import to_w_plane
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lmi.regions import REGIONS, region
-from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, whole
+from platform_ctrl.design.partition import Partition, in_w_plane, whole
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.requirements import CheckResult, LoopRequirement
 
@@ -205,7 +205,7 @@ def judged(
     )
 
 
-def claimed_loop(plant: Partition, K: Realisation, label: str) -> ClosedLoop:
+def claimed_loop(plant: Partition, K: StateArrays, label: str) -> ClosedLoop:
     """Return a plant and u = K y as a certificate holds them."""
     one = whole(plant)
     return ClosedLoop(A=one.A, B=one.B, C=one.C, D=one.D, A_K=K.A, B_K=K.B, C_K=K.C, D_K=K.D, label=label)

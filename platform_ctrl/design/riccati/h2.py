@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.arguments import one_of, positive
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.lower_bounds import h2_lower_bound
-from platform_ctrl.design.partition import Partition, Realisation, in_w_plane, partition
+from platform_ctrl.design.partition import Partition, in_w_plane, partition
 from platform_ctrl.design.riccati.assumptions import (
     regularised,
     require_full_rank,
@@ -134,7 +135,7 @@ def h2(
 
 def _continuous(
     plant: Partition, P: StateSpace, regularise: float | None
-) -> tuple[Realisation, float, dict[str, float]]:
+) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
     scaled = autoscaled_with_gain(plant)
     extra: dict[str, float] = {}
@@ -152,7 +153,7 @@ def _continuous(
     return unscale(made, scaled), least, extra | residual
 
 
-def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, dict[str, float]]:
+def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller of the scaled plant, the least norm in the units of the plant as given, and the residuals."""
     p, gain = without_direct_path(scaled.plant, P, WHERE)
     of_X = (p.A, p.B2, p.C1.T @ p.C1, p.D12.T @ p.D12, p.C1.T @ p.D12)
@@ -172,7 +173,7 @@ def _optimal(scaled: ScaledPlant, P: StateSpace) -> tuple[Realisation, float, di
     # The norm of a slower system: time is counted in units of 1/rate.
     least = scaled.gain * float(np.sqrt(max(square, 0.0) * scaled.rate))
     # The gain D_K stands beside the estimator, which counts it as part of the plant.
-    made = Realisation(A=p.A + p.B2 @ F + L @ p.C2, B=-L, C=F, D=gain)
+    made = StateArrays(A=p.A + p.B2 @ F + L @ p.C2, B=-L, C=F, D=gain)
     residual = {
         f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=False)
         for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))
@@ -192,7 +193,7 @@ def _solution(
 
 def _sampled(
     plant: Partition, direct: bool, P: StateSpace, regularise: float | None
-) -> tuple[Realisation, float, dict[str, float]]:
+) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller in the units of `plant`, the least norm, and the residuals (scaled)."""
     scaled = autoscaled_with_gain(plant)
     found = _optimal_sampled(scaled.plant, direct)
@@ -214,7 +215,7 @@ def _sampled(
     return unscale(made, scaled), least * scaled.gain, extra | residual
 
 
-def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, dict[str, float]] | None:
+def _optimal_sampled(p: Partition, direct: bool) -> tuple[StateArrays, float, dict[str, float]] | None:
     """Controller, least norm and residuals of a sampled plant with D22 = 0; None where an equation has no solution.
 
     With S the covariance of the innovation e = y − C2 x̂, present state and disturbance are estimated as
@@ -234,7 +235,7 @@ def _optimal_sampled(p: Partition, direct: bool) -> tuple[Realisation, float, di
         present = np.asarray(np.linalg.solve(S, (F @ Y @ p.C2.T + F0 @ p.D21.T).T).T)
         square -= float(np.trace(W @ present @ S @ present.T))
     B = p.B2 @ present + L
-    made = Realisation(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
+    made = StateArrays(A=p.A + p.B2 @ F - B @ p.C2, B=B, C=F - present @ p.C2, D=present)
     residual = {
         f"relative residual of the Riccati equation of {name}": relative_residual(*equation, V, discrete=True)
         for name, equation, V in (("X", of_X, X), ("Y", of_Y, Y))

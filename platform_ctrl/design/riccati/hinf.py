@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Partition, Realisation
+from platform_ctrl.design.partition import Partition
 from platform_ctrl.design.riccati.assumptions import regularised, require_full_rank, require_no_zero_on_axis
 from platform_ctrl.design.riccati.equations import ZERO, stabilising
 from platform_ctrl.design.scaling import ScaledPlant, unscale
@@ -55,7 +56,7 @@ class Solution:
 
 def hinf_riccati(
     scaled: ScaledPlant, backoff: float, P: StateSpace, regularise: float | None = None
-) -> tuple[Realisation, float, dict[str, float]]:
+) -> tuple[StateArrays, float, dict[str, float]]:
     """Controller in the units of the plant that was scaled, the least gamma, and the residuals (scaled).
 
     Parameters
@@ -336,7 +337,7 @@ def _unreached(p: Partition, side: int, start: Solution, frequencies: FloatArray
     return float(np.linalg.norm(rest, 2, axis=(-2, -1)).max())
 
 
-def _central(p: Partition, best: Solution, share: float) -> Realisation:
+def _central(p: Partition, best: Solution, share: float) -> StateArrays:
     """The controller with the free parameter Q = `share` gamma I, the central one for 0; every |Q| < gamma keeps gamma.
 
     The names follow theorem 17.1, with 1 and 2 for the parts of the controller's ports.
@@ -367,4 +368,4 @@ def _central(p: Partition, best: Solution, share: float) -> Realisation:
     C1 = F2 + D11 @ np.linalg.solve(D21, C2)
     A = p.A + B @ F + B1 @ np.linalg.solve(D21, C2)
     Q = share * gamma * np.eye(nu, ny)
-    return Realisation(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)
+    return StateArrays(A=A + B2 @ Q @ C2, B=B1 + B2 @ Q @ D21, C=C1 + D12 @ Q @ C2, D=D11 + D12 @ Q @ D21)

@@ -24,7 +24,7 @@ from platform_ctrl.common.arguments import real_array
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lower_bounds import h2_lower_bound
-from platform_ctrl.design.partition import Partition, Realisation, partition, whole, with_direct_path
+from platform_ctrl.design.partition import Partition, partition, whole, with_direct_path
 from platform_ctrl.design.riccati.equations import well_conditioned
 from platform_ctrl.design.riccati.quadratic_cost import Weights, judged_weights, solved, square_root
 from platform_ctrl.design.scaling import require_stabilisable
@@ -437,7 +437,7 @@ def _as_system(p: Partition, system: StateSpace, measured: list[str]) -> StateSp
 
 def _joined(
     plant: Partition, arrays: StateArrays, feedback: StateFeedback, estimator: Estimator, weights: Weights, direct: bool
-) -> tuple[Realisation, float]:
+) -> tuple[StateArrays, float]:
     """The controller from [y, its integrals] to u, with the estimate as its states, and the root of the least cost."""
     n = len(arrays.A)
     X, F, Y, L = feedback.X, -feedback.state_gain, estimator.Y, estimator.observer_gain
@@ -453,7 +453,7 @@ def _joined(
         present = np.asarray(np.linalg.solve(S, (Fx @ Y @ arrays.C.T + ahead).T).T)
         cost -= float(np.trace(W @ present @ S @ present.T))
     into = arrays.B @ present + L
-    K = Realisation(
+    K = StateArrays(
         A=arrays.A + arrays.B @ Fx - into @ arrays.C,
         B=np.hstack([into, arrays.B @ Fi]),
         C=Fx - present @ arrays.C,
@@ -462,7 +462,7 @@ def _joined(
     return with_direct_path(K, plant.D22), float(np.sqrt(max(cost, 0.0)))
 
 
-def _with_integrators(K: Realisation, ny: int, integrals: int, system: StateSpace) -> StateSpace:
+def _with_integrators(K: StateArrays, ny: int, integrals: int, system: StateSpace) -> StateSpace:
     """The controller from y alone, with states [x̂, xi]."""
     n, p = len(K.A), integrals
     dt = float(system.dt or 0.0)

@@ -8,19 +8,21 @@ from there, if asked for, every matrix entry of a controller of fixed order behi
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from platform_ctrl.analysis.plant_set import PlantSet
-from platform_ctrl.common.values import value
-from platform_ctrl.design.loop import completed
+from platform_ctrl.design.classical.caging import TUNABLE, classical_controller, starting_values, upper_bounds
+from platform_ctrl.design.loop import Designed, LoopProblem, completed
 from platform_ctrl.design.partition import Block, Channels
+from platform_ctrl.design.riccati.weighted_loop import hinf_design
 from platform_ctrl.design.structured.descent import Found, Search
 from platform_ctrl.design.structured.families import Family, Named, Pid, StateSpace, of_order, without_integrators
 from platform_ctrl.errors import DesignError
-from platform_ctrl.job.job import Structure
-from platform_ctrl.job.requirements import LoopRequirement, requirement
+from platform_ctrl.job.job import DesignSpec, Structure
+from platform_ctrl.job.requirements import LoopRequirement, hard_and_soft, requirement
 
 # Share of the integral rate that the slowest closed-loop pole keeps: integral action that does not act is none.
 _INTEGRAL_KEPT = 0.5
@@ -32,32 +34,35 @@ _STRUCTURES: dict[str, tuple[Structure, ...]] = {
     "rolloff_hz": ("pid", "state-space"),
 }
 _COUNTS, _MOST = {"order", "starts", "evaluations"}, 1e6
+_DEFAULT: Structure = "pid"
 _SHARES = {"cross-axis": 0.2, "pid": 0.3, "state-space": 0.5}
 
 
-@value
-class Tuned:
-    """A structured controller.
+def structured_design(problem: LoopProblem) -> Designed:
+    """Return the structured loop of a job: its limits as constraints, its goals minimised."""
+    spec, design, channel, plants = problem.spec, problem.design, problem.channel, problem.plants
+    structure = design.structure or _DEFAULT
+    options = default_options(design, channel, plants.nutation, plants.period)
+    first = starting_values({"integral_hz": options["integral_hz"]}, channel, plants.nutation, plants.period)
+    cross_axis = Named(
+        lambda trial: classical_controller(trial, channel, plants.period), first, TUNABLE, upper_bounds(plants.period)
+    )
+    full_order = dataclasses.replace(problem, design=DesignSpec(name=design.name, method="hinf", options={}))
+    hard, soft = hard_and_soft(spec.limits, spec.soft)
 
-    Attributes
-    ----------
-    controller
-        Sampled, u = K y.
-    options
-        As finally used; for the cross-axis structure with all its numbers.
-    claims
-        ``parameters``, ``order``, ``starts`` and ``evaluations``.
-    """
+    def progress(limits: float, goals: float) -> None:
+        ratios = f"limits at {limits:.0%}" + (f", goals at {goals:.0%}" if soft else "")
+        problem.say(
+            f"{spec.name}: {design.name}, {ratios if math.isfinite(limits) else 'not stable with all plants yet'}"
+        )
 
-    controller: Block
-    options: dict[str, float]
-    claims: dict[str, float]
+    others = [lambda: hinf_design(full_order, "riccati").controller]
+    return tuned_controller(options, structure, cross_axis, channel, plants, (*hard, *soft), others, progress)
 
 
-def default_options(
-    given: dict[str, float], structure: Structure, channel: Channels, nutation: float, period: float
-) -> dict[str, float]:
+def default_options(design: DesignSpec, channel: Channels, nutation: float, period: float) -> dict[str, float]:
     """Return all options of a structure, those not given from rules of thumb."""
+    given, structure = design.options, design.structure or _DEFAULT
     defaults = {
         "order": 3.0 * len(channel.basis),
         "starts": 1.0,
@@ -87,7 +92,7 @@ def tuned_controller(
     requirements: Sequence[LoopRequirement],
     others: Sequence[Callable[[], Block]],
     progress: Callable[[float, float], None],
-) -> Tuned:
+) -> Designed:
     """Return a controller of the given structure that meets the requirements, or comes nearest.
 
     Parameters
@@ -156,4 +161,4 @@ def tuned_controller(
     }
     if structure == "cross-axis":
         options = options | cross_axis.values(found.x)
-    return Tuned(controller=controller, options=options, claims=claims)
+    return Designed(controller=controller, options=options, claims=claims)

@@ -12,7 +12,7 @@ from platform_ctrl.analysis.arrays import ComplexArray, StateArrays, state_array
 from platform_ctrl.analysis.certificates import Certificate, norm_certificate, stability_certificate
 from platform_ctrl.common.values import FloatArray, value
 from platform_ctrl.design.lower_bounds import h2_lower_bound, hinf_lower_bound
-from platform_ctrl.design.partition import Partition, Realisation, whole
+from platform_ctrl.design.partition import Partition, whole
 from platform_ctrl.design.structured.structures import Structure
 from platform_ctrl.design.synthesis import Synthesis, hinf
 from platform_ctrl.errors import DesignError, TimeLimitError
@@ -167,7 +167,7 @@ class Bound:
 
     gamma: float
     source: str
-    controllers: tuple[Realisation, ...]
+    controllers: tuple[StateArrays, ...]
     cut: bool = False
 
 
@@ -184,7 +184,7 @@ def full_order(plant: Partition, power: bool, time_limit: float, fitted: bool) -
     return Bound(gamma=gamma, source=source, controllers=controllers, cut=cut)
 
 
-def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tuple[Realisation, ...], bool]:
+def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tuple[StateArrays, ...], bool]:
     """Return controllers of full order, and whether the time limit ended a computation."""
     P = _system(plant)
     cut = False
@@ -197,7 +197,7 @@ def _controllers(plant: Partition, power: bool, time_limit: float) -> tuple[tupl
             cut = cut or isinstance(error, TimeLimitError)
             continue
         more = () if power or method == "lmi" else _simpler(P, plant, None)
-        return (_realised(found), *more), cut
+        return (state_arrays(found.controller, "structured"), *more), cut
     return () if power else _simpler(P, plant, 1e-2), cut
 
 
@@ -210,12 +210,7 @@ def _designed(P: StateSpace, plant: Partition, power: bool, method: str, time_li
     return hinf(P, ny, nu, method=method, backoff=_BACKOFFS[0], time_limit=time_limit)  # type: ignore[arg-type]
 
 
-def _realised(found: Synthesis) -> Realisation:
-    K = found.controller
-    return Realisation(A=K.A, B=K.B, C=K.C, D=K.D)
-
-
-def _simpler(P: StateSpace, plant: Partition, regularise: float | None) -> tuple[Realisation, ...]:
+def _simpler(P: StateSpace, plant: Partition, regularise: float | None) -> tuple[StateArrays, ...]:
     """Return controllers farther from the least norm; of the regularised plant where its assumptions do not hold."""
     out = []
     for backoff in _BACKOFFS[1:]:
@@ -223,7 +218,7 @@ def _simpler(P: StateSpace, plant: Partition, regularise: float | None) -> tuple
             found = hinf(
                 P, plant.C2.shape[0], plant.B2.shape[1], method="riccati", backoff=backoff, regularise=regularise
             )
-            out.append(_realised(found))
+            out.append(state_arrays(found.controller, "structured"))
     return tuple(out)
 
 

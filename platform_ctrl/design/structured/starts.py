@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.norms import stationary_covariance
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import Block, Partition, Realisation
+from platform_ctrl.design.partition import Block, Partition
 from platform_ctrl.design.structured.norm import ClosedLoop, augmented
 from platform_ctrl.design.structured.parametrised import Parametrised
 
@@ -68,7 +69,7 @@ _ROUNDING = 1e-12
 _SCATTER = 0.7
 
 
-def truncated(K: Realisation, order: int) -> Realisation | None:
+def truncated(K: StateArrays, order: int) -> StateArrays | None:
     """Return the balanced truncation of a stable continuous controller to `order` states; None where there is none."""
     if order >= len(K.A):
         return K if order == len(K.A) else None
@@ -78,7 +79,7 @@ def truncated(K: Realisation, order: int) -> Realisation | None:
         A, B, C, D = balanced_truncation((K.A, K.B, K.C, K.D), order, sampled=False, negligible=_ROUNDING)
     except np.linalg.LinAlgError:
         return None
-    return Realisation(A=A, B=B, C=C, D=D) if len(A) == order else None
+    return StateArrays(A=A, B=B, C=C, D=D) if len(A) == order else None
 
 
 class Fit:
@@ -88,7 +89,7 @@ class Fit:
     that difference over frequency.
     """
 
-    def __init__(self, plant: Partition, full: Realisation, structured: Parametrised) -> None:
+    def __init__(self, plant: Partition, full: StateArrays, structured: Parametrised) -> None:
         self.structured = structured
         order = len(full.A)
         loop = ClosedLoop(augmented(plant, order), np.block([[full.A, full.B], [full.C, full.D]]))
@@ -142,7 +143,7 @@ class Fit:
 
 
 def fits(
-    plants: Sequence[Partition], known: Sequence[Realisation], structured: Parametrised
+    plants: Sequence[Partition], known: Sequence[StateArrays], structured: Parametrised
 ) -> list[tuple[Fit, FloatArray]]:
     """Return a fit to each known full-order controller, and what it found; those that have none are left out."""
     out = []

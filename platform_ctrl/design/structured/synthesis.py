@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from platform_ctrl.analysis.arrays import StateArrays, state_arrays
 from platform_ctrl.common.arguments import whole as whole_number
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.design.partition import Partition, Realisation, closed_loop, in_w_plane, out_of_w_plane, partition
+from platform_ctrl.design.partition import Partition, closed_loop, in_w_plane, out_of_w_plane, partition
 from platform_ctrl.design.scaling import autoscale, require_stabilisable
 from platform_ctrl.design.structured.norm import augmented
 from platform_ctrl.design.structured.orders import Orders
@@ -398,7 +399,7 @@ def _controller(M: FloatArray, P: StateSpace, part: Partition) -> StateSpace:
     import control
 
     order = len(M) - part.B2.shape[1]
-    K = Realisation(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
+    K = StateArrays(A=M[:order, :order], B=M[:order, order:], C=M[order:, :order], D=M[order:, order:])
     K = out_of_w_plane(K, part.dt)
     y, u = P.output_labels[-K.B.shape[1] :], P.input_labels[-K.C.shape[0] :]
     return control.StateSpace(K.A, K.B, K.C, K.D, part.dt, inputs=y, outputs=u, remove_useless_states=False)
@@ -408,7 +409,7 @@ def _abscissa(part: Partition, K: StateSpace) -> float:
     """Return the largest real part, rad/s, of a loop's continuous(-equivalent) poles."""
     from platform_ctrl.analysis.poles import continuous_poles, pole_arrays, spectral_abscissa
 
-    loop = closed_loop(part, Realisation(A=K.A, B=K.B, C=K.C, D=K.D))
+    loop = closed_loop(part, state_arrays(K, "controller"))
     return float(spectral_abscissa(continuous_poles(pole_arrays(loop.A), part.dt)))
 
 
@@ -433,7 +434,7 @@ def _judged(
 
     M, period = best.M, parts[0].dt
     controller = _controller(M, given[0], parts[0])
-    K = Realisation(A=controller.A, B=controller.B, C=controller.C, D=controller.D)
+    K = state_arrays(controller, "controller")
     nmeas, ncon = K.B.shape[1], K.C.shape[0]
     loops, gammas, poles, outcomes = [], [], [], []
     for k, (P, part) in enumerate(zip(given, parts, strict=True), 1):

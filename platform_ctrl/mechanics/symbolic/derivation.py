@@ -65,7 +65,7 @@ def derived(platform: Platform, order: int | None, terms: Terms) -> Equations:
     names = Names()
     motion = motion_symbols(platform, names)
     forces = _specific_force(platform, names)
-    known = parameters(platform, names)
+    known = parameters(platform, tree, names)
     # (27) needs BᵀL to second order; G_A and G_R are derivatives.
     linear = _core(tree, known, Taylor(2 if order is None else max(2, order + 1)), constant_A=terms == "paper")
     shown = linear

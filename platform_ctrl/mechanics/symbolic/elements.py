@@ -10,7 +10,7 @@ import numpy as np
 
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.coupling import connected
-from platform_ctrl.mechanics.kinematics import topology
+from platform_ctrl.mechanics.kinematics import Topology
 from platform_ctrl.mechanics.symbolic.expressions import ONE, Monomial, Series, Taylor, product, without_residue
 from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
 from platform_ctrl.plant.platform import Platform
@@ -45,15 +45,17 @@ class ElementSymbols:
         return len(self._symbols) - 1, self._symbols[-1].name
 
 
-def element_terms(platform: Platform, symbols: ElementSymbols) -> tuple[tuple[Term, ...], tuple[str, ...]]:
+def element_terms(
+    platform: Platform, tree: Topology, symbols: ElementSymbols
+) -> tuple[tuple[Term, ...], tuple[str, ...]]:
     """Return the terms of all force elements on the left side (−Q), and notes on what is not among them."""
     terms: list[Term] = []
     notes: list[str] = []
     _springs(platform, symbols, terms)
     _frictions(platform, symbols, terms, notes)
     _cages(platform, symbols, terms, notes)
-    _unbalances(platform, symbols, terms)
-    _erections(platform, symbols, terms, notes)
+    _unbalances(platform, tree, symbols, terms)
+    _erections(platform, tree, symbols, terms, notes)
     return tuple(terms), tuple(notes)
 
 
@@ -101,15 +103,15 @@ def _cages(platform: Platform, symbols: ElementSymbols, terms: list[Term], notes
             terms.append(Term(k, "rate", k, (), at, 1.0))
 
 
-def _unbalances(platform: Platform, symbols: ElementSymbols, terms: list[Term]) -> None:
+def _unbalances(platform: Platform, tree: Topology, symbols: ElementSymbols, terms: list[Term]) -> None:
     """−∂/∂q of f · (m r), to first order in the angles."""
     n = len(platform.gimbals)
     for body, name in enumerate(platform.gimbal_names, 1):
         moment = sum((u.moment for u in platform.unbalances if u.body == name), np.zeros(3))
         if not moment.any():
             continue
-        turned = _rotation(platform, body)
-        on_path = topology(platform).on_path[body]
+        turned = _rotation(tree, body)
+        on_path = tree.on_path[body]
         for i in np.flatnonzero(moment):
             about = f"mass moment of gimbal {name} along axis {i + 1}"
             at, _ = symbols.add("m", name, str(i + 1), about, "kg m", float(moment[i]))
@@ -123,7 +125,9 @@ def _unbalances(platform: Platform, symbols: ElementSymbols, terms: list[Term]) 
                         terms.append(Term(int(j), "angle", k, f, at, slope))
 
 
-def _erections(platform: Platform, symbols: ElementSymbols, terms: list[Term], notes: list[str]) -> None:
+def _erections(
+    platform: Platform, tree: Topology, symbols: ElementSymbols, terms: list[Term], notes: list[str]
+) -> None:
     n, size = len(platform.gimbals), float(np.linalg.norm(platform.specific_force))
     for device in platform.erections:
         name, k = device.gimbal, platform.gimbal(device.gimbal)
@@ -138,7 +142,7 @@ def _erections(platform: Platform, symbols: ElementSymbols, terms: list[Term], n
             continue
         at, _ = symbols.add("e", name, "", f"gain of the erection of gimbal {name}", "N m", device.gain)
         body = platform.body(device.senses)
-        turned = _rotation(platform, body)
+        turned = _rotation(tree, body)
         for a in range(3):
             factors = (f"f{a + 1}", "1/f")
             terms.append(Term(k, "constant", 0, factors, at, -float(device.axis[a])))
@@ -147,9 +151,9 @@ def _erections(platform: Platform, symbols: ElementSymbols, terms: list[Term], n
                 terms.append(Term(k, "angle", j, factors, at, -float(slope)))
 
 
-def _rotation(platform: Platform, body: int) -> Series:
+def _rotation(tree: Topology, body: int) -> Series:
     """Return the rotation from body axes to root axes, to second order."""
-    tree, algebra = topology(platform), Taylor(2)
+    algebra = Taylor(2)
     out: Series = {ONE: np.eye(3)}
     k = body - 1
     while k >= 0:

@@ -10,7 +10,7 @@ from itertools import chain
 import numpy as np
 
 from platform_ctrl.common.values import FloatArray, value
-from platform_ctrl.mechanics.kinematics import Topology, topology
+from platform_ctrl.mechanics.kinematics import Topology
 from platform_ctrl.mechanics.symbolic.elements import ElementSymbols, Term, element_terms
 from platform_ctrl.mechanics.symbolic.expressions import ONE, Algebra, Series, add, apply, product, pruned
 from platform_ctrl.mechanics.symbolic.names import NamedSymbol, Names
@@ -198,9 +198,8 @@ def motion_symbols(platform: Platform, names: Names) -> Motion:
     )
 
 
-def parameters(platform: Platform, names: Names) -> Parameters:
+def parameters(platform: Platform, tree: Topology, names: Names) -> Parameters:
     """Return the symbols of everything that has a number."""
-    tree = topology(platform)
     m = len(tree.carriers)
     symbols: list[NamedSymbol] = []
     inertias: list[tuple[int, int, int]] = []
@@ -223,7 +222,7 @@ def parameters(platform: Platform, names: Names) -> Parameters:
         head, number = "p" if free else "L", rotor.angular_momentum
         symbols.append(names.parameter(head, rotor.name, "", "momentum", meaning, "N m s", number))
     elements = ElementSymbols(names, symbols)
-    terms, notes = element_terms(platform, elements)
+    terms, notes = element_terms(platform, tree, elements)
     size = len(symbols)
     S_forms = np.zeros((1 + len(platform.gimbals), size, 3, 3))
     for position, (body, i, j) in enumerate(inertias):

@@ -9,22 +9,38 @@ from numpy.typing import NDArray
 
 from platform_ctrl.common.values import FloatArray
 
-# Kinds of sensors and of faults, in the order of `platform_ctrl.job.scenario.FaultKind`.
+# Kinds of sensors.
 ANGLE, GIMBAL_RATE, ROOT_RATE = range(3)
+# What the kernel can do to a part that fails. Actions on one part follow each other in this order.
 (
     RUN_DOWN,
     RUN_UP,
     RIPPLE,
-    TORQUER_DEAD,
-    TORQUER_STUCK,
     TORQUER_WEAK,
-    PICKOFF_DEAD,
-    PICKOFF_STUCK,
+    TORQUER_STUCK,
+    TORQUER_DEAD,
     PICKOFF_DRIFT,
     PICKOFF_DROPOUT,
+    PICKOFF_STUCK,
+    PICKOFF_DEAD,
     OVERRUN,
     CONTACT,
 ) = range(12)
+# The same by the names that `platform_ctrl.job.faults.FaultKind.action` gives.
+ACTIONS = {
+    "run-down": RUN_DOWN,
+    "run-up": RUN_UP,
+    "ripple": RIPPLE,
+    "share of torque": TORQUER_WEAK,
+    "constant torque": TORQUER_STUCK,
+    "no torque": TORQUER_DEAD,
+    "drift": PICKOFF_DRIFT,
+    "lost readings": PICKOFF_DROPOUT,
+    "last reading": PICKOFF_STUCK,
+    "no reading": PICKOFF_DEAD,
+    "missed samples": OVERRUN,
+    "impulse": CONTACT,
+}
 
 # Slots of a sensor: rms of a sample, quantisation; the last reading, and the last one delivered.
 RMS, QUANTISATION, LAST, SENSOR = 0, 1, 2, 3

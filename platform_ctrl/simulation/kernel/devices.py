@@ -82,7 +82,7 @@ def torquers_fail(shared: Shared) -> bool:
     """Whether any torquer of any scenario fails."""
     failing = False
     for f in range(shared.faults.shape[0]):
-        failing = failing or TORQUER_DEAD <= shared.faults[f, 0] <= TORQUER_WEAK
+        failing = failing or TORQUER_WEAK <= shared.faults[f, 0] <= TORQUER_DEAD
     return failing
 
 
@@ -107,7 +107,7 @@ def new_torque(
         torque = load(mem, slot + TORQUE, lane)
         for f in range(shared.faults.shape[0]):
             kind = shared.faults[f, 0]
-            if kind < TORQUER_DEAD or kind > TORQUER_WEAK or shared.faults[f, 1] != i:
+            if kind < TORQUER_WEAK or kind > TORQUER_DEAD or shared.faults[f, 1] != i:
                 continue
             fault = flight.fault + f * FAULT
             on = acts(mem, lane, fault, t)
@@ -242,7 +242,7 @@ def read(shared: Shared, keys: Keys, mem: FloatArray, lane: int, at: At, flight:
         value = choose(fine, unit * whole(value / unit + 0.5), value)
         for f in range(shared.faults.shape[0]):
             failing = shared.faults[f, 0]
-            if failing < PICKOFF_DEAD or failing > PICKOFF_DROPOUT or shared.faults[f, 1] != i:
+            if failing < PICKOFF_DROPOUT or failing > PICKOFF_DEAD or shared.faults[f, 1] != i:
                 continue
             fault = flight.fault + f * FAULT
             on = acts(mem, lane, fault, t)

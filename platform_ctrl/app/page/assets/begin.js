@@ -1,10 +1,10 @@
 // Waits for BokehJS, takes the model that carries questions and answers, and asks for the first picture.
-import { ask, connect, hear, traffic } from "./wire.js";
+import { ask, connect, hear, traffic } from "./messages.js";
 import { themeChanged } from "./choices.js";
 import { watch } from "./connection.js";
 import "./sliders.js";
 import "./table.js";
-import "./acts.js";
+import "./actions.js";
 
 const LOOK = 20;
 // For who watches the page from outside: whether everything that it asked for is done.

@@ -1,5 +1,5 @@
 // What is shown: mode, loop, design, plant and the rest; verdict and margins.
-import { ask, byId, dress, made, on, shown, write } from "./wire.js";
+import { ask, byId, dress, made, on, shown, write } from "./messages.js";
 
 const SELECTS = { loop: "loop", design: "design", channel: "channel", axis: "axis", plant: "plant" };
 

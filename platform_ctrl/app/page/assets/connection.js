@@ -1,5 +1,5 @@
 // What the page does while the server does not answer: it says so, and comes back with its state when the server does.
-import { hear, traffic } from "./wire.js";
+import { hear, traffic } from "./messages.js";
 
 const AGAIN = 1500, LOOK = 1000, PATIENCE = 5000;
 const LOST = "The connection to the server is lost. The page comes back as it stands here as soon as the server answers.";

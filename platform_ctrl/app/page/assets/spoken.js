@@ -1,6 +1,6 @@
 // What is told to who does not see the page: the verdict, and what each plot shows. It follows once nothing moves, so
 // that a move costs nothing and nobody is told of every step of it.
-import { byId, on, write } from "./wire.js";
+import { byId, on, write } from "./messages.js";
 
 const REST = 700;
 let verdict = "", resting = 0;

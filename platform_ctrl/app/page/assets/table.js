@@ -1,5 +1,5 @@
 // The requirements: what is asked, what is reached, how much is left, and which way each slider would help.
-import { byId, dress, made, on, shown, write } from "./wire.js";
+import { byId, dress, made, on, shown, write } from "./messages.js";
 import { near, rows } from "./sliders.js";
 
 const KEY = "Arrows: which way to move a slider to help. Colour: how much 5 % of it changes; empty: next to nothing.";
@@ -27,7 +27,7 @@ const paintBar = (row, one) => {
   row.fill.style.cssText = place;
 };
 
-const paintCell = (element, name, knob, change) => {
+const paintCell = (element, name, slider, change) => {
   const rises = change === "inf" || change > 0;
   const size = change === "inf" ? MOST : Math.abs(change ?? 0);
   // The arrow says which way to move the slider to help.
@@ -36,23 +36,23 @@ const paintCell = (element, name, knob, change) => {
   element.style.background = size < LEAST ? "" : `rgba(var(--${rises ? "down" : "up"}), ${strength.toFixed(3)})`;
   const words = change === "inf" ? "the loop becomes unstable"
     : size < LEAST ? `${name}: next to nothing` : `${name}: ${rises ? "worse" : "better"} by ${shown(100 * size, 2)} % in the ratio to its limit`;
-  element.title = change === null || change === undefined ? "" : `${knob.label} + 5 %: ${words}`;
+  element.title = change === null || change === undefined ? "" : `${slider.label} + 5 %: ${words}`;
 };
 
 let structure = "", body = [];
-const buildTable = (requirements, knobs) => {
+const buildTable = (requirements, sliders) => {
   const table = document.querySelector("#requirements table");
   table.tHead.replaceChildren(made("tr", {},
     made("th", { scope: "col", "aria-label": "Requirement" }, made("span", { className: "key", id: "requirements-key" }, KEY), "Requirement"), made("th", { scope: "col", className: "number" }, "asked"),
     made("th", { scope: "col", className: "number" }, "reached"), made("th", { scope: "col", className: "number" }, "left"), made("th", { "aria-hidden": true }),
-    ...knobs.map((knob) => made("th", { scope: "col", className: "knob-name", "data-knob": knob.name, title: knob.label }, made("span", {}, knob.label))),
+    ...sliders.map((slider) => made("th", { scope: "col", className: "slider-name", "data-slider": slider.name, title: slider.label }, made("span", {}, slider.label))),
     made("th", { className: "rest", "aria-hidden": true })));
   body = requirements.map((one) => {
     const [track, fill] = bar();
     const row = {
       track, fill, place: "",
       asked: made("td", { className: "number" }), reached: made("td", { className: "number value" }), left: made("td", { className: "number left" }),
-      cells: knobs.map((knob) => made("td", { className: "cell", "data-knob": knob.name })),
+      cells: sliders.map((slider) => made("td", { className: "cell", "data-slider": slider.name })),
     };
     row.element = made("tr", {}, made("th", { scope: "row", title: `${one.full} (${one.method})` }, one.name), row.asked, row.reached, row.left,
       made("td", { className: "bar", "aria-hidden": true }, track), ...row.cells, made("td", { className: "rest", "aria-hidden": true }));
@@ -63,13 +63,13 @@ const buildTable = (requirements, knobs) => {
 
 let requirements = [];
 const paintTable = () => {
-  const knobs = [...rows.values()].map((row) => row.knob);
-  const now = JSON.stringify([knobs.map((knob) => knob.label), requirements.map((one) => one.full)]);
+  const sliders = [...rows.values()].map((row) => row.slider);
+  const now = JSON.stringify([sliders.map((slider) => slider.label), requirements.map((one) => one.full)]);
   const fresh = now !== structure;
   if (fresh) {
     structure = now;
     influence = null;
-    buildTable(requirements, knobs);
+    buildTable(requirements, sliders);
   }
   for (const [r, one] of requirements.entries()) {
     const row = body[r];
@@ -87,11 +87,11 @@ const paintTable = () => {
 };
 
 const paintInfluence = () => {
-  const places = new Map(influence.knobs.map((name, k) => [name, k]));
-  const knobs = [...rows.values()].map((row) => row.knob);
+  const places = new Map(influence.sliders.map((name, k) => [name, k]));
+  const sliders = [...rows.values()].map((row) => row.slider);
   for (const [r, one] of requirements.entries()) {
     const changes = influence.change[one.name] ?? [];
-    for (const [k, knob] of knobs.entries()) paintCell(body[r].cells[k], one.name, knob, changes[places.get(knob.name)]);
+    for (const [k, slider] of sliders.entries()) paintCell(body[r].cells[k], one.name, slider, changes[places.get(slider.name)]);
   }
 };
 
@@ -107,7 +107,7 @@ on("influence", (given) => {
 });
 for (const [type, is] of [["mouseover", true], ["mouseout", false]]) {
   byId("requirements").addEventListener(type, (event) => {
-    const knob = event.target.closest?.("[data-knob]")?.dataset.knob;
-    if (knob) near(knob, is);
+    const slider = event.target.closest?.("[data-slider]")?.dataset.slider;
+    if (slider) near(slider, is);
   });
 }

@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from platform_ctrl.app.pictures import Influence, Margins, Picture
-from platform_ctrl.app.values import Knob, Mode, Offer, Settings
+from platform_ctrl.app.settings import Choices, Mode, Settings, Slider
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.report.quantities import BOUND, HZ, compared
 
-# What a knob's value looked like before a page moved it; a start that no knob has is shown as none.
+# What a slider's value looked like before a page moved it; a start that no slider has is shown as none.
 Starts = Mapping[str, float]
 _MODES = ("caged", "stabilised")
 
@@ -40,12 +41,12 @@ def plain_number(number: float | None) -> float | str | None:
     return float(number)
 
 
-def knobs_told(knobs: Iterable[Knob], starts: Starts) -> list[dict[str, Any]]:
+def slider_data(sliders: Iterable[Slider], starts: Starts) -> list[dict[str, Any]]:
     """Return the sliders as the page builds them.
 
     Parameters
     ----------
-    knobs
+    sliders
         In the order in which they are shown.
     starts
         Name → number at which each stood first.
@@ -70,16 +71,16 @@ def knobs_told(knobs: Iterable[Knob], starts: Starts) -> list[dict[str, Any]]:
             "tunable": one.tunable,
             "start": starts.get(one.name, one.value),
         }
-        for one in knobs
+        for one in sliders
     ]
 
 
-def choices_told(offer: Offer, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
+def choice_data(choices: Choices, settings: Settings, plants: tuple[str, ...]) -> dict[str, Any]:
     """Return what every list of the page offers.
 
     Parameters
     ----------
-    offer
+    choices
         What the job has.
     settings
         What is shown.
@@ -91,27 +92,27 @@ def choices_told(offer: Offer, settings: Settings, plants: tuple[str, ...]) -> d
     dict
         Name of the list → what is in it.
     """
-    methods = offer.methods.get(settings.loop, {})
-    designs = offer.designs.get(settings.loop, ())
+    methods = choices.methods.get(settings.loop, {})
+    designs = choices.designs.get(settings.loop, ())
     others = [one for one in designs if one != settings.design]
     return {
-        "mode": list(offer_modes(offer)),
-        "loop": list(offer.loops),
+        "mode": list(available_modes(choices)),
+        "loop": list(choices.loops),
         "design": list(designs),
-        "channel": list(offer.channels.get(settings.loop, ())),
+        "channel": list(choices.channels.get(settings.loop, ())),
         "axis": [1, 2, 3],
         "plant": list(plants),
-        "manoeuvre": list(offer.manoeuvres),
+        "manoeuvre": list(choices.manoeuvres),
         "overlays": [{"design": one, "method": methods.get(one, "")} for one in others],
     }
 
 
-def offer_modes(offer: Offer) -> tuple[str, ...]:
+def available_modes(choices: Choices) -> tuple[str, ...]:
     """Return the modes in which a job can be shown.
 
     Parameters
     ----------
-    offer
+    choices
         What the job has.
 
     Returns
@@ -119,11 +120,13 @@ def offer_modes(offer: Offer) -> tuple[str, ...]:
     tuple of str
         Both, or ``"caged"`` alone where there is no servo on the platform.
     """
-    servo = any("platform-servo" in methods.values() for methods in offer.methods.values())
+    servo = any(
+        METHODS[one].kind == "stabilisation" for methods in choices.methods.values() for one in methods.values()
+    )
     return _MODES if servo else _MODES[:1]
 
 
-def bar_told(picture: Picture) -> dict[str, Any]:
+def verdict_data(picture: Picture) -> dict[str, Any]:
     """Return the verdict and the margins.
 
     Parameters
@@ -146,7 +149,7 @@ def bar_told(picture: Picture) -> dict[str, Any]:
     }
 
 
-def requirements_told(picture: Picture) -> list[dict[str, Any]]:
+def requirement_data(picture: Picture) -> list[dict[str, Any]]:
     """Return the requirements, and the goals after them.
 
     Parameters
@@ -162,7 +165,7 @@ def requirements_told(picture: Picture) -> list[dict[str, Any]]:
     return [_row(one) for one in (*picture.requirements, *picture.goals)]
 
 
-def influence_told(influence: Influence) -> dict[str, Any]:
+def influence_data(influence: Influence) -> dict[str, Any]:
     """Return what the sliders do to the requirements.
 
     Parameters
@@ -173,10 +176,10 @@ def influence_told(influence: Influence) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``knobs``, and per requirement the ``change`` of its ratio.
+        ``sliders``, and per requirement the ``change`` of its ratio.
     """
     return {
-        "knobs": list(influence.knobs),
+        "sliders": list(influence.sliders),
         "change": {
             name: [plain_number(float(number)) for number in row]
             for name, row in zip(influence.requirements, influence.change, strict=True)

@@ -57,17 +57,17 @@ const sendWaiting = () => {
 };
 
 // One gesture is one step of undo: a drag, a series of arrow keys, a number typed.
-export const move = (knob, value) => {
-  waiting.set(knob, { knob, value });
+export const move = (slider, value) => {
+  waiting.set(slider, { slider, value });
   sendWaiting();
 };
 // A number that was typed goes at once, whatever it is: the server judges it.
-export const put = (knob, value) => {
+export const put = (slider, value) => {
   newGesture();
-  ask("move", { moves: [{ knob, value }], gesture });
+  ask("move", { moves: [{ slider, value }], gesture });
 };
 export const newGesture = () => { gesture += 1; };
-export const pending = (knob) => waiting.has(knob);
+export const pending = (slider) => waiting.has(slider);
 export const settled = (n) => n >= asked;
 export const traffic = () => ({ asked, answered, waiting: waiting.size + later.length });
 export const connect = (given) => { send = given; };

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.dragging import constrained_least_squares
 from platform_ctrl.app.pictures import Picture
-from platform_ctrl.app.pulling import constrained_least_squares
-from platform_ctrl.app.workbench import Workbench
 from platform_ctrl.cli import main
 
 pytestmark = pytest.mark.usefixtures("untraced")
@@ -23,14 +23,14 @@ PAIR, THREE, SERVO = "caging 9-10", "caging 4-5-7", "stabilisation"
 
 
 @pytest.fixture(scope="module")
-def bench() -> Workbench:
-    return Workbench(JOB)
+def bench() -> Backend:
+    return Backend(JOB)
 
 
 @pytest.fixture(scope="module")
-def judge() -> Workbench:
-    """Another workbench: what it shows was not worked out while something was dragged."""
-    return Workbench(JOB)
+def judge() -> Backend:
+    """Another backend: what it shows was not worked out while something was dragged."""
+    return Backend(JOB)
 
 
 def nearest(picture: Picture, place: complex) -> complex:
@@ -43,38 +43,38 @@ def missed(picture: Picture) -> set[str]:
 
 
 def test_the_pole_that_took_the_bandwidth_along_goes_as_far_as_the_bandwidth_lets_it(
-    bench: Workbench, judge: Workbench
+    bench: Backend, judge: Backend
 ) -> None:
     start, goal = bench.start(PAIR), -807.0 + 865.0j
     before = bench.picture(start)
     assert missed(before) == set()
     pole = nearest(before, -630.0 + 760.0j)
-    free = judge.picture(judge.pulled_pole(start, pole, goal, free=True))
+    free = judge.picture(judge.drag_pole(start, pole, goal, free=True))
     assert "bandwidth" in missed(free)
     told: list[tuple[str, ...]] = []
-    pulled = bench.pulled_pole(start, pole, goal, held=told.append)
-    after = judge.picture(pulled)
+    dragged = bench.drag_pole(start, pole, goal, held=told.append)
+    after = judge.picture(dragged)
     assert missed(after) == set()
     assert "bandwidth" in told[-1]
     # It goes on along the limit: further than the first place where the way to the goal itself meets it.
     assert abs(nearest(after, pole) - goal) < abs(pole - goal) - 0.03 * abs(pole)
 
 
-def test_a_pole_that_few_knobs_move_little_is_brought_to_its_place_all_the_same(tmp_path: Path) -> None:
-    # Nutation at 1103 rad/s over a loop that crosses over at 0.41 Hz: two knobs have to go by a factor of ten and more.
+def test_a_pole_that_few_sliders_move_little_is_brought_to_its_place_all_the_same(tmp_path: Path) -> None:
+    # Nutation at 1103 rad/s over a loop that crosses over at 0.41 Hz: two sliders have to move tenfold and more.
     assert main(["new", "mine", "--like", "gimballed_gyro", "-o", str(tmp_path), "-q"]) == 0
-    bench = Workbench(tmp_path / "mine.toml")
+    bench = Backend(tmp_path / "mine.toml")
     settings = bench.start()
     pole = nearest(bench.picture(settings), 1103.0j)
-    there = nearest(bench.picture(bench.pulled_pole(settings, pole, 1.03 * pole, free=True)), 1.03 * pole)
+    there = nearest(bench.picture(bench.drag_pole(settings, pole, 1.03 * pole, free=True)), 1.03 * pole)
     assert abs(there - 1.03 * pole) < 1e-6 * abs(pole)
 
 
-def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Workbench, judge: Workbench) -> None:
+def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Backend, judge: Backend) -> None:
     settings, goal = bench.start(PAIR), -807.0 + 865.0j
     pole = first = nearest(bench.picture(settings), -630.0 + 760.0j)
     for share in np.linspace(0.1, 1.0, 10):
-        settings = bench.pulled_pole(settings, pole, first + share * (goal - first))
+        settings = bench.drag_pole(settings, pole, first + share * (goal - first))
         shown = bench.picture(settings)
         pole = nearest(shown, pole)
         assert missed(shown) == set()
@@ -89,7 +89,7 @@ def test_a_hand_that_goes_on_past_a_limit_never_makes_anything_missed(bench: Wor
 )
 @hypothesis.settings(max_examples=8, derandomize=True, deadline=None)
 def test_no_drag_makes_a_requirement_missed_that_is_met(
-    bench: Workbench, judge: Workbench, loop: str, which: int, size: float, turn: float
+    bench: Backend, judge: Backend, loop: str, which: int, size: float, turn: float
 ) -> None:
     start = bench.start(loop)
     before = bench.picture(start)
@@ -97,9 +97,9 @@ def test_no_drag_makes_a_requirement_missed_that_is_met(
     pole = complex(poles[which % len(poles)])
     target = size * pole * np.exp(1j * turn)
     told: list[tuple[str, ...]] = []
-    after = judge.picture(bench.pulled_pole(start, pole, target, held=told.append))
+    after = judge.picture(bench.drag_pole(start, pole, target, held=told.append))
     assert missed(after) <= missed(before)
-    free = bench.pulled_pole(start, pole, target, free=True)
+    free = bench.drag_pole(start, pole, target, free=True)
     if missed(judge.picture(free)) <= missed(before) and not told:
         # Where nothing holds it the drag is the free one.
         assert abs(nearest(after, target) - target) == pytest.approx(
@@ -109,38 +109,38 @@ def test_no_drag_makes_a_requirement_missed_that_is_met(
         assert name in {one.name for one in before.requirements if one.passed}
 
 
-def test_limits_that_are_missed_already_hold_nothing_back(bench: Workbench) -> None:
+def test_limits_that_are_missed_already_hold_nothing_back(bench: Backend) -> None:
     settings = bench.moved(bench.start(PAIR), "crossover_hz", 20.0)
     before = bench.picture(settings)
     assert "bandwidth" in missed(before)
     pole = complex(before.locus.present[before.locus.draggable][0])
     told: list[tuple[str, ...]] = []
-    bench.pulled_pole(settings, pole, 1.02 * pole, held=told.append)
+    bench.drag_pole(settings, pole, 1.02 * pole, held=told.append)
     assert not any(name == "bandwidth" for names in told for name in names)
 
 
-def test_the_crossover_stops_where_a_requirement_would_be_missed(bench: Workbench, judge: Workbench) -> None:
+def test_the_crossover_stops_where_a_requirement_would_be_missed(bench: Backend, judge: Backend) -> None:
     start = bench.start(PAIR)
     crossover = float(bench.picture(start).bode.crossovers[-1])
     told: list[tuple[str, ...]] = []
     for factor in (0.5, 2.0):
         told.clear()
-        after = judge.picture(bench.pulled_crossover(start, factor * crossover, held=told.append))
+        after = judge.picture(bench.drag_crossover(start, factor * crossover, held=told.append))
         assert missed(after) == set()
         assert told
-        assert missed(judge.picture(bench.pulled_crossover(start, factor * crossover, free=True)))
-    near = bench.pulled_crossover(start, 1.001 * crossover)
+        assert missed(judge.picture(bench.drag_crossover(start, factor * crossover, free=True)))
+    near = bench.drag_crossover(start, 1.001 * crossover)
     assert judge.picture(near).bode.crossovers[-1] == pytest.approx(1.001 * crossover, rel=1e-4)
 
 
 @pytest.mark.slow
-def test_no_drag_of_the_servo_makes_a_coupled_requirement_missed(bench: Workbench, judge: Workbench) -> None:
+def test_no_drag_of_the_servo_makes_a_coupled_requirement_missed(bench: Backend, judge: Backend) -> None:
     settings = bench.start(SERVO)
     before = bench.picture(settings)
     pole = nearest(before, -619.0 + 772.0j)
     told: list[tuple[str, ...]] = []
     for share in (0.03, 0.06, 0.09, 0.12):
-        settings = bench.pulled_pole(settings, pole, (1.0 + share) * nearest(before, -619.0 + 772.0j), held=told.append)
+        settings = bench.drag_pole(settings, pole, (1.0 + share) * nearest(before, -619.0 + 772.0j), held=told.append)
         pole = nearest(bench.picture(settings), pole)
     assert told
     assert missed(judge.picture(settings)) <= missed(before)

@@ -1,4 +1,4 @@
-"""What is worked out in a process of its own: knobs tuned, a design by its method, a manoeuvre flown."""
+"""What is worked out in a process of its own: sliders tuned, a design by its method, a manoeuvre flown."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Tuning:
     options: dict[str, float]
     movable: tuple[str, ...]
 
-    def worked_out(self, say: Say) -> dict[str, float]:
+    def run(self, say: Say) -> dict[str, float]:
         """Return the options, tuned."""
         from platform_ctrl.design.classical.caging import classical_controller, upper_bounds
         from platform_ctrl.design.partition import channels
@@ -91,7 +91,7 @@ class ServoTuning:
     options: dict[str, float]
     caging: tuple[tuple[StateArrays, tuple[str, ...], tuple[str, ...], str], ...]
 
-    def worked_out(self, say: Say) -> dict[str, float]:
+    def run(self, say: Say) -> dict[str, float]:
         """Return the options, tuned: a simplex search over their logarithms, as `design.tuning.tune` does it."""
         import numpy as np
         from scipy.optimize import minimize
@@ -131,7 +131,7 @@ class ServoTuning:
         from platform_ctrl.analysis.arrays import named_system
         from platform_ctrl.app.free_measures import requirements
         from platform_ctrl.app.free_plants import StabilisedLoop, corners, free_models, free_plants
-        from platform_ctrl.design.classical.stabilisation import platform_servo
+        from platform_ctrl.design.loop import LoopProblem, designed
         from platform_ctrl.mechanics.linearisation import linearise
         from platform_ctrl.verification.coupled import sensed_rates
 
@@ -150,7 +150,8 @@ class ServoTuning:
 
         def worst(options: dict[str, float]) -> float:
             try:
-                servo = platform_servo(self.job, model, spec, dataclasses.replace(design, options=options))
+                trial = dataclasses.replace(design, options=options)
+                servo = designed(LoopProblem(job=self.job, spec=spec, design=trial, model=model))
             except PlatformCtrlError:
                 return 100.0
             loop = StabilisedLoop(
@@ -206,7 +207,7 @@ class Designing:
     loop: str
     design: str
 
-    def worked_out(self, say: Say) -> Made:
+    def run(self, say: Say) -> Made:
         """Return the controller."""
         from platform_ctrl.design.jobs import loops
 
@@ -221,7 +222,7 @@ class Designing:
 
 
 @value
-class Flying:
+class Simulating:
     """A manoeuvre that is to be flown on the non-linear plant.
 
     Attributes
@@ -238,7 +239,7 @@ class Flying:
     manoeuvre: str
     controllers: tuple[tuple[StateArrays, tuple[str, ...], tuple[str, ...], str], ...]
 
-    def worked_out(self, say: Say) -> Trajectory:
+    def run(self, say: Say) -> Trajectory:
         """Return the run."""
         from platform_ctrl.analysis.arrays import named_system
         from platform_ctrl.verification.simulated import fly
@@ -265,7 +266,7 @@ def answer() -> None:
         while True:
             question = questions.get()
             try:
-                tell("done", question.worked_out(lambda line: tell("told", line)))
+                tell("done", question.run(lambda line: tell("told", line)))
             except PlatformCtrlError as error:
                 # What was being solved may not be for a pipe.
                 plain = DesignError(str(error)) if isinstance(error, DesignError) else error

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from bokeh.document import Document
     from jinja2 import Template
 
-    from platform_ctrl.app.workbench import Workbench
+    from platform_ctrl.app.backend import Backend
 
 # The plots in the order in which they stand, and what they are called to readers who do not see them.
 PANELS = (
@@ -23,17 +23,17 @@ PANELS = (
 )
 
 
-def page(workbench: Workbench, document: Document) -> None:
+def page(backend: Backend, document: Document) -> None:
     """Make a page of a new document: with a state of its own, which is dropped with the document's session.
 
     Parameters
     ----------
-    workbench
+    backend
         Shared by all pages of the job.
     document
         Empty; of the session that was opened.
     """
-    session = Session(workbench, document, _state(document))
+    session = Session(backend, document, _state(document))
     with document.models.freeze():  # what belongs to the document is looked for once, not for every plot
         for root in session.roots():
             document.add_root(root)

@@ -19,7 +19,7 @@ _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?\.?)(?::(
 
 
 @value
-class Hosts:
+class AllowedHosts:
     """The names under which the pages may be asked for.
 
     Attributes
@@ -34,7 +34,7 @@ class Hosts:
     names: frozenset[str]
 
     @classmethod
-    def of(cls, host: str, allow: Sequence[str] = ()) -> Hosts:
+    def of(cls, host: str, allow: Sequence[str] = ()) -> AllowedHosts:
         """Return the names for an address that is listened on, and those that are allowed besides.
 
         Parameters
@@ -46,7 +46,7 @@ class Hosts:
 
         Returns
         -------
-        Hosts
+        AllowedHosts
             The names.
 
         References

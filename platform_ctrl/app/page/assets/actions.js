@@ -1,5 +1,5 @@
 // Buttons, dialogs and keys.
-import { ask, byId, hear, made, on } from "./wire.js";
+import { ask, byId, hear, made, on } from "./messages.js";
 import { shownState } from "./choices.js";
 import { rows } from "./sliders.js";
 
@@ -88,7 +88,7 @@ const next = (id, way) => {
   select.selectedIndex = (select.selectedIndex + way + select.options.length) % select.options.length;
   select.dispatchEvent(new Event("change"));
 };
-const focusedRow = () => rows.get(document.activeElement?.closest?.("[data-knob]")?.dataset.knob);
+const focusedRow = () => rows.get(document.activeElement?.closest?.("[data-slider]")?.dataset.slider);
 const choose = (id, index) => {
   const select = byId(id);
   if (index >= select.options.length) return;
@@ -105,7 +105,7 @@ const KEYS = [
   ["PgUp PgDn", "move the slider by a tenth"],
   ["Home End", "to the slider's ends"],
   ["Shift", "with the mouse: a drag in a plot may make limits missed"],
-  ["G", "go to the sliders", (e) => e.key === "g", () => rows.values().next().value?.slider.focus()],
+  ["G", "go to the sliders", (e) => e.key === "g", () => rows.values().next().value?.range.focus()],
   ["N", "type the slider's number; Enter takes it", (e) => e.key === "n", () => focusedRow()?.number.focus()],
   ["X", "fix the slider, or free it", (e) => e.key === "x", () => focusedRow()?.pin.click()],
   ["R", "slider back to where it stood", (e) => e.key === "r", () => focusedRow()?.reset.click()],

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.page.asking import Ask
-from platform_ctrl.app.page.telling import influence_told
+from platform_ctrl.app.page.messages import influence_data
+from platform_ctrl.app.page.requests import Request
 from platform_ctrl.app.saving import controllers_beside
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.common.signatures import short
@@ -21,7 +21,7 @@ from platform_ctrl.errors import InputError, PlatformCtrlError
 
 if TYPE_CHECKING:
     from platform_ctrl.app.page.session import Session
-    from platform_ctrl.app.values import Settings
+    from platform_ctrl.app.settings import Settings
 
 # A name and no path; nothing that a system keeps to itself.
 _NAME = re.compile(r"[\w .,()+=@-]+(?<![ .])")
@@ -98,7 +98,7 @@ def words_of(error: Exception) -> str:
     return f"This could not be worked out ({type(error).__name__}); the terminal says more."
 
 
-class Errands:
+class PageTasks:
     """The long tasks of a session, each in a thread of its own.
 
     Parameters
@@ -120,16 +120,16 @@ class Errands:
 
     def told(self) -> dict[str, Any]:
         """Return what the page has to know for saving and running."""
-        path = self._session.workbench.path
+        path = self._session.backend.path
         stem = "job" if path is None else path.stem
-        manoeuvres = self._session.offer.manoeuvres
+        manoeuvres = self._session.choices.manoeuvres
         return {
             "folder": str(self._folder()),
             "stem": f"{stem}-tuned",
             "manoeuvre": manoeuvres[0] if manoeuvres else "",
         }
 
-    def ask(self, ask: Ask) -> None:
+    def ask(self, ask: Request) -> None:
         """Do what a message asks for."""
         getattr(self, f"_ask_{ask.what}")(ask)
 
@@ -146,13 +146,13 @@ class Errands:
         self._measuring = True
 
         def measured() -> Callable[[], None]:
-            influence = session.workbench.influence(settings)
+            influence = session.backend.influence(settings)
 
             def tell() -> None:
                 self._measuring = False
                 now = session.picture
                 if now is not None and now.settings.data() == settings.data():
-                    session.answer(influence=influence_told(influence))
+                    session.answer(influence=influence_data(influence))
                 elif now is not None:
                     self.influence(now.settings)
 
@@ -163,12 +163,12 @@ class Errands:
 
         self._do(measured, failed)
 
-    def _ask_cancel(self, ask: Ask) -> None:
+    def _ask_cancel(self, ask: Request) -> None:
         self.cancel_tuning()
         self._cancel_flying()
         self._session.answer(ask.count)
 
-    def _ask_tune(self, ask: Ask) -> None:
+    def _ask_tune(self, ask: Request) -> None:
         session = self._session
         if self._cancelled is not None:
             session.say("Tuning is going on already.", count=ask.count)
@@ -189,7 +189,7 @@ class Errands:
             session.later(lambda: session.answer(busy=busy) if self._cancelled is cancelled else None)
 
         def tuned() -> Callable[[], None]:
-            new = session.workbench.tuned(settings, progress, cancelled.is_set)
+            new = session.backend.tuned(settings, progress, cancelled.is_set)
 
             def show() -> None:
                 self._cancelled = None
@@ -210,7 +210,7 @@ class Errands:
 
         self._do(tuned, failed)
 
-    def _ask_save(self, ask: Ask) -> None:
+    def _ask_save(self, ask: Request) -> None:
         session = self._session
         try:
             path = target(self._folder(), ask.more["name"])
@@ -226,23 +226,23 @@ class Errands:
         session.answer(ask.count)
 
         def saved() -> Callable[[], None]:
-            written = session.workbench.saved(settings, path, overwrite=overwrite)
+            written = session.backend.saved(settings, path, overwrite=overwrite)
             text = ". ".join((f"Saved: {path}", *written.notes))
             told = {"kind": "good", "text": text, "command": check_line(path)}
             return lambda: session.answer(saved=told, line={"text": text, "kind": "good"})
 
         self._do(saved, lambda line: session.answer(saved={"kind": "error", "text": line}))
 
-    def _ask_fly(self, ask: Ask) -> None:
+    def _ask_fly(self, ask: Request) -> None:
         session = self._session
         manoeuvre = ask.more["manoeuvre"]
-        known_name("manoeuvre", manoeuvre, session.offer.manoeuvres)
+        known_name("manoeuvre", manoeuvre, session.choices.manoeuvres)
         if self._flight_cancelled is not None or self._cancelled is not None:
             what = "A manoeuvre is being simulated already" if self._cancelled is None else "Tuning is going on"
             session.say(f"{what}; Esc ends that.", count=ask.count)
             return
         self._flight_cancelled = cancelled = threading.Event()
-        settings, first = session.settings, not session.workbench.flown
+        settings, first = session.settings, not session.backend.flown
         busy: dict[str, Any] = {"text": "Simulating", "share": None, "cancel": True}
         session.answer(ask.count, busy=busy)
 
@@ -256,8 +256,8 @@ class Errands:
         session.soon(takes_long, LONG)
 
         def flown() -> Callable[[], None]:
-            trajectory = session.workbench.run(settings, manoeuvre, cancelled.is_set)
-            platform = session.workbench.job(settings).platform
+            trajectory = session.backend.run(settings, manoeuvre, cancelled.is_set)
+            platform = session.backend.job(settings).platform
 
             def show() -> None:
                 self._flight_cancelled = None
@@ -284,7 +284,7 @@ class Errands:
             self._flight_cancelled.set()
 
     def _folder(self) -> Path:
-        path = self._session.workbench.path
+        path = self._session.backend.path
         return (Path() if path is None else path.parent).resolve()
 
     def _do(self, work: Callable[[], Callable[[], None]], failed: Callable[[str], None]) -> None:
@@ -300,4 +300,4 @@ class Errands:
             else:
                 session.later(done)
 
-        threading.Thread(target=run, name="designer errand", daemon=True).start()
+        threading.Thread(target=run, name="designer task", daemon=True).start()

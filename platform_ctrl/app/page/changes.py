@@ -16,18 +16,18 @@ from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import InputError
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.values import Settings
-    from platform_ctrl.app.workbench import Workbench
+    from platform_ctrl.app.backend import Backend
+    from platform_ctrl.app.settings import Settings
 
 NAMES = ("mode", "loop", "design", "channel", "plant", "axis", "band", "overlays")
 
 
-def chosen(workbench: Workbench, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
+def chosen(backend: Backend, settings: Settings, name: str, given: object, plants: tuple[str, ...]) -> Settings:
     """Return the settings with something else chosen.
 
     Parameters
     ----------
-    workbench
+    backend
         Knows what there is.
     settings
         As they are.
@@ -43,7 +43,7 @@ def chosen(workbench: Workbench, settings: Settings, name: str, given: object, p
     Settings
         New ones.
     """
-    offer = workbench.offer()
+    choices = backend.choices()
     known_name("choice", name, NAMES)
     if name == "axis":
         return settings.but(axis=whole("axis", given, 1, 3))
@@ -52,25 +52,25 @@ def chosen(workbench: Workbench, settings: Settings, name: str, given: object, p
             raise InputError(f"band: given {short(given)}; expected true or false")
         return settings.but(band=given)
     if name == "overlays":
-        others = [one for one in offer.designs[settings.loop] if one != settings.design]
+        others = [one for one in choices.designs[settings.loop] if one != settings.design]
         if not isinstance(given, list):
             raise InputError(f"overlays: given {short(given)}; expected a list of designs")
         return settings.but(overlays=tuple(others[k] for k in known_names("overlays", given, others)))
     text = _text(name, given)
     if name == "loop":
-        return workbench.chosen(settings, loop=text)
+        return backend.chosen(settings, loop=text)
     if name == "design":
-        return workbench.chosen(settings, design=text)
+        return backend.chosen(settings, design=text)
     if name == "channel":
-        known_name("channel", text, offer.channels[settings.loop])
+        known_name("channel", text, choices.channels[settings.loop])
         return settings.but(channel=text)
     if name == "plant":
         known_name("plant", text, plants)
         return settings.but(plant=text)
     if text == settings.mode:
         return settings
-    for loop in offer.loops:
-        other = workbench.chosen(settings, loop=loop)
+    for loop in choices.loops:
+        other = backend.chosen(settings, loop=loop)
         if other.mode == text:
             return other
     raise InputError(f"mode: given {short(given)}; expected one that this job has a loop for")
@@ -85,7 +85,7 @@ def _text(name: str, given: object) -> str:
 T = TypeVar("T")
 
 
-class Newest(Generic[T]):
+class LatestTasks(Generic[T]):
     """Tasks that a thread works off; a newer task takes the place of one of the same key that still waits.
 
     The thread lives as long as there is something to do.
@@ -132,10 +132,10 @@ class Newest(Generic[T]):
             self._work(tasks)
 
 
-class Wire(DataModel):
+class MessageModel(DataModel):
     """What was asked last by the page, and told last by the session."""
 
-    # Of any type: what is nonsense is refused by `asking.ask_of`, with a line.
+    # Of any type: what is nonsense is refused by `asking.parse_request`, with a line.
     asked = AnyProperty(default="")
     told = String(default="")
 

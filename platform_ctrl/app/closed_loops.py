@@ -11,16 +11,17 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system, state_array
 from platform_ctrl.analysis.loop_measures import LoopMeasures
 from platform_ctrl.analysis.sampled import from_w_plane, to_w_plane
 from platform_ctrl.app.caged import CagedLoop, KeptMeasures
-from platform_ctrl.app.controllers import DesignOptions, classical_arrays, live
+from platform_ctrl.app.controllers import DesignOptions, built_directly, classical_arrays
 from platform_ctrl.app.free_plants import StabilisedLoop
 from platform_ctrl.app.plants import Bounded, JobPlants
+from platform_ctrl.app.process_tasks import Made
 from platform_ctrl.app.saving import SavedController
-from platform_ctrl.app.tasks import Made
-from platform_ctrl.app.values import Conditions, Settings
+from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.common.arguments import known_name
-from platform_ctrl.design.classical.stabilisation import platform_servo
+from platform_ctrl.design.loop import LoopProblem, designed
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 from platform_ctrl.job.job import DesignSpec, Job, LoopSpec
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.requirements import CheckResult
 from platform_ctrl.verification.coupled import sensed_rates
 from platform_ctrl.verification.given import opened, read_controllers
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 _ROOM = 64
 
 
-class Store:
+class DesignStore:
     """Designs by loop, name and all that they depend on. It never answers with one for other conditions."""
 
     def __init__(self) -> None:
@@ -105,7 +106,7 @@ def _loop_of(job: Job, outputs: set[str]) -> LoopSpec | None:
     return None
 
 
-class Closing:
+class ClosedLoops:
     """The loops of a job, closed as settings say.
 
     Parameters
@@ -120,7 +121,7 @@ class Closing:
         self.read = job
         self.plants = JobPlants(job)
         self.options = DesignOptions(self.plants)
-        self.store = Store()
+        self.store = DesignStore()
         self._specs = {spec.name: spec for spec in job.loops}
         self._margins: Bounded[dict[str, float]] = Bounded(16)
         self._measures: Bounded[LoopMeasures] = Bounded(8)
@@ -140,11 +141,11 @@ class Closing:
             known = next((d for d in spec.designs if d.name == design), None)
             if known is None:
                 continue
-            if known.method == "classical" and method == "classical" and known.tune:
+            if method == known.method and METHODS[method].tunes and known.tune:
                 mine = start.options[loop]
                 options = {name: made.options.get(name, x) for name, x in mine[design].items()}
                 start = start.but(options={**start.options, loop: {**mine, design: options}})
-            elif not live(known):
+            elif not built_directly(known):
                 conditions = self.conditions(start, spec, known)
                 self.store.keep(loop, design, conditions, made)
                 start = _designed_for(start, loop, design, conditions)
@@ -158,7 +159,10 @@ class Closing:
     def there(self, settings: Settings, spec: LoopSpec, name: str) -> bool:
         """Return whether a design of a loop is there for just these settings."""
         design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-        return live(design) or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
+        return (
+            built_directly(design)
+            or self.store.found(spec.name, name, self.conditions(settings, spec, design)) is not None
+        )
 
     def spec(self, name: str) -> LoopSpec:
         """Return a loop of the job."""
@@ -182,7 +186,7 @@ class Closing:
         return dataclasses.replace(self.plants.job(settings), loops=loops)
 
     def _as_set(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> DesignSpec:
-        if not live(design):
+        if not built_directly(design):
             return dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         if not self.options.touched(settings, spec.name, design.name):
             return design
@@ -216,7 +220,7 @@ class Closing:
         for loop, name in shown:
             spec = self.spec(loop)
             design = spec.designs[known_name("design", name, tuple(d.name for d in spec.designs))]
-            if live(design):
+            if built_directly(design):
                 continue
             first = self.start.designed_for.get(loop, {}).get(name)
             if self.conditions(new, spec, design) == self.conditions(self.start, spec, design):
@@ -231,7 +235,7 @@ class Closing:
 
     def following(self, settings: Settings, spec: LoopSpec, design: DesignSpec) -> Settings:
         """Return the settings with the controller of a design that is made for them as they are."""
-        if live(design):
+        if built_directly(design):
             return settings
         return _designed_for(settings, spec.name, design.name, self.conditions(settings, spec, design))
 
@@ -275,13 +279,13 @@ class Closing:
         return loop, notes
 
     def kept(self, settings: Settings) -> Callable[[str, Callable[[], dict[str, float]]], dict[str, float]]:
-        """Return what keeps figures of the caging loops while only the servo's knobs move."""
+        """Return what keeps figures of the caging loops while only the servo's sliders move."""
         others = []
         for spec in self.read.loops:
             if spec.kind == "caging":
                 name = settings.closed[spec.name]
                 design = next(d for d in spec.designs if d.name == name)
-                seen = None if live(design) else self.seen(settings, spec, design)
+                seen = None if built_directly(design) else self.seen(settings, spec, design)
                 options = tuple(sorted(settings.options[spec.name][name].items()))
                 others.append((spec.name, name, seen, options, settings.parts_on(spec.name, name)))
 
@@ -325,8 +329,8 @@ class Closing:
             try:
                 K, note = self.caging(settings, spec, design)
             except DesignError:
-                other = next((d for d in spec.designs if d.method == "classical"), None)
-                if strict or other is None or live(design):
+                other = next((d for d in spec.designs if built_directly(d)), None)
+                if strict or other is None or built_directly(design):
                     raise
                 note = f"{spec.name}: {design.name} is not designed yet; {other.name} is closed in its place"
                 design, (K, _) = other, self.caging(settings, spec, other)
@@ -351,7 +355,7 @@ class Closing:
         """Return the controller of a servo on the platform."""
         mine = dataclasses.replace(design, options=dict(settings.options[spec.name][design.name]))
         job = dataclasses.replace(self.read, sampling=self.plants.sampling(settings))
-        made = platform_servo(job, self.plants.model(settings), spec, mine).controller
+        made = designed(LoopProblem(job=job, spec=spec, design=mine, model=self.plants.model(settings))).controller
         K = state_arrays(made, design.name)
         return named_system(K, made.input_labels, made.output_labels, name=f"{spec.name}, {design.name}")
 

@@ -16,11 +16,11 @@ from typing import Any
 from platform_ctrl.errors import DesignError, PlatformCtrlError
 
 Progress = Callable[[str], None]
-Cancelled = Callable[[], bool]
+IsCancelled = Callable[[], bool]
 
 _SOURCE = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from platform_ctrl.app.tasks import answer; answer()"
+    "from platform_ctrl.app.process_tasks import answer; answer()"
 )
 # How soon a cancelled task notices, s.
 _POLL = 0.1
@@ -28,12 +28,12 @@ _POLL = 0.1
 _AT_A_TIME = threading.BoundedSemaphore(2)
 
 
-class Abandoned(PlatformCtrlError):
+class TaskCancelled(PlatformCtrlError):
     """The task was cancelled."""
 
 
-def worked_out(question: object, progress: Progress, cancelled: Cancelled) -> Any:
-    """Return what `platform_ctrl.app.tasks` answers to a question.
+def run_in_process(question: object, progress: Progress, cancelled: IsCancelled) -> Any:
+    """Return what `platform_ctrl.app.process_tasks` answers to a question.
 
     Parameters
     ----------
@@ -46,18 +46,18 @@ def worked_out(question: object, progress: Progress, cancelled: Cancelled) -> An
     """
     while not _AT_A_TIME.acquire(timeout=_POLL):
         if cancelled():
-            raise Abandoned("cancelled")
+            raise TaskCancelled("cancelled")
     process = None
     try:
         process = _Process()
-        return process.worked_out(question, progress, cancelled)
+        return process.run(question, progress, cancelled)
     finally:
         _AT_A_TIME.release()
         if process is not None:
             process.end()
 
 
-class Resident:
+class PersistentProcess:
     """A process that stays for the next question: what it has loaded and compiled is there. One question at a time."""
 
     def __init__(self) -> None:
@@ -71,25 +71,25 @@ class Resident:
         """Whether the process was started already."""
         return bool(self._held)
 
-    def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
-        """Return the answer to a question, as the function `worked_out` does; the process ends if it is cancelled."""
+    def run(self, question: object, progress: Progress, cancelled: IsCancelled) -> Any:
+        """Return the answer to a question, as the function `run` does; the process ends if it is cancelled."""
 
         def unwanted() -> bool:
             return self._ended or cancelled()
 
         while not self._lock.acquire(timeout=_POLL):
             if unwanted():
-                raise Abandoned("cancelled")
+                raise TaskCancelled("cancelled")
         try:
             if self._held and self._held[0].gone:
                 _drop(self._held)
             if unwanted():
-                raise Abandoned("cancelled")
+                raise TaskCancelled("cancelled")
             if not self._held:
                 self._held.append(_Process())
             try:
-                return self._held[0].worked_out(question, progress, unwanted)
-            except Abandoned:
+                return self._held[0].run(question, progress, unwanted)
+            except TaskCancelled:
                 _drop(self._held)
                 raise
         finally:
@@ -122,12 +122,12 @@ class _Process:
         # One that closed its pipe may not have ended yet, and tells that it died only once.
         return self._died or self._process.poll() is not None
 
-    def worked_out(self, question: object, progress: Progress, cancelled: Cancelled) -> Any:
+    def run(self, question: object, progress: Progress, cancelled: IsCancelled) -> Any:
         # Pickled here: what cannot be is told to who asks.
         threading.Thread(target=self._write, args=(pickle.dumps(question),), daemon=True).start()
         while True:
             if cancelled():
-                raise Abandoned("cancelled")
+                raise TaskCancelled("cancelled")
             try:
                 kind, content = self._told.get(timeout=_POLL)
             except queue.Empty:

@@ -1,6 +1,6 @@
-"""The designer without a page: settings in, pictures out. One workbench serves all pages of a job.
+"""The designer without a page: settings in, pictures out. One backend serves all pages of a job.
 
-What may be set is in `settable`, what is seen of it in `viewing`; here knobs are pulled and tuned, and all of it is
+What may be set is in `settable`, what is seen of it in `viewing`; here sliders are dragged and tuned, and all of it is
 saved and flown.
 """
 
@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from platform_ctrl.app import background
-from platform_ctrl.app.background import Cancelled, Progress
-from platform_ctrl.app.controllers import live
+from platform_ctrl.app import processes
+from platform_ctrl.app.controllers import built_directly
 from platform_ctrl.app.designs import never, silent
-from platform_ctrl.app.knobs import with_options
-from platform_ctrl.app.pulling import NO_LIMITS, crossover_pulled, pole_pulled
-from platform_ctrl.app.reins import limits_of, reins_of
+from platform_ctrl.app.drag_setup import free_parameters, limits_of
+from platform_ctrl.app.dragging import NO_LIMITS, dragged_crossover, dragged_pole
+from platform_ctrl.app.process_tasks import ServoTuning, Simulating, Tuning
+from platform_ctrl.app.processes import IsCancelled, Progress
 from platform_ctrl.app.saving import Saved, save
-from platform_ctrl.app.tasks import Flying, ServoTuning, Tuning
-from platform_ctrl.app.values import Settings
+from platform_ctrl.app.settings import Settings
+from platform_ctrl.app.sliders import with_options
 from platform_ctrl.app.viewing import Viewing
 from platform_ctrl.common.arguments import known_name
 from platform_ctrl.errors import ArgumentError, DesignError, PlatformCtrlError
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 # Digits of a slider's steps, and up to which a number is one that somebody typed, or that tuning found.
 _DIGITS, _TYPED = 4, 6
-# A crossover that is pulled stays this far, as a factor, inside the diagram.
+# A crossover that is dragged stays this far, as a factor, inside the diagram.
 _INSIDE = 1.1
 
 
@@ -42,7 +42,7 @@ def unheard(names: tuple[str, ...]) -> None:
     """Do nothing with the names of limits: nobody asks."""
 
 
-class Workbench(Viewing):
+class Backend(Viewing):
     """Everything that a page needs of a job; all of it may be called from several threads.
 
     Parameters
@@ -56,14 +56,14 @@ class Workbench(Viewing):
 
     def __init__(self, job: str | Path | Job, controllers: str | Path | None = None) -> None:
         super().__init__(job, controllers)
-        self._flier = background.Resident()
+        self._simulator = processes.PersistentProcess()
 
     def close(self) -> None:
         """End the designs that are being made, and the process that flies; nobody asks any more."""
         self._designs.end()
-        self._flier.end()
+        self._simulator.end()
 
-    def pulled_pole(
+    def drag_pole(
         self,
         settings: Settings,
         pole: complex,
@@ -91,19 +91,19 @@ class Workbench(Viewing):
         Returns
         -------
         Settings
-            With other numbers of the design's knobs that are not fixed.
+            With other numbers of the design's sliders that are not fixed.
         """
         if not (np.isfinite(pole) and np.isfinite(target)):
             raise ArgumentError(f"pole: given {pole} to {target}; expected finite numbers, rad/s")
         with np.errstate(all="ignore"):
-            reins, plant, _ = reins_of(self._closing, settings, self.knobs(settings))
-            limits = NO_LIMITS if free else limits_of(self._closing, settings, reins)
-            pulled = pole_pulled(reins, plant, complex(pole), complex(target), limits)
-        if pulled.held_by:
-            held(pulled.held_by)
-        return with_options(settings, pulled.numbers)
+            parameters, plant, _ = free_parameters(self._loops, settings, self.sliders(settings))
+            limits = NO_LIMITS if free else limits_of(self._loops, settings, parameters)
+            dragged = dragged_pole(parameters, plant, complex(pole), complex(target), limits)
+        if dragged.limited_by:
+            held(dragged.limited_by)
+        return with_options(settings, dragged.numbers)
 
-    def pulled_crossover(
+    def drag_crossover(
         self,
         settings: Settings,
         frequency: float,
@@ -121,14 +121,14 @@ class Workbench(Viewing):
         frequency
             Where its gain is to be 1, rad/s.
         now
-            The crossover that is pulled, rad/s; None: the highest.
+            The crossover that is dragged, rad/s; None: the highest.
         free, held
-            As of `pulled_pole`; it stops where a limit would be missed.
+            As of `drag_pole`; it stops where a limit would be missed.
 
         Returns
         -------
         Settings
-            With other numbers of the design's knobs that are not fixed.
+            With other numbers of the design's sliders that are not fixed.
         """
         if not np.isfinite(frequency):
             raise ArgumentError(f"frequency: given {frequency}; expected a finite number, rad/s")
@@ -140,15 +140,15 @@ class Workbench(Viewing):
             # Left of the diagram it could not be taken hold of again.
             frequency = max(float(frequency), min(now, _INSIDE * float(bode.frequency[0])))
         with np.errstate(all="ignore"):
-            reins, plant, channel = reins_of(self._closing, settings, self.knobs(settings))
-            limits = NO_LIMITS if free else limits_of(self._closing, settings, reins)
-            pulled = crossover_pulled(reins, plant, channel, now, float(frequency), limits)
-        if pulled.held_by:
-            held(pulled.held_by)
-        return with_options(settings, pulled.numbers)
+            parameters, plant, channel = free_parameters(self._loops, settings, self.sliders(settings))
+            limits = NO_LIMITS if free else limits_of(self._loops, settings, parameters)
+            dragged = dragged_crossover(parameters, plant, channel, now, float(frequency), limits)
+        if dragged.limited_by:
+            held(dragged.limited_by)
+        return with_options(settings, dragged.numbers)
 
-    def tuned(self, settings: Settings, progress: Progress = silent, cancelled: Cancelled = never) -> Settings:
-        """Return the settings with all knobs of the design that are not fixed tuned until its limits are met.
+    def tuned(self, settings: Settings, progress: Progress = silent, cancelled: IsCancelled = never) -> Settings:
+        """Return the settings with all sliders of the design that are not fixed tuned until its limits are met.
 
         Parameters
         ----------
@@ -164,18 +164,18 @@ class Workbench(Viewing):
         Settings
             The best that were found.
         """
-        spec, design = self._closing.design(settings)
-        free = tuple(k.name for k in self.knobs(settings) if k.tunable and not k.fixed)
+        spec, design = self._loops.design(settings)
+        free = tuple(k.name for k in self.sliders(settings) if k.tunable and not k.fixed)
         if not free:
             raise DesignError(
-                f"{spec.name}, {design.name}: no knob is free to be tuned; expected one that is not fixed"
+                f"{spec.name}, {design.name}: no slider is free to be tuned; expected one that is not fixed"
             )
-        options = self._closing.options.used(settings, spec, design)
+        options = self._loops.options.used(settings, spec, design)
         question: Tuning | ServoTuning
         if spec.kind == "caging":
             question = Tuning(job=self.job(settings), loop=spec.name, options=options, movable=free)
         else:
-            others = tuple(one for one in self._closing.saved_controllers(settings) if one.loop != spec.name)
+            others = tuple(one for one in self._loops.saved_controllers(settings) if one.loop != spec.name)
             question = ServoTuning(
                 job=self.job(settings),
                 loop=spec.name,
@@ -184,7 +184,7 @@ class Workbench(Viewing):
                 options=options,
                 caging=tuple((o.controller, o.inputs, o.outputs, o.loop) for o in others),
             )
-        found: dict[str, float] = background.worked_out(question, progress, cancelled)
+        found: dict[str, float] = processes.run_in_process(question, progress, cancelled)
         # Six digits: more would not be read, and no requirement hangs on them.
         return with_options(settings, {name: float(f"{found[name]:.6g}") for name in free})
 
@@ -206,10 +206,10 @@ class Workbench(Viewing):
             Both paths; ``platform-ctrl check`` finds the controllers by itself.
         """
         settings = self._shortened(settings)
-        controllers = self._closing.saved_controllers(settings, strict=True)
-        options = self._closing.options
+        controllers = self._loops.saved_controllers(settings, strict=True)
+        options = self._loops.options
         used = {
-            spec.name: {d.name: options.used(settings, spec, d) for d in spec.designs if live(d)}
+            spec.name: {d.name: options.used(settings, spec, d) for d in spec.designs if built_directly(d)}
             for spec in self.read.loops
         }
         closed = {**settings.closed, settings.loop: settings.design}
@@ -221,7 +221,7 @@ class Workbench(Viewing):
             }
             for loop, designs in used.items()
         }
-        start = self._closing.start
+        start = self._loops.start
         notes = tuple(
             f"{spec.name}: {closed[spec.name]} is closed in place of {spec.use}, which is not designed"
             for spec in self.read.loops
@@ -241,7 +241,7 @@ class Workbench(Viewing):
 
     def _shortened(self, settings: Settings) -> Settings:
         """Return the settings with changed numbers that nobody typed cut to the fewest digits of the same verdict."""
-        first = self._closing.start.options
+        first = self._loops.start.options
         long = {
             (loop, design, name): x
             for loop, designs in settings.options.items()
@@ -285,9 +285,9 @@ class Workbench(Viewing):
     @property
     def flown(self) -> bool:
         """Whether a manoeuvre has been flown already: the first takes longer, until its equations are compiled."""
-        return self._flier.there
+        return self._simulator.there
 
-    def run(self, settings: Settings, manoeuvre: str, cancelled: Cancelled = never) -> Trajectory:
+    def run(self, settings: Settings, manoeuvre: str, cancelled: IsCancelled = never) -> Trajectory:
         """Return one of the job's manoeuvres, flown on the non-linear plant with the loops as they are set.
 
         It is flown in a process of its own, which stays for the next one until `close`.
@@ -307,11 +307,11 @@ class Workbench(Viewing):
             As `simulation.simulate` returns it.
         """
         known_name("manoeuvre", manoeuvre, tuple(one.name for one in self.read.manoeuvres))
-        saved = self._closing.saved_controllers(settings)
-        question = Flying(
+        saved = self._loops.saved_controllers(settings)
+        question = Simulating(
             job=self.job(settings),
             manoeuvre=manoeuvre,
             controllers=tuple((o.controller, o.inputs, o.outputs, f"{o.loop}, {o.design}") for o in saved),
         )
-        flown: Trajectory = self._flier.worked_out(question, silent, cancelled)
+        flown: Trajectory = self._simulator.run(question, silent, cancelled)
         return flown

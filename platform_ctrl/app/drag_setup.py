@@ -1,4 +1,4 @@
-"""What a pull moves, and what it must not break: the free knobs of a design, and the limits that are met."""
+"""What a drag moves, and what it must not break: the free sliders of a design, and the limits that are met."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from platform_ctrl.analysis.arrays import StateArrays
 from platform_ctrl.analysis.loop_measures import LoopMeasures, measure
 from platform_ctrl.analysis.plant_set import PlantSet
 from platform_ctrl.app.caged import loop_measures
-from platform_ctrl.app.closing import Closing
+from platform_ctrl.app.closed_loops import ClosedLoops
+from platform_ctrl.app.dragging import FreeParameters, Limits, Ratios
 from platform_ctrl.app.free_measures import requirements
 from platform_ctrl.app.influence import deciding, largest_ratios
-from platform_ctrl.app.knobs import with_options
-from platform_ctrl.app.pulling import Limits, Ratios, Reins
-from platform_ctrl.app.values import Knob, Settings
+from platform_ctrl.app.settings import Settings, Slider
+from platform_ctrl.app.sliders import with_options
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.loop import asked_of
 from platform_ctrl.job.requirements import CheckResult
 
 # By how much less than its limit a ratio has to be that is climbed on a grid.
 _GRID = 2e-3
-# How readily a pull moves each group of knobs.
+# How readily a drag moves each group of sliders.
 _WEIGHTS = {"gains": 1.0, "lead": 0.25, "notch": 0.05, "lag": 0.05}
 
 
-def limits_of(closing: Closing, settings: Settings, reins: Reins) -> Limits:
-    """Return the hard limits that are met with these settings, as the page measures them: a pull must keep them."""
-    spec, _ = closing.design(settings)
+def limits_of(loops: ClosedLoops, settings: Settings, parameters: FreeParameters) -> Limits:
+    """Return the hard limits that are met with these settings, as the page measures them: a drag must keep them."""
+    spec, _ = loops.design(settings)
     if spec.kind != "caging":
-        return _coupled_limits(closing, settings)
-    loop, _ = closing.caged(settings)
+        return _coupled_limits(loops, settings)
+    loop, _ = loops.caged(settings)
 
     def exact(K: StateArrays) -> LoopMeasures:
         now = dataclasses.replace(loop, controller=K)
-        return closing.measured(settings, now)(lambda: loop_measures(now))
+        return loops.measured(settings, now)(lambda: loop_measures(now))
 
     whole = exact(loop.controller)
     hard = [one for one in asked_of(spec) if one.hard]
@@ -45,7 +45,7 @@ def limits_of(closing: Closing, settings: Settings, reins: Reins) -> Limits:
     first = largest_ratios(whole, met)
 
     def on_a_grid(plants: PlantSet) -> Ratios:
-        return lambda numbers: largest_ratios(measure(plants, reins.build(numbers), met), met)
+        return lambda numbers: largest_ratios(measure(plants, parameters.build(numbers), met), met)
 
     def corrected(ratios: Ratios) -> Ratios:
         @cache
@@ -59,25 +59,25 @@ def limits_of(closing: Closing, settings: Settings, reins: Reins) -> Limits:
     return Limits(
         names=tuple(one.name for one in met),
         bound=np.ones(len(met)),
-        exact=lambda numbers: largest_ratios(exact(reins.build(numbers)), met),
+        exact=lambda numbers: largest_ratios(exact(parameters.build(numbers)), met),
         rough=on_a_grid(loop.plants),
         near=corrected(on_a_grid(loop.plants)),
         local=corrected(on_a_grid(loop.plants.only(deciding(whole, met)))),
     )
 
 
-def _coupled_limits(closing: Closing, settings: Settings) -> Limits:
+def _coupled_limits(loops: ClosedLoops, settings: Settings) -> Limits:
     """Return the coupled limits that are met; the page climbs their peaks on a grid, to about a thousandth."""
-    spec, design = closing.design(settings)
+    spec, design = loops.design(settings)
     # All limits are those of the nominal plant.
-    whole, _ = closing.stabilised(settings.but(band=False))
-    kept = closing.kept(settings)
+    whole, _ = loops.stabilised(settings.but(band=False))
+    kept = loops.kept(settings)
 
     def results(numbers: Mapping[str, float]) -> tuple[CheckResult, ...]:
-        servo = closing.servo(with_options(settings, numbers), spec, design)
+        servo = loops.servo(with_options(settings, numbers), spec, design)
         others = [servo if one.name == servo.name else one for one in whole.controllers]
         now = dataclasses.replace(whole, controllers=tuple(others))
-        return closing.judged(settings, now.joined(whole.plants)[0], lambda: requirements(now, kept))
+        return loops.judged(settings, now.joined(whole.plants)[0], lambda: requirements(now, kept))
 
     first = results({})
     met = [k for k, one in enumerate(first) if one.passed]
@@ -97,36 +97,38 @@ def _coupled_limits(closing: Closing, settings: Settings) -> Limits:
     )
 
 
-def reins_of(closing: Closing, settings: Settings, knobs: Sequence[Knob]) -> tuple[Reins, StateArrays, int]:
-    """Return the free knobs of the design, the plant that is shown, and the channel."""
-    spec, design = closing.design(settings)
-    free = [knob for knob in knobs if knob.tunable and not knob.fixed]
+def free_parameters(
+    loops: ClosedLoops, settings: Settings, sliders: Sequence[Slider]
+) -> tuple[FreeParameters, StateArrays, int]:
+    """Return the free sliders of the design, the plant that is shown, and the channel."""
+    spec, design = loops.design(settings)
+    free = [slider for slider in sliders if slider.tunable and not slider.fixed]
     if spec.kind == "caging":
-        loop, _ = closing.caged(settings)
+        loop, _ = loops.caged(settings)
         P = loop.shown
         plant = StateArrays(P.A[0], P.B[0], P.C[0], P.D[0], P.period)
         torquers: Sequence[str] = P.torques
     else:
-        whole, _ = closing.stabilised(settings)
+        whole, _ = loops.stabilised(settings)
         _, at, torquers = whole.joined(whole.shown)
-        here = whole.controllers[[one.name for one in closing.read.loops].index(spec.name)].name
+        here = whole.controllers[[one.name for one in loops.read.loops].index(spec.name)].name
         A, B, C, D, dt = whole.shown.arrays
         plant = StateArrays(A[0], B[0][:, at], C[0], D[0][:, at], dt)
 
     def build(numbers: Mapping[str, float]) -> StateArrays:
         new = with_options(settings, numbers)
         if spec.kind == "caging":
-            return closing.caging(new, spec, design)[0]
-        servo = closing.servo(new, spec, design)
+            return loops.caging(new, spec, design)[0]
+        servo = loops.servo(new, spec, design)
         others = [servo if one.name == here else one for one in whole.controllers]
         return dataclasses.replace(whole, controllers=tuple(others)).joined(whole.shown)[0]
 
-    reins = Reins(
-        names=tuple(knob.name for knob in free),
-        start=np.array([knob.value for knob in free]),
-        low=np.array([min(knob.low, knob.value) / 20.0 for knob in free]),
-        high=np.array([knob.high if knob.high < np.inf else 20.0 * knob.value for knob in free]),
-        weights=np.array([_WEIGHTS.get(knob.group, 1.0) for knob in free]),
+    parameters = FreeParameters(
+        names=tuple(slider.name for slider in free),
+        start=np.array([slider.value for slider in free]),
+        low=np.array([min(slider.low, slider.value) / 20.0 for slider in free]),
+        high=np.array([slider.high if slider.high < np.inf else 20.0 * slider.value for slider in free]),
+        weights=np.array([_WEIGHTS.get(slider.group, 1.0) for slider in free]),
         build=build,
     )
-    return reins, plant, list(torquers).index(settings.channel) if settings.channel in torquers else 0
+    return parameters, plant, list(torquers).index(settings.channel) if settings.channel in torquers else 0

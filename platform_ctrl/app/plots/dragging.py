@@ -15,7 +15,7 @@ Place = TypeVar("Place")
 EVERY, REST, LATE = 40, 400, 150
 
 
-class Pulling(Generic[Place]):
+class Drag(Generic[Place]):
     """Hands on where a handle is dragged, at most every `EVERY` ms, and always the last place.
 
     A drag lasts from the mouse going down to the mouse going up, however long it is held still. Where the browser does
@@ -26,14 +26,14 @@ class Pulling(Generic[Place]):
     anchor
         The figure with the handle: it tells of the mouse, and its document has the clock; without a document everything
         is handed on at once.
-    pulled
+    dragged
         Called with the place.
     ended
         Called when the drag is over.
     """
 
-    def __init__(self, anchor: Model, pulled: Callable[[Place], None], ended: Callable[[], None]) -> None:
-        self._anchor, self._pulled, self._ended = anchor, pulled, ended
+    def __init__(self, anchor: Model, dragged: Callable[[Place], None], ended: Callable[[], None]) -> None:
+        self._anchor, self._dragged, self._ended = anchor, dragged, ended
         self._held = False
         anchor.on_event(PanStart, self._gripped)
         anchor.on_event(PanEnd, self._let_go)
@@ -96,4 +96,4 @@ class Pulling(Generic[Place]):
         self._waiting = None
         place, self._place = self._place, None
         if place is not None:
-            self._pulled(place)
+            self._dragged(place)

@@ -1,6 +1,6 @@
-"""Pulling a closed-loop pole or the crossover somewhere: the knobs that may move follow, as little as they can.
+"""Drag a closed-loop pole or the crossover somewhere: the sliders that may move follow, as little as they can.
 
-The logarithms of the knobs take Gauss-Newton steps of least norm, dx = W Jᵀ (J W Jᵀ)⁻¹ r, along a straight path from
+The logarithms of the sliders take Gauss-Newton steps of least norm, dx = W Jᵀ (J W Jᵀ)⁻¹ r, along a straight path from
 where the pole is to where it is wanted, so that it stays the same pole. Where a requirement that is met would be
 missed, steps that keep its linearisation go on along it.
 """
@@ -26,8 +26,8 @@ Residual = Callable[[StateArrays], FloatArray]
 
 # Most steps along the way, and the share of a frequency that one of fewer may be.
 _WAY, _STRIDE = 8, 0.05
-# Gauss-Newton steps for each, and the largest change of a logarithm in one: a knob may go from end to end of its range,
-# a factor of 20 to both sides and as much again below, and needs some more to converge.
+# Gauss-Newton steps for each, and the largest change of a logarithm in one: a parameter may go from end to end of its
+# range, a factor of 20 to both sides and as much again below, and needs some more to converge.
 _MOST, _LONGEST = 45, 0.3
 # A full step that takes away less than this share of the distance: the place cannot be reached.
 _STALLED = 1e-3
@@ -43,27 +43,27 @@ _DIFFERENCE = 1e-6
 _PROGRESS, _ARRIVED = 0.02, 5e-4
 # By how much a ratio on a grid may be wrong.
 _GROSS = 0.02
-# How much more a relative distance to the place wanted counts than the logarithm of a knob.
-_PULL = 100.0
+# How much more a relative distance to the place wanted counts than the logarithm of a slider.
+_PLACE_WEIGHT = 100.0
 # By how much less than a limit a step along it aims at, for its curvature, and how often it is halved where that is
 # not enough.
 _INSIDE, _SHORTER = 1e-3, 4
 
 
 @value
-class Reins:
-    """The knobs that may move, and what they make.
+class FreeParameters:
+    """The sliders that may move, and what they make.
 
     Attributes
     ----------
     names
-        Of the knobs.
+        Of the sliders.
     start, low, high : (k,)
         Where they stand, and as far as they may go.
     weights : (k,)
         How readily each moves.
     build
-        Knobs → sampled controller.
+        Sliders → sampled controller.
     """
 
     names: tuple[str, ...]
@@ -74,18 +74,18 @@ class Reins:
     build: Build
 
     def controller(self, x: FloatArray) -> StateArrays:
-        """Return the controller for logarithms of the knobs."""
+        """Return the controller for logarithms of the sliders."""
         return self.build(self.numbers(x))
 
     def numbers(self, x: FloatArray) -> dict[str, float]:
-        """Return the knobs for their logarithms; one that has not moved has exactly the number that it started with."""
+        """Return the values of logarithms `x`; one that has not moved has exactly the value that it started with."""
         moved = self.start * np.exp(x - np.log(self.start))
         return {name: float(v) for name, v in zip(self.names, moved, strict=True)}
 
 
 @value
 class Limits:
-    """The requirements that are met where a pull begins, and that it must not make missed.
+    """The requirements that are met where a drag begins, and that it must not make missed.
 
     Attributes
     ----------
@@ -94,10 +94,10 @@ class Limits:
     bound : (k,)
         Ratios up to which they count as met.
     exact, rough, near, local
-        Knobs → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
-        with its error where the pull begins taken out; the same of the plants that decide alone, good for slopes.
+        Sliders → their ratios (k,): as the page shows them; on a grid, which sees no peak between its points; on a grid
+        with its error where the drag begins taken out; the same of the plants that decide alone, good for slopes.
     steps
-        Most steps along a limit that a pull takes: a hand that drags asks for more of them.
+        Most steps along a limit that a drag takes: a hand that drags asks for more of them.
     """
 
     names: tuple[str, ...]
@@ -109,7 +109,7 @@ class Limits:
     steps: int = 2
 
     def broken(self, ratios: Ratios, numbers: Mapping[str, float], slack: float = 0.0) -> tuple[str, ...]:
-        """Return the names of the requirements that these knobs make missed; all of them where there is no loop."""
+        """Return the names of the requirements that these sliders make missed; all of them where there is no loop."""
         if not self.names:
             return ()
         try:
@@ -130,26 +130,28 @@ NO_LIMITS = Limits(
 
 
 @value
-class Pulled:
-    """Where a pull has brought the knobs, and which requirements kept it from going all the way."""
+class DragResult:
+    """Where a drag has brought the sliders, and which requirements kept it from going all the way."""
 
     numbers: dict[str, float]
-    held_by: tuple[str, ...] = ()
+    limited_by: tuple[str, ...] = ()
 
 
-def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex, limits: Limits = NO_LIMITS) -> Pulled:
-    """Return the knobs that bring the closed-loop pole nearest to `pole` to `target`, or as near as they can.
+def dragged_pole(
+    parameters: FreeParameters, plant: StateArrays, pole: complex, target: complex, limits: Limits = NO_LIMITS
+) -> DragResult:
+    """Return the sliders that bring the closed-loop pole nearest to `pole` to `target`, or as near as they can.
 
     Poles are s-plane equivalents ln(z)/T, rad/s. No requirement of `limits` is missed on the way: where one would be,
     the pole goes on along the limit.
     """
-    _expect_knobs(reins)
+    _expect_sliders(parameters)
 
     def poles(x: FloatArray) -> ComplexArray:
-        return _poles(reins.controller(x), plant)
+        return _poles(parameters.controller(x), plant)
 
-    low, high = np.log(reins.low), np.log(reins.high)
-    x = np.log(reins.start)
+    low, high = np.log(parameters.low), np.log(parameters.high)
+    x = np.log(parameters.start)
     here = _nearest(poles(x), pole)
     real = abs(here.imag) < 1e-9 * abs(here)
     goal = complex(target.real, 0.0 if real else abs(target.imag))
@@ -164,27 +166,27 @@ def pole_pulled(reins: Reins, plant: StateArrays, pole: complex, target: complex
         return of
 
     what = f"the pole at {here:.4g} rad/s"
-    path, first, held_by = [x], here, NO_LIMITS.names
+    path, first, limited_by = [x], here, NO_LIMITS.names
     shares = _shares(abs(goal - here) / scale)
     for share in shares:
         last = share == shares[-1]
         wanted = first + (goal - first) * share
-        new = _reached(reins, path[-1], residual(wanted), low, high, what, _THERE if last else 1e-3)
-        numbers = reins.numbers(new)
-        held_by = limits.broken(limits.rough, numbers, _GROSS)
-        if last and not held_by:
+        new = _reached(parameters, path[-1], residual(wanted), low, high, what, _THERE if last else 1e-3)
+        numbers = parameters.numbers(new)
+        limited_by = limits.broken(limits.rough, numbers, _GROSS)
+        if last and not limited_by:
             # As the page judges it, which then need not be done again.
-            held_by = limits.broken(limits.exact, numbers)
-        if held_by:
-            path += _along(reins, limits, path[-1], goal, residual, poles, here)
+            limited_by = limits.broken(limits.exact, numbers)
+        if limited_by:
+            path += _along(parameters, limits, path[-1], goal, residual, poles, here)
             break
         path.append(new)
         here = wanted
-    return _met(reins, limits, path, held_by)
+    return _met(parameters, limits, path, limited_by)
 
 
 def _along(
-    reins: Reins,
+    parameters: FreeParameters,
     limits: Limits,
     x: FloatArray,
     goal: complex,
@@ -192,13 +194,13 @@ def _along(
     poles: Callable[[FloatArray], ComplexArray],
     here: complex,
 ) -> list[FloatArray]:
-    """Return the places of the knobs at which the pole comes nearer to the goal while every limit is kept, in turn."""
+    """Return the values, one step after another, with which the pole comes nearer to the goal within all limits."""
     out: list[FloatArray] = []
     here = _nearest(poles(x), here)
     for _ in range(limits.steps):
         away = abs(goal - here)
         wanted = here + (goal - here) * min(1.0, _STRIDE * abs(goal) / max(away, 1e-300))
-        found = _kept_step(reins, limits, x, residual(wanted))
+        found = _kept_step(parameters, limits, x, residual(wanted))
         if found is None:
             break
         x, here = found, _nearest(poles(found), wanted)
@@ -208,42 +210,42 @@ def _along(
     return out
 
 
-def _met(reins: Reins, limits: Limits, path: list[FloatArray], held_by: tuple[str, ...]) -> Pulled:
+def _met(parameters: FreeParameters, limits: Limits, path: list[FloatArray], limited_by: tuple[str, ...]) -> DragResult:
     """Return the last place of a path at which every limit is met as the page measures it, and what holds it there."""
-    while len(path) > 1 and (narrow := limits.broken(limits.exact, reins.numbers(path[-1]))):
+    while len(path) > 1 and (narrow := limits.broken(limits.exact, parameters.numbers(path[-1]))):
         # A peak between the points of a grid.
-        held_by = narrow
+        limited_by = narrow
         path.pop()
-    numbers = reins.numbers(path[-1])
-    if held_by:
+    numbers = parameters.numbers(path[-1])
+    if limited_by:
         # A long step breaks much at once: what is next to its limit is what holds.
         tight = limits.local(numbers) > limits.bound - 5.0 * _INSIDE
-        held_by = tuple(name for name, one in zip(limits.names, tight, strict=True) if one) or held_by
-    return Pulled(numbers=numbers, held_by=held_by)
+        limited_by = tuple(name for name, one in zip(limits.names, tight, strict=True) if one) or limited_by
+    return DragResult(numbers=numbers, limited_by=limited_by)
 
 
-def _kept_step(reins: Reins, limits: Limits, x: FloatArray, residual: Residual) -> FloatArray | None:
+def _kept_step(parameters: FreeParameters, limits: Limits, x: FloatArray, residual: Residual) -> FloatArray | None:
     """Return a step towards a smaller residual that keeps all limits, by their slopes and then in truth, or None."""
-    numbers = reins.numbers
-    r = residual(reins.controller(x))
-    J = _slopes(reins, x, residual, r)
+    numbers = parameters.numbers
+    r = residual(parameters.controller(x))
+    J = _slopes(parameters, x, residual, r)
     ratios = limits.local(numbers(x))
     G = np.zeros((len(ratios), len(x)))
-    for k in np.flatnonzero(reins.weights > 0.0):
+    for k in np.flatnonzero(parameters.weights > 0.0):
         moved = x.copy()
         moved[k] += _DIFFERENCE
         G[:, k] = (limits.local(numbers(moved)) - ratios) / _DIFFERENCE
-    low, high = np.log(reins.low), np.log(reins.high)
+    low, high = np.log(parameters.low), np.log(parameters.high)
     reach = np.minimum(high - x, _LONGEST), np.minimum(x - low, _LONGEST)
-    A = np.vstack([_PULL * J, np.diag(1.0 / np.sqrt(np.maximum(reins.weights, 1e-12)))])
-    b = np.concatenate([-_PULL * r, np.zeros(len(x))])
+    A = np.vstack([_PLACE_WEIGHT * J, np.diag(1.0 / np.sqrt(np.maximum(parameters.weights, 1e-12)))])
+    b = np.concatenate([-_PLACE_WEIGHT * r, np.zeros(len(x))])
     within = np.vstack([np.nan_to_num(G), np.eye(len(x)), -np.eye(len(x))])
     room = np.concatenate([np.maximum(limits.bound - _INSIDE - ratios, 0.0), *reach])
     dx = constrained_least_squares(A, b, within, room)
     for _ in range(_SHORTER):
         new = np.clip(x + dx, low, high)
         try:
-            nearer = bool(np.linalg.norm(residual(reins.controller(new))) < np.linalg.norm(r))
+            nearer = bool(np.linalg.norm(residual(parameters.controller(new))) < np.linalg.norm(r))
         except PlatformCtrlError:
             nearer = False
         if nearer and not limits.broken(limits.near, numbers(new)):
@@ -277,17 +279,17 @@ def constrained_least_squares(A: FloatArray, b: FloatArray, G: FloatArray, h: Fl
     return np.asarray(solve_triangular(R, z + u))
 
 
-def crossover_pulled(
-    reins: Reins, plant: StateArrays, channel: int, now: float, target: float, limits: Limits = NO_LIMITS
-) -> Pulled:
-    """Return the knobs that bring the gain of one channel, all others closed, to 1 at `target` rad/s.
+def dragged_crossover(
+    parameters: FreeParameters, plant: StateArrays, channel: int, now: float, target: float, limits: Limits = NO_LIMITS
+) -> DragResult:
+    """Return the sliders that bring the gain of one channel, all others closed, to 1 at `target` rad/s.
 
     It stops where a requirement of `limits` would be missed.
     """
-    _expect_knobs(reins)
+    _expect_sliders(parameters)
     nyquist = math.pi / plant.dt
     if not 0.0 < target < nyquist:
-        raise DesignError(f"crossover: pulled to {target:.4g} rad/s; expected up to {nyquist:.4g} rad/s, Nyquist's")
+        raise DesignError(f"crossover: dragged to {target:.4g} rad/s; expected up to {nyquist:.4g} rad/s, Nyquist's")
 
     def residual(w: float) -> Residual:
         grid = np.array([w])
@@ -300,16 +302,16 @@ def crossover_pulled(
         return of
 
     what = f"the gain at {target:.4g} rad/s"
-    held_by: tuple[str, ...] = ()
+    limited_by: tuple[str, ...] = ()
 
     def crossing(x: FloatArray, w: float) -> FloatArray | None:
-        nonlocal held_by
-        found = _crossing(reins, x, residual, w, what)
-        broken = () if found is None else limits.broken(limits.near, reins.numbers(found))
-        held_by = broken or held_by
+        nonlocal limited_by
+        found = _crossing(parameters, x, residual, w, what)
+        broken = () if found is None else limits.broken(limits.near, parameters.numbers(found))
+        limited_by = broken or limited_by
         return None if broken else found
 
-    path, here, beyond = [np.log(reins.start)], now, math.nan
+    path, here, beyond = [np.log(parameters.start)], now, math.nan
     for share in _shares(abs(math.log(target / now))):
         w = now * (target / now) ** share
         found = crossing(path[-1], w)
@@ -327,7 +329,7 @@ def crossover_pulled(
         else:
             path.append(found)
             here = middle
-    return _met(reins, limits, path, held_by)
+    return _met(parameters, limits, path, limited_by)
 
 
 def _poles(K: StateArrays, plant: StateArrays) -> ComplexArray:
@@ -345,11 +347,11 @@ def _shares(distance: float) -> list[float]:
 
 
 def _crossing(
-    reins: Reins, x: FloatArray, residual: Callable[[float], Residual], w: float, what: str
+    parameters: FreeParameters, x: FloatArray, residual: Callable[[float], Residual], w: float, what: str
 ) -> FloatArray | None:
     """Return where the gain passes 1 at w, from x on; None where it does not get there, or only touches 1."""
-    found = _reached(reins, x, residual(w), np.log(reins.low), np.log(reins.high), what, _THERE)
-    K = reins.controller(found)
+    found = _reached(parameters, x, residual(w), np.log(parameters.low), np.log(parameters.high), what, _THERE)
+    K = parameters.controller(found)
     below, at, above = (float(residual(w * share)(K)[0]) for share in (1.0 - _BESIDE, 1.0, 1.0 + _BESIDE))
     return found if abs(at) <= _CROSSED and below * above < 0.0 else None
 
@@ -358,27 +360,33 @@ def _distance(s: ComplexArray, wanted: complex) -> FloatArray:
     return np.asarray(np.where(np.isfinite(s), np.abs(s - wanted), np.nan))
 
 
-def _expect_knobs(reins: Reins) -> None:
-    if not reins.names:
-        raise DesignError("no knob may move: all are fixed, or the design has none; expected at least one that is free")
+def _expect_sliders(parameters: FreeParameters) -> None:
+    if not parameters.names:
+        raise DesignError("no slider may move: all are fixed, or the design has none; free at least one")
 
 
 def _reached(
-    reins: Reins, x: FloatArray, residual: Residual, low: FloatArray, high: FloatArray, what: str, near: float
+    parameters: FreeParameters,
+    x: FloatArray,
+    residual: Residual,
+    low: FloatArray,
+    high: FloatArray,
+    what: str,
+    near: float,
 ) -> FloatArray:
-    r = residual(reins.controller(x))
+    r = residual(parameters.controller(x))
     for _ in range(_MOST):
         if np.abs(r).max() <= near:
             break
-        J = _slopes(reins, x, residual, r)
-        # A knob at its end does not move further out.
-        free = reins.weights.copy()
+        J = _slopes(parameters, x, residual, r)
+        # A slider at its end does not move further out.
+        free = parameters.weights.copy()
         for _ in range(len(x)):
             W = J * free
             normal = W @ J.T
             ridge = 1e-12 * np.trace(normal)
             if not ridge > 0.0:
-                raise DesignError(f"{what} does not move with any knob that is free; expected others to be freed")
+                raise DesignError(f"{what} does not move with any slider that is free; expected others to be freed")
             dx = -W.T @ np.linalg.solve(normal + ridge * np.eye(len(r)), r)
             out = ((x + dx < low) & (x <= low + 1e-12)) | ((x + dx > high) & (x >= high - 1e-12))
             out &= free > 0.0
@@ -391,7 +399,7 @@ def _reached(
         for _ in range(6):
             new = np.clip(x + dx, low, high)
             try:
-                found = residual(reins.controller(new))
+                found = residual(parameters.controller(new))
             except PlatformCtrlError:
                 found = np.full(len(r), np.inf)
             if np.linalg.norm(found) < before:
@@ -403,10 +411,10 @@ def _reached(
     return x
 
 
-def _slopes(reins: Reins, x: FloatArray, residual: Residual, r: FloatArray) -> FloatArray:
+def _slopes(parameters: FreeParameters, x: FloatArray, residual: Residual, r: FloatArray) -> FloatArray:
     out = np.zeros((len(r), len(x)))
-    for k in np.flatnonzero(reins.weights > 0.0):
+    for k in np.flatnonzero(parameters.weights > 0.0):
         moved = x.copy()
         moved[k] += _DIFFERENCE
-        out[:, k] = (residual(reins.controller(moved)) - r) / _DIFFERENCE
+        out[:, k] = (residual(parameters.controller(moved)) - r) / _DIFFERENCE
     return np.nan_to_num(out, nan=0.0, posinf=0.0, neginf=0.0)

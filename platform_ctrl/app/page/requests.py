@@ -17,14 +17,14 @@ MOVES = 64
 LARGEST_COUNT = 2**53
 
 # What can be asked for, and what belongs to it.
-ASKS: Mapping[str, Mapping[str, type]] = {
+REQUESTS: Mapping[str, Mapping[str, type]] = {
     "ready": {},
     "dark": {"dark": bool},
     "move": {"moves": list, "gesture": int},
-    "fix": {"knob": str, "fixed": bool},
+    "fix": {"slider": str, "fixed": bool},
     "free": {"free": bool},
     "part": {"part": str, "on": bool},
-    "reset": {"knob": str},
+    "reset": {"slider": str},
     "set": {"name": str, "value": object},
     "undo": {},
     "redo": {},
@@ -37,7 +37,7 @@ _WORDS = {bool: "true or false", int: "a whole number", str: "a text", list: "a 
 
 
 @value
-class Ask:
+class Request:
     """A message of a page.
 
     Attributes
@@ -45,7 +45,7 @@ class Ask:
     count
         The page's count of its messages; the answer names it.
     what
-        One of `ASKS`.
+        One of `REQUESTS`.
     more
         What belongs to it, of the right types.
     """
@@ -55,7 +55,7 @@ class Ask:
     more: dict[str, Any]
 
 
-def ask_of(message: object) -> Ask:
+def parse_request(message: object) -> Request:
     """Return a message of a page, judged.
 
     Parameters
@@ -65,7 +65,7 @@ def ask_of(message: object) -> Ask:
 
     Returns
     -------
-    Ask
+    Request
         What is asked for. Names in it may still be unknown.
 
     References
@@ -79,20 +79,20 @@ def ask_of(message: object) -> Ask:
     except (ValueError, RecursionError):
         raise InputError(f"the page sent {short(message)}; expected JSON with finite numbers") from None
     what = read.get("what") if isinstance(read, dict) else None
-    if not isinstance(what, str) or what not in ASKS:
-        raise InputError(f"the page asked for {short(what)}; expected one of {', '.join(ASKS)}")
+    if not isinstance(what, str) or what not in REQUESTS:
+        raise InputError(f"the page asked for {short(what)}; expected one of {', '.join(REQUESTS)}")
     more = {}
-    for name, kind in ASKS[what].items():
+    for name, kind in REQUESTS[what].items():
         more[name] = _of_kind(f"{what}: {name}", read.get(name), kind)
     if what == "move":
         more["moves"] = tuple(_move(one) for one in _few(more["moves"]))
     count = _of_kind(f"{what}: n", read.get("n"), int)
     if not 0 <= count <= LARGEST_COUNT:
         raise InputError(f"{what}: n: given {short(count)}; expected a count")
-    return Ask(count=count, what=what, more=more)
+    return Request(count=count, what=what, more=more)
 
 
-def count_of(message: object) -> int | None:
+def request_count(message: object) -> int | None:
     """Return the count of a message, also of one that makes no sense otherwise: it has to be answered.
 
     Parameters
@@ -156,8 +156,8 @@ def _few(moves: list[Any]) -> list[Any]:
 def _move(one: object) -> tuple[str, float]:
     if not isinstance(one, dict):
         raise InputError(f"move: given {short(one)}; expected a slider and its number")
-    knob = _of_kind("move: knob", one.get("knob"), str)
-    return knob, number(knob, one.get("value"))
+    slider = _of_kind("move: slider", one.get("slider"), str)
+    return slider, number(slider, one.get("value"))
 
 
 def _no_constant(text: str) -> float:

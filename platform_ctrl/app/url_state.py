@@ -10,14 +10,13 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from platform_ctrl.app.controllers import OPTIONAL
-from platform_ctrl.app.knobs import KINDS
-from platform_ctrl.app.values import Conditions, Settings
+from platform_ctrl.app.settings import Conditions, Settings
 from platform_ctrl.common.signatures import short
 from platform_ctrl.errors import InputError, PlatformCtrlError
+from platform_ctrl.job.methods import METHODS
 
 if TYPE_CHECKING:
-    from platform_ctrl.app.workbench import Workbench
+    from platform_ctrl.app.backend import Backend
     from platform_ctrl.job.job import LoopSpec
 
 # Characters of a link, and of what it unpacks to, at most.
@@ -26,12 +25,12 @@ _NUMBERS = ("rate_hz", "delay")
 _NAMES = ("loop", "design", "mode", "plant", "channel")
 
 
-def text_of(workbench: Workbench, settings: Settings) -> str:
+def encode_state(backend: Backend, settings: Settings) -> str:
     """Return settings as a short text of letters, digits, - and _ alone.
 
     Parameters
     ----------
-    workbench
+    backend
         Of the job that they belong to.
     settings
         The settings.
@@ -41,22 +40,22 @@ def text_of(workbench: Workbench, settings: Settings) -> str:
     str
         Empty for the job as it stands.
     """
-    changed = _difference(workbench.start().data(), settings.data())
+    changed = _difference(backend.start().data(), settings.data())
     if not changed:
         return ""
     packed = zlib.compress(json.dumps(changed, separators=(",", ":"), sort_keys=True).encode(), 9)
     return base64.urlsafe_b64encode(packed).decode().rstrip("=")
 
 
-def settings_of(workbench: Workbench, text: str) -> Settings:
+def decode_state(backend: Backend, text: str) -> Settings:
     """Return the settings that a text stands for, judged against the job.
 
     Parameters
     ----------
-    workbench
+    backend
         Of the job that they belong to.
     text
-        From `text_of`.
+        From `encode_state`.
 
     Returns
     -------
@@ -66,7 +65,7 @@ def settings_of(workbench: Workbench, text: str) -> Settings:
     if not isinstance(text, str) or len(text) > _LONGEST:
         raise InputError(f"link: given {short(text)}; expected at most {_LONGEST} characters that the page has made")
     if not text:
-        return workbench.start()
+        return backend.start()
     try:
         packed = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
         unpacking = zlib.decompressobj()
@@ -76,12 +75,12 @@ def settings_of(workbench: Workbench, text: str) -> Settings:
         changed = json.loads(raw.decode())
     except (ValueError, binascii.Error, zlib.error, RecursionError):
         raise InputError("link: is damaged; expected a state of this page, as its address shows it") from None
-    return judged(workbench, changed)
+    return judged(backend, changed)
 
 
-def judged(workbench: Workbench, changed: object) -> Settings:
+def judged(backend: Backend, changed: object) -> Settings:
     """Return the job's settings with changes from outside, as plain data, judged against the job."""
-    start = workbench.start()
+    start = backend.start()
     if not isinstance(changed, Mapping):
         raise InputError(f"state: given {short(changed)}; expected a table")
     known = start.data()
@@ -90,7 +89,7 @@ def judged(workbench: Workbench, changed: object) -> Settings:
             raise InputError(f"state: {short(key)} is unknown; expected some of {', '.join(known)}")
     given = {**known, **changed}
     names = {name: _text(name, given[name]) for name in _NAMES}
-    specs = {spec.name: spec for spec in workbench.read.loops}
+    specs = {spec.name: spec for spec in backend.read.loops}
     closed = {
         loop: _one(f"closed {loop}", design, [d.name for d in specs[loop].designs])
         for loop, design in _table("closed", changed.get("closed", {}), specs).items()
@@ -103,10 +102,10 @@ def judged(workbench: Workbench, changed: object) -> Settings:
         options[loop] = {name: dict(numbers) for name, numbers in start.options[loop].items()}
         optional[loop] = {name: tuple(on) for name, on in start.optional[loop].items()}
         for name, numbers in _table(f"options {loop}", mine, own).items():
-            for option, x in _table(f"options {name}", numbers, KINDS[own[name].method]).items():
+            for option, x in _table(f"options {name}", numbers, METHODS[own[name].method].options).items():
                 options[loop][name][option] = _positive(option, x)
         for name, on in _table(f"optional {loop}", parts, own).items():
-            known_parts = OPTIONAL.get(own[name].method, ())
+            known_parts = tuple(METHODS[own[name].method].parts)
             optional[loop][name] = tuple(sorted({_one("part", part, known_parts) for part in _list("part", on)}))
     spins = {
         name: _finite(f"spin {name}", x) for name, x in _table("spins", changed.get("spins", {}), start.spins).items()
@@ -143,10 +142,10 @@ def judged(workbench: Workbench, changed: object) -> Settings:
     )
     try:
         # Judged as a slider's number would be; the rate first, by which a delay is judged.
-        settings = workbench.chosen(settings.but(delay=0.0), design=design)
+        settings = backend.chosen(settings.but(delay=0.0), design=design)
         for name in _NUMBERS:
-            settings = workbench.moved(settings, name, _finite(name, given[name]))
-        workbench.expect_plant(settings)
+            settings = backend.moved(settings, name, _finite(name, given[name]))
+        backend.expect_plant(settings)
     except PlatformCtrlError as error:
         raise InputError(f"state: {error}") from None
     return settings.but(designed_for=_designed_for(changed.get("designed_for", {}), start, specs))
@@ -164,7 +163,7 @@ def _designed_for(given: object, start: Settings, specs: Mapping[str, LoopSpec])
             whole = {**({} if own is None else own.data()), **parts}
             if missing := [field for field in Conditions._fields if field not in whole]:
                 raise InputError(f"state: {where} has no {missing[0]}; expected {', '.join(Conditions._fields)}")
-            options = _table(f"{where}: options", whole["options"], KINDS[methods[name]])
+            options = _table(f"{where}: options", whole["options"], METHODS[methods[name]].options)
             first = {} if own is None else dict(own.options)
             spins = {**start.spins, **_table(f"{where}: spins", whole["spins"], start.spins)}
             rates = [_positive_or_zero(f"{where}: Omega", x) for x in _list(where, whole["Omega"])]

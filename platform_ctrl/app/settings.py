@@ -80,7 +80,7 @@ class Settings:
     band
         Whether all plants of the set are shown around it.
     fixed
-        Names of knobs that neither pulling nor tuning moves.
+        Names of sliders that neither drag nor tuning moves.
     overlays
         Names of other designs of the loop that are shown as well.
     channel
@@ -170,13 +170,13 @@ class Settings:
 
 
 @value
-class Knob:
+class Slider:
     """A number of the settings that a slider moves.
 
     Attributes
     ----------
     name
-        What `Workbench.moved` calls it: ``crossover_hz``, ``rate_hz``, ``delay``, ``spin 11``, ``Omega1``, ...
+        What `Backend.moved` calls it: ``crossover_hz``, ``rate_hz``, ``delay``, ``spin 11``, ``Omega1``, ...
     label, unit
         For people.
     group
@@ -189,13 +189,13 @@ class Knob:
     tip
         A line that says what it does.
     fixed
-        Whether pulling and tuning leave it alone.
+        Whether drag and tuning leave it alone.
     part
         The optional part that it belongs to (see `Settings`), else empty.
     tunable
-        Whether pulling and tuning may move it.
+        Whether drag and tuning may move it.
     background
-        Whether moving it asks for a new design, which takes seconds (`Workbench.redesigned`).
+        Whether moving it asks for a new design, which takes seconds (`Backend.redesigned`).
     """
 
     name: str
@@ -234,7 +234,7 @@ class Part:
 
 
 @value
-class Offer:
+class Choices:
     """What a page lets choose from; no slider changes it.
 
     Attributes

@@ -9,22 +9,23 @@ import pytest
 
 from one_gyro_job import JOB as ONE
 from platform_ctrl.analysis.arrays import StateArrays
-from platform_ctrl.app.controllers import OPTIONAL
-from platform_ctrl.app.knobs import CLASSICAL, with_options
-from platform_ctrl.app.link import settings_of, text_of
-from platform_ctrl.app.values import Knob, Settings
-from platform_ctrl.app.workbench import Workbench
+from platform_ctrl.app.backend import Backend
+from platform_ctrl.app.settings import Settings, Slider
+from platform_ctrl.app.sliders import with_options
+from platform_ctrl.app.url_state import decode_state, encode_state
 from platform_ctrl.cli import main
 from platform_ctrl.design.jobs import loops
 from platform_ctrl.errors import DesignError
+from platform_ctrl.job.methods import METHODS
 from platform_ctrl.job.reading import read_job
 
+CLASSICAL = METHODS["classical"]
 SHIPPED = Path(__file__).parents[2] / "examples" / "three_gyro_platform.toml"
 
 
 @pytest.fixture(scope="module")
-def shipped() -> Workbench:
-    return Workbench(SHIPPED)
+def shipped() -> Backend:
+    return Backend(SHIPPED)
 
 
 @pytest.fixture
@@ -33,35 +34,35 @@ def rate_gyro(tmp_path: Path) -> Path:
     return tmp_path / "mine.toml"
 
 
-def _controller(bench: Workbench, settings: Settings) -> StateArrays:
-    return bench._closing.caged(settings)[0].controller
+def _controller(bench: Backend, settings: Settings) -> StateArrays:
+    return bench._loops.caged(settings)[0].controller
 
 
 def _differ(one: StateArrays, other: StateArrays) -> bool:
     return any(a.shape != b.shape or not np.array_equal(a, b) for a, b in zip(one[:4], other[:4], strict=True))
 
 
-def _names(bench: Workbench, settings: Settings) -> set[str]:
-    return {knob.name for knob in bench.knobs(settings)}
+def _names(bench: Backend, settings: Settings) -> set[str]:
+    return {slider.name for slider in bench.sliders(settings)}
 
 
-def _every_part(bench: Workbench, settings: Settings) -> Settings:
+def _every_part(bench: Backend, settings: Settings) -> Settings:
     for part in bench.parts(settings):
         settings = bench.switched(settings, part.name, True)
     return settings
 
 
-def _expect_that_knobs_are_what_acts(bench: Workbench, settings: Settings) -> None:
+def _expect_that_sliders_are_what_acts(bench: Backend, settings: Settings) -> None:
     settings = _every_part(bench, settings)
     before = _controller(bench, settings)
-    own = {knob.name: knob for knob in bench.knobs(settings) if knob.name in CLASSICAL}
+    own = {slider.name: slider for slider in bench.sliders(settings) if slider.name in CLASSICAL.options}
     assert own
-    for name, knob in own.items():
-        assert _differ(_controller(bench, bench.moved(settings, name, 0.97 * knob.value)), before), name
+    for name, slider in own.items():
+        assert _differ(_controller(bench, bench.moved(settings, name, 0.97 * slider.value)), before), name
     # With every part that there is, even those that are not offered, what has no slider moves nothing.
-    all_on = {settings.loop: {settings.design: OPTIONAL["classical"]}}
+    all_on = {settings.loop: {settings.design: tuple(CLASSICAL.parts)}}
     loaded = settings.but(optional={**settings.optional, **all_on})
-    off = {name for name, kind in CLASSICAL.items() if name not in own and kind.part != "spin_notch"}
+    off = {name for name, kind in CLASSICAL.options.items() if name not in own and kind.part != "spin_notch"}
     for name in off:
         assert not _differ(_controller(bench, with_options(loaded, {name: 3.0})), _controller(bench, loaded)), name
 
@@ -71,33 +72,33 @@ def _expect_that_knobs_are_what_acts(bench: Workbench, settings: Settings) -> No
 )
 def test_the_sliders_of_a_classical_loop_are_those_that_make_its_controller(model: str, tmp_path: Path) -> None:
     assert main(["new", "mine", "--like", model, "-o", str(tmp_path)]) == 0
-    bench = Workbench(tmp_path / "mine.toml")
+    bench = Backend(tmp_path / "mine.toml")
     for spec in bench.read.loops:
         for design in spec.designs:
             if design.method == "classical":
-                _expect_that_knobs_are_what_acts(bench, bench.chosen(bench.start(spec.name), design=design.name))
+                _expect_that_sliders_are_what_acts(bench, bench.chosen(bench.start(spec.name), design=design.name))
 
 
 @pytest.mark.parametrize("loop", ["caging 4-5-7", "caging 9-10"])
-def test_the_sliders_of_the_three_gyro_platform_make_its_controllers(shipped: Workbench, loop: str) -> None:
-    _expect_that_knobs_are_what_acts(shipped, shipped.chosen(shipped.start(loop), design="classical"))
+def test_the_sliders_of_the_three_gyro_platform_make_its_controllers(shipped: Backend, loop: str) -> None:
+    _expect_that_sliders_are_what_acts(shipped, shipped.chosen(shipped.start(loop), design="classical"))
 
 
 def test_a_single_gimbal_has_no_slider_of_pairs_and_is_saved_without_one(rate_gyro: Path, tmp_path: Path) -> None:
-    bench = Workbench(rate_gyro)
+    bench = Backend(rate_gyro)
     settings = bench.start()
     assert not _names(bench, settings) & {"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"}
     assert "notch" not in {part.name for part in bench.parts(settings)}
     moved = bench.moved(bench.moved(settings, "inertial_crossover_hz", 4.0), "integral_hz", 0.1)
-    assert settings_of(bench, text_of(bench, moved)).data() == moved.data()
+    assert decode_state(bench, encode_state(bench, moved)).data() == moved.data()
     saved = bench.saved(moved, tmp_path / "saved.toml")
     made = read_job(saved.job).loops[0].designs[0].options
     assert made["inertial_crossover_hz"] == 4.0
-    again = Workbench(saved.job)
+    again = Backend(saved.job)
     assert not _differ(_controller(again, again.start()), _controller(bench, moved))
 
 
-def test_stopped_rotors_take_the_sliders_of_their_pairs_along_and_bring_them_back(shipped: Workbench) -> None:
+def test_stopped_rotors_take_the_sliders_of_their_pairs_along_and_bring_them_back(shipped: Backend) -> None:
     settings = shipped.start("caging 9-10")
     stopped = shipped.moved(settings, "spin 11", 0.0)
     pairs = {"crossover_hz", "damping_hz", "damping2_hz", "lead_hz", "rolloff_hz"}
@@ -105,14 +106,14 @@ def test_stopped_rotors_take_the_sliders_of_their_pairs_along_and_bring_them_bac
     assert not pairs & _names(shipped, stopped)
     # What no gyro stiffens any more has sliders that the job never had.
     assert {"inertial_crossover_hz", "inertial_lead_hz", "inertial_rolloff_hz"} <= _names(shipped, stopped)
-    _expect_that_knobs_are_what_acts(shipped, stopped)
+    _expect_that_sliders_are_what_acts(shipped, stopped)
     moved = shipped.moved(stopped, "inertial_crossover_hz", 7.0)
     before, after = (
-        next(k for k in shipped.knobs(one) if k.name == "inertial_crossover_hz") for one in (stopped, moved)
+        next(k for k in shipped.sliders(one) if k.name == "inertial_crossover_hz") for one in (stopped, moved)
     )
     # The slider does not run away from the hand.
     assert (after.value, after.low, after.high) == (7.0, before.low, before.high)
-    assert settings_of(shipped, text_of(shipped, moved)).data() == moved.data()
+    assert decode_state(shipped, encode_state(shipped, moved)).data() == moved.data()
     back = shipped.moved(moved, "spin 11", settings.spins["11"])
     assert _names(shipped, back) == _names(shipped, settings)
     assert not _differ(_controller(shipped, back), _controller(shipped, settings))
@@ -122,7 +123,7 @@ def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_p
     (tmp_path / "one.toml").write_text(
         ONE.replace("integral_hz = 2 }", "integral_hz = 2, lead_hz = 6, notch_hz = 190 }")
     )
-    bench = Workbench(tmp_path / "one.toml")
+    bench = Backend(tmp_path / "one.toml")
     stopped = bench.moved(bench.start(), "spin 11", 0.0)
     saved = bench.saved(stopped, tmp_path / "stopped.toml")
     made = loops(read_job(saved.job))[0].closed.controller
@@ -131,40 +132,40 @@ def test_a_job_with_stopped_rotors_is_saved_so_that_its_design_can_be_made(tmp_p
         np.testing.assert_allclose(getattr(made, name), getattr(K, name), rtol=1e-12)
 
 
-def test_a_knob_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Workbench) -> None:
+def test_a_slider_that_is_fixed_and_hidden_again_stays_in_the_link(shipped: Backend) -> None:
     settings = shipped.start("caging 9-10").but(fixed=frozenset({"notch_hz", "damping_hz", "spin 11"}))
     hidden = shipped.switched(settings, "notch", False)
     servo = shipped.chosen(hidden, loop="stabilisation")
     for one in (hidden, servo):
-        assert settings_of(shipped, text_of(shipped, one)).data() == one.data()
+        assert decode_state(shipped, encode_state(shipped, one)).data() == one.data()
 
 
-def _knob(bench: Workbench, settings: Settings, name: str) -> Knob:
-    return next(knob for knob in bench.knobs(settings) if knob.name == name)
+def _slider(bench: Backend, settings: Settings, name: str) -> Slider:
+    return next(slider for slider in bench.sliders(settings) if slider.name == name)
 
 
-def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped: Workbench) -> None:
+def test_at_the_lowest_sample_rate_of_the_slider_all_loops_can_be_built(shipped: Backend) -> None:
     settings = shipped.moved(shipped.start("caging 9-10"), "notch_hz", 390.0).but(band=False)
     servo = shipped.moved(shipped.chosen(settings, loop="stabilisation"), "filter_hz", 300.0)
     for one, lowest in ((settings, 390.0 / 0.4), (servo, 390.0 / 0.4)):
-        assert _knob(shipped, one, "rate_hz").low == pytest.approx(lowest)
+        assert _slider(shipped, one, "rate_hz").low == pytest.approx(lowest)
         slow = shipped.moved(one, "rate_hz", lowest)
-        for loop in shipped.offer().loops:
+        for loop in shipped.choices().loops:
             assert shipped.picture(shipped.chosen(slow, loop=loop, design=slow.closed[loop])).bode.frequency.size
     # The notch is one of another loop; once it is off the servo's filter is what asks for the rate.
     off = shipped.chosen(shipped.switched(shipped.chosen(servo, loop="caging 9-10"), "notch", False), loop=servo.loop)
-    assert _knob(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
+    assert _slider(shipped, off, "rate_hz").low == pytest.approx(300.0 / 0.45)
     # A typed number may lie lower: the line says which loop and which option.
     with pytest.raises(DesignError, match="caging 9-10, classical: notch_hz = 390; expected less than half"):
         shipped.picture(shipped.moved(servo, "rate_hz", 700.0))
 
 
-def test_ends_of_delay_and_sample_rate_fit_one_another(shipped: Workbench) -> None:
+def test_ends_of_delay_and_sample_rate_fit_one_another(shipped: Backend) -> None:
     settings = shipped.start("caging 9-10")
     late = shipped.moved(settings, "delay", 0.04)
     for start in (settings, late, shipped.moved(settings, "rate_hz", 1e5)):
         for name in ("delay", "rate_hz"):
-            knob = _knob(shipped, start, name)
-            assert knob.low <= knob.value <= knob.high
-            for end in (knob.low, knob.high):
+            slider = _slider(shipped, start, name)
+            assert slider.low <= slider.value <= slider.high
+            for end in (slider.low, slider.high):
                 assert getattr(shipped.moved(start, name, end), name) == end

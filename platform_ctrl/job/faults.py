@@ -1,0 +1,228 @@
+"""Faults of simulated runs: the value, and a registry with one entry for each kind.
+
+The job's reader, campaigns, reports, the simulation and the documentation are made from the registry; "Add a fault" in
+docs/architecture.md shows a new entry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+from platform_ctrl.common.arguments import number, one_of, positive, within
+from platform_ctrl.common.values import input_value, value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.variation import ANY, NOT_NEGATIVE, POSITIVE, SHARE, Range
+from platform_ctrl.plant.platform import Platform
+
+# What fails; None stands for the controllers.
+PartKind = Literal["rotor", "torquer", "pick-off", "gimbal"]
+PART_WORDS: dict[PartKind, str] = {
+    "rotor": "a rotor",
+    "torquer": "a torquer",
+    "pick-off": "a pick-off or rate sensor, by its signal",
+    "gimbal": "a gimbal",
+}
+
+# What the numbers of a fault may be, also where a campaign varies them.
+FAULT_NUMBERS: dict[str, Range] = {
+    "at": NOT_NEGATIVE,
+    "until": POSITIVE,
+    "share": NOT_NEGATIVE,
+    "time_constant": POSITIVE,
+    "amplitude": POSITIVE,
+    "frequency_hz": POSITIVE,
+    "rate": ANY,
+    "probability": SHARE,
+    "impulse": ANY,
+}
+
+
+@input_value
+class Fault:
+    """A part that fails at a given time.
+
+    Attributes
+    ----------
+    name
+        Its name in tables.
+    kind
+        A name in `FAULT_KINDS`.
+    part
+        Name of the rotor, torquer, pick-off or rate sensor (its signal) or gimbal that fails; None for the controllers.
+    at, until
+        When it begins and when the part is sound again, s.
+    share, time_constant, amplitude, frequency_hz, rate, probability, impulse
+        Numbers that its kind needs or may have: 1, s, 1, Hz, rad/s (rad/s² on a rate sensor), 1, N m s.
+    """
+
+    name: str
+    kind: str
+    part: str | None = None
+    at: float
+    until: float = math.inf
+    share: float = 0.0
+    time_constant: float = 0.0
+    amplitude: float = 0.0
+    frequency_hz: float = 0.0
+    rate: float = 0.0
+    probability: float = 1.0
+    impulse: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the times, and the numbers of its kind."""
+        one_of("Fault: kind", self.kind, tuple(FAULT_KINDS))
+        if not self.until > self.at:
+            raise ArgumentError(
+                f"fault {self.name!r}: until is {self.until!r}; expected a time after at = {self.at:.6g} s"
+            )
+        for key in ("at", *FAULT_KINDS[self.kind].keys):
+            if key != "until":
+                _check_number(f"fault {self.name!r}: {key}", getattr(self, key), FAULT_NUMBERS[key])
+
+
+def _check_number(name: str, given: float, allowed: Range) -> None:
+    if allowed is SHARE:
+        within(name, given, allowed.low, allowed.high)
+    elif allowed is ANY:
+        number(name, given)
+    else:
+        positive(name, given, zero=allowed.low_itself)
+
+
+@value
+class FaultKind:
+    """A kind of fault.
+
+    Attributes
+    ----------
+    name
+        `Fault.kind`, in job files too.
+    effect
+        What happens, as the documentation says it.
+    part
+        The kind of part that fails; None for the controllers.
+    needed, optional
+        Names of the numbers that it needs beside `at`, and of those it may have.
+    action
+        Which action of the compiled kernel it is: a name in `platform_ctrl.simulation.kernel.arrays.ACTIONS`.
+    numbers
+        The two numbers of the action, from a fault.
+    """
+
+    name: str
+    effect: str
+    part: PartKind | None
+    needed: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ("until",)
+    action: str
+    numbers: Callable[[Fault], tuple[float, float]] = lambda fault: (0.0, 0.0)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of all numbers that it may have beside `at`."""
+        return (*self.needed, *self.optional)
+
+
+FAULT_KINDS: dict[str, FaultKind] = {}
+
+
+def register_fault(kind: FaultKind) -> None:
+    """Add a kind of fault; `ArgumentError` if its name is taken or it has numbers that `Fault` has not."""
+    if kind.name in FAULT_KINDS:
+        raise ArgumentError(f"fault kind {kind.name!r} exists already; choose another name")
+    for key in kind.keys:
+        one_of(f"fault kind {kind.name!r}: number", key, tuple(FAULT_NUMBERS))
+    FAULT_KINDS[kind.name] = kind
+
+
+for _kind in (
+    FaultKind(
+        name="rotor run-down",
+        effect="L falls from nominal to share from at on",
+        part="rotor",
+        needed=("time_constant",),
+        optional=("share",),
+        action="run-down",
+        numbers=lambda fault: (fault.share, fault.time_constant),
+    ),
+    FaultKind(
+        name="rotor run-up",
+        effect="L is at share before at, then rises to nominal",
+        part="rotor",
+        needed=("time_constant",),
+        optional=("share",),
+        action="run-up",
+        numbers=lambda fault: (fault.share, fault.time_constant),
+    ),
+    FaultKind(
+        name="speed ripple",
+        effect="L (1 + amplitude sin(2π frequency_hz (t − at)))",
+        part="rotor",
+        needed=("amplitude", "frequency_hz"),
+        action="ripple",
+        numbers=lambda fault: (fault.amplitude, 2.0 * math.pi * fault.frequency_hz),
+    ),
+    FaultKind(name="torquer dead", effect="no torque", part="torquer", action="no torque"),
+    FaultKind(
+        name="torquer stuck",
+        effect="the torque that it had at the time at stays",
+        part="torquer",
+        action="constant torque",
+    ),
+    FaultKind(
+        name="torquer weak",
+        effect="share of the commanded torque",
+        part="torquer",
+        needed=("share",),
+        action="share of torque",
+        numbers=lambda fault: (fault.share, 0.0),
+    ),
+    FaultKind(name="pick-off dead", effect="reads 0", part="pick-off", action="no reading"),
+    FaultKind(name="pick-off stuck", effect="the last reading before at stays", part="pick-off", action="last reading"),
+    FaultKind(
+        name="pick-off drift",
+        effect="reads rate (t − at) too much",
+        part="pick-off",
+        needed=("rate",),
+        action="drift",
+        numbers=lambda fault: (fault.rate, 0.0),
+    ),
+    FaultKind(
+        name="pick-off dropout",
+        effect="a sample that is lost leaves the last one in its place",
+        part="pick-off",
+        needed=("probability",),
+        action="lost readings",
+        numbers=lambda fault: (fault.probability, 0.0),
+    ),
+    FaultKind(
+        name="controller overrun",
+        effect="in a sample that is missed commands and controllers stay as they are",
+        part=None,
+        optional=("until", "probability"),
+        action="missed samples",
+        numbers=lambda fault: (fault.probability, 0.0),
+    ),
+    FaultKind(
+        name="stop contact",
+        effect="an impulse at the joint throws it towards its stop",
+        part="gimbal",
+        needed=("impulse",),
+        optional=(),
+        action="impulse",
+        numbers=lambda fault: (fault.impulse, 0.0),
+    ),
+):
+    register_fault(_kind)
+
+
+def part_names(platform: Platform, kind: PartKind) -> list[str]:
+    """Return the names of the parts of a plant that a fault may happen to."""
+    return {
+        "rotor": [rotor.name for rotor in platform.rotors],
+        "torquer": [torquer.name for torquer in platform.torquers],
+        "pick-off": [sensor.name for sensor in platform.sensors],
+        "gimbal": list(platform.gimbal_names),
+    }[kind]

@@ -1,0 +1,311 @@
+"""The design methods that a job may name: one `DesignMethod` each.
+
+The job reader, `design.loops`, the app and the tables of the documentation take from here what they need to know of a
+method: another one is a function of a `design.loop.LoopProblem` and an entry registered with `register_method`.
+"""
+
+from __future__ import annotations
+
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import field
+from typing import Any, Literal
+
+from platform_ctrl.common.arguments import known_name
+from platform_ctrl.common.values import value
+from platform_ctrl.errors import ArgumentError
+from platform_ctrl.job.job import LoopKind, Structure
+
+OptionGroup = Literal["gains", "lead", "notch", "lag", "design"]
+# A function, or where it is: "module:name" is imported on first use, so that reading a job needs no design.
+Reference = str | Callable[..., Any]
+
+
+@value
+class Option:
+    """A number that a method takes, all > 0, and how the app's slider shows it.
+
+    Attributes
+    ----------
+    label, unit, group, tip
+        What the slider is called and says; `group` is the heading that it stands under.
+    low, high
+        Ends of the slider; for frequencies `high` is a share of the sample rate.
+    logarithmic, whole
+        Whether the slider is logarithmic, and whether the number counts something.
+    part
+        The optional part of the controller that it belongs to, or an empty text.
+    below_nyquist
+        Whether the method refuses it from half the sample rate on.
+    """
+
+    label: str
+    unit: str = ""
+    group: OptionGroup
+    tip: str
+    low: float = 0.0
+    high: float = math.inf
+    logarithmic: bool = True
+    whole: bool = False
+    part: str = ""
+    below_nyquist: bool = False
+
+
+@value
+class DesignMethod:
+    """A way to design a loop of a job.
+
+    Attributes
+    ----------
+    key
+        What ``method`` is in the job file.
+    kind
+        Which loops it designs.
+    design
+        `design.loop.LoopProblem` -> `design.loop.Designed`, or where that function is, as ``"module:name"``.
+    options
+        The numbers that it takes, by their keys in the job file.
+    defaults
+        (`DesignSpec`, `design.partition.Channels`, nutation frequency in rad/s, sample period in s) -> all options,
+        those that are not given by rules of thumb. None for methods of stabilisation loops.
+    advice
+        What to try where its loop is not stable.
+    structures
+        What ``structure`` may be; none: the key is refused.
+    tunable
+        Options that the app and, with ``tune = true``, the method itself may move.
+    tunes
+        Whether ``tune = true`` is accepted.
+    goals
+        Whether it works on the loop's goals: then its claims are the largest ratios of limits and goals.
+    instant
+        Whether the app builds it while a slider moves; others are designed in the background.
+    parts
+        Optional parts of the controller that the app switches on and off: label and tip by name.
+    """
+
+    key: str
+    kind: LoopKind = "caging"
+    design: Reference
+    options: Mapping[str, Option]
+    defaults: Reference | None = None
+    advice: str
+    structures: tuple[Structure, ...] = ()
+    tunable: tuple[str, ...] = ()
+    tunes: bool = False
+    goals: bool = False
+    instant: bool = False
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+
+def resolved(function: Reference) -> Callable[..., Any]:
+    """Return a function that a `DesignMethod` refers to."""
+    return pkgutil.resolve_name(function) if isinstance(function, str) else function
+
+
+def _hz(
+    label: str, group: OptionGroup, tip: str, high: float = math.inf, part: str = "", below_nyquist: bool = False
+) -> Option:
+    return Option(label=label, unit="Hz", group=group, tip=tip, high=high, part=part, below_nyquist=below_nyquist)
+
+
+# Highest frequencies are shares of the sample rate.
+_CLASSICAL: dict[str, Option] = {
+    "crossover_hz": _hz("crossover", "gains", "cross-axis gain of the gyroscopic pairs: where the loop crosses over"),
+    "integral_hz": _hz("integral", "gains", "below this frequency the integral acts: trades ramp error for margin"),
+    "damping_hz": _hz("damping 1", "gains", "direct-axis gain on the first axis of a pair: damps nutation"),
+    "damping2_hz": _hz("damping 2", "gains", "direct-axis gain on the second axis of a pair: damps nutation"),
+    "inertial_crossover_hz": _hz("inertial crossover", "gains", "crossover where no gyro stiffens the gimbals"),
+    "lead_hz": _hz("lead zero", "lead", "zero of the direct-axis lead"),
+    "rolloff_hz": _hz("lead roll-off", "lead", "pole of the direct-axis lead", high=0.45),
+    "inertial_lead_hz": _hz("inertial lead zero", "lead", "zero of the lead where no gyro acts"),
+    "inertial_rolloff_hz": _hz("inertial roll-off", "lead", "pole of that lead", high=0.45),
+    "notch_hz": _hz(
+        "notch", "notch", "centre of the notch in the cross-axis path", high=0.4, part="notch", below_nyquist=True
+    ),
+    "notch_depth": Option(
+        label="notch depth", group="notch", tip="gain at its centre", low=0.01, high=0.999, part="notch"
+    ),
+    "notch_width": Option(
+        label="notch width", group="notch", tip="its damping ratio", low=0.01, high=1.0, part="notch"
+    ),
+    "spin_notch_hz": _hz(
+        "spin notch",
+        "notch",
+        "centre of the notch in front of everything: the rotors' spin",
+        high=0.4,
+        part="spin_notch",
+        below_nyquist=True,
+    ),
+    "spin_notch_depth": Option(
+        label="spin notch depth",
+        group="notch",
+        tip="gain at its centre",
+        low=0.01,
+        high=0.999,
+        part="spin_notch",
+    ),
+    "spin_notch_width": Option(
+        label="spin notch width",
+        group="notch",
+        tip="its damping ratio",
+        low=0.01,
+        high=1.0,
+        part="spin_notch",
+    ),
+    "lag_hz": _hz("lag", "lag", "below this frequency the lag raises the gain", part="lag"),
+    "lag_ratio": Option(
+        label="lag ratio", group="lag", tip="by how much it raises it", low=1.01, high=100.0, part="lag"
+    ),
+}
+_SERVO: dict[str, Option] = {
+    "crossover_hz": _hz("crossover", "gains", "where the rate loop of the platform crosses over", high=0.1),
+    "position_hz": _hz("position", "gains", "angle over rate feedback: below this frequency the angle is held"),
+    "filter_hz": _hz("rate filter", "lead", "low-pass on the rates that the gyros show", high=0.45, below_nyquist=True),
+    "filter_damping": Option(label="filter damping", group="lead", tip="its damping ratio", low=0.1, high=2.0),
+}
+_WEIGHTS: dict[str, Option] = {
+    "bandwidth_hz": _hz("bandwidth", "design", "where the bound on S rises"),
+    "sensitivity_peak": Option(
+        label="sensitivity peak", group="design", tip="height to which the bound on S rises", low=1.05, high=20
+    ),
+    "complementary": Option(label="weight on T", group="design", tip="bounds T", low=0.01, high=10.0),
+    "disturbance": Option(
+        label="disturbance", group="design", tip="torque disturbance: damps nutation", low=1e-3, high=10.0
+    ),
+    "torque": Option(label="weight on torque", group="design", tip="larger: less torque", low=1e-3, high=10.0),
+    "inertial_bandwidth_hz": _hz("inertial bandwidth", "design", "the same where no gyro acts"),
+    "inertial_disturbance": Option(
+        label="inertial disturbance", group="design", tip="the same where no gyro acts", low=1e-3, high=10.0
+    ),
+    "inertial_torque": Option(
+        label="inertial weight on torque",
+        group="design",
+        tip="the same where no gyro acts",
+        low=1e-3,
+        high=10.0,
+    ),
+}
+_HINF = _WEIGHTS | {
+    "backoff": Option(label="backoff", group="design", tip="relative distance from the least norm", low=1e-3, high=1.0)
+}
+_STRUCTURED: dict[str, Option] = {
+    "order": Option(
+        label="order",
+        whole=True,
+        group="design",
+        tip="states beside the integrators",
+        low=1,
+        high=30,
+        logarithmic=False,
+    ),
+    "starts": Option(
+        label="starts",
+        whole=True,
+        group="design",
+        tip="starting points of the search",
+        low=1,
+        high=8,
+        logarithmic=False,
+    ),
+    "integral_hz": _hz("integral", "design", "corner of the integral at the start", high=0.4, below_nyquist=True),
+    "rolloff_hz": _hz("roll-off", "design", "where the filter starts", high=0.45, below_nyquist=True),
+    "reserve": Option(label="reserve", group="design", tip="share by which limits are met", low=1e-3, high=0.5),
+    "evaluations": Option(
+        label="evaluations", whole=True, group="design", tip="most evaluations of the search", low=10, high=5000
+    ),
+}
+
+# By key, in the order in which messages and the documentation name them.
+METHODS: dict[str, DesignMethod] = {}
+
+
+def register_method(method: DesignMethod) -> None:
+    """Add a design method; its key must be new."""
+    if method.key in METHODS:
+        raise ArgumentError(f"register_method: there is a method {method.key!r} already; choose another key")
+    METHODS[method.key] = method
+
+
+def unregister_method(key: str) -> None:
+    """Remove a design method that `register_method` added."""
+    del METHODS[known_method(key).key]
+
+
+def known_method(key: str) -> DesignMethod:
+    """Return the method with this key; an `ArgumentError` names those that are there."""
+    keys = tuple(METHODS)
+    return METHODS[keys[known_name("method", key, keys)]]
+
+
+register_method(
+    DesignMethod(
+        key="classical",
+        design="platform_ctrl.design.classical.caging:classical_design",
+        options=_CLASSICAL,
+        defaults="platform_ctrl.design.classical.caging:default_options",
+        advice="a lower crossover_hz, or tune = true",
+        # The integral action is the user's: it trades ramp error for margin.
+        tunable=(
+            "crossover_hz",
+            "damping_hz",
+            "damping2_hz",
+            "lead_hz",
+            "rolloff_hz",
+            "inertial_crossover_hz",
+            "inertial_lead_hz",
+            "inertial_rolloff_hz",
+            "notch_hz",
+            "notch_depth",
+            "notch_width",
+        ),
+        tunes=True,
+        instant=True,
+        parts={
+            "lag": ("lag", "raises the gain at low frequencies"),
+            "notch": ("notch", "takes gain out of the cross-axis path, at nutation as a rule"),
+            "spin_notch": ("spin notch", "keeps what an unbalanced rotor shakes from the torquers"),
+        },
+    )
+)
+register_method(
+    DesignMethod(
+        key="hinf",
+        design="platform_ctrl.design.riccati.weighted_loop:hinf_design",
+        options=_HINF,
+        defaults="platform_ctrl.design.riccati.weighted_loop:hinf_options",
+        advice="a lower bandwidth_hz, or a larger backoff",
+    )
+)
+register_method(
+    DesignMethod(
+        key="lqg",
+        design="platform_ctrl.design.riccati.weighted_loop:lqg_design",
+        options=_WEIGHTS,
+        defaults="platform_ctrl.design.riccati.weighted_loop:lqg_options",
+        advice="a lower bandwidth_hz, or a larger disturbance",
+    )
+)
+register_method(
+    DesignMethod(
+        key="structured",
+        design="platform_ctrl.design.structured.caging:structured_design",
+        options=_STRUCTURED,
+        defaults="platform_ctrl.design.structured.caging:default_options",
+        advice="weaker limits, or another structure",
+        structures=("cross-axis", "pid", "state-space"),
+        goals=True,
+    )
+)
+register_method(
+    DesignMethod(
+        key="platform-servo",
+        kind="stabilisation",
+        design="platform_ctrl.design.classical.stabilisation:platform_servo",
+        options=_SERVO,
+        advice="a lower crossover_hz",
+        tunable=tuple(_SERVO),
+        instant=True,
+    )
+)
