@@ -180,10 +180,25 @@ def first_order(b1: float, b0: float, a1: float, a0: float, period: float) -> Bl
 
 def notch(frequency: float, depth: float, width: float, period: float) -> Block:
     """Return (s² + 2 depth width f s + f²)/(s² + 2 width f s + f²), by Tustin's rule prewarped at f = `frequency`."""
-    two = frequency / np.tan(0.5 * frequency * period)
     f2, damping = frequency**2, 2.0 * width * frequency
-    a = np.array([two**2 + damping * two + f2, 2.0 * (f2 - two**2), two**2 - damping * two + f2])
-    b = np.array([two**2 + depth * damping * two + f2, 2.0 * (f2 - two**2), two**2 - depth * damping * two + f2])
+    return _prewarped((1.0, depth * damping, f2), (1.0, damping, f2), frequency, period)
+
+
+def low_pass(frequency: float, damping: float, period: float) -> Block:
+    """Return f²/(s² + 2 damping f s + f²), by Tustin's rule prewarped at f = `frequency`, rad/s."""
+    f2 = frequency**2
+    return _prewarped((0.0, 0.0, f2), (1.0, 2.0 * damping * frequency, f2), frequency, period)
+
+
+def _prewarped(
+    numerator: tuple[float, float, float], denominator: tuple[float, float, float], frequency: float, period: float
+) -> Block:
+    """Return (b2 s² + b1 s + b0)/(a2 s² + a1 s + a0), by Tustin's rule prewarped at `frequency`, rad/s."""
+    two = frequency / np.tan(0.5 * frequency * period)
+    b, a = (
+        np.array([c2 * two**2 + c1 * two + c0, 2.0 * (c0 - c2 * two**2), c2 * two**2 - c1 * two + c0])
+        for c2, c1, c0 in (numerator, denominator)
+    )
     a, b = a / a[0], b / a[0]
     return (
         np.array([[-a[1], -a[2]], [1.0, 0.0]]),
@@ -210,30 +225,12 @@ def series(
     return A, B, C, D
 
 
-def stacked(*blocks: Block) -> Block:
-    """Return blocks that share their input, outputs below one another."""
-    A = _diagonal([block[0] for block in blocks])
-    return (
-        A,
-        np.vstack([block[1] for block in blocks]),
-        _diagonal([block[2] for block in blocks]),
-        np.vstack([block[3] for block in blocks]),
-    )
-
-
 def side_by_side(*blocks: Block) -> Block:
     """Return blocks with inputs and outputs of their own."""
-    A, B, C, D = (_diagonal([block[k] for block in blocks]) for k in range(4))
+    from scipy.linalg import block_diag
+
+    A, B, C, D = (block_diag(*parts) for parts in zip(*blocks, strict=True))
     return A, B, C, D
-
-
-def _diagonal(parts: list[FloatArray]) -> FloatArray:
-    out = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
-    row = column = 0
-    for part in parts:
-        out[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return out
 
 
 # A block whose h is this small against the largest is no gyroscopic pair.

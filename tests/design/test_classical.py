@@ -12,9 +12,9 @@ from platform_ctrl.analysis.arrays import StateArrays, named_system, state_array
 from platform_ctrl.analysis.loop_measures import measure
 from platform_ctrl.design.classical.caging import classical_controller, starting_values
 from platform_ctrl.design.classical.crossover import from_crossover_and_margin
-from platform_ctrl.design.classical.stabilisation import low_pass, platform_servo, rate_estimate
+from platform_ctrl.design.classical.stabilisation import platform_servo, rate_estimate
 from platform_ctrl.design.loop import Designed, LoopProblem, certified, closed_loop_poles, exact_measures, sampled_plant
-from platform_ctrl.design.partition import channels, first_order, gain, notch, series, side_by_side, stacked
+from platform_ctrl.design.partition import channels, first_order, gain, low_pass, notch, series, side_by_side
 from platform_ctrl.design.plants import cases, changed, loop_plants
 from platform_ctrl.design.riccati.pole_placement import pole_placement
 from platform_ctrl.design.tuning import tune, worst_ratio
@@ -160,7 +160,6 @@ def test_blocks_are_put_together_as_said():
         return C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D
 
     np.testing.assert_allclose(at(series(one, two)), at(two) @ at(one))
-    np.testing.assert_allclose(at(stacked(one, two)), np.vstack([at(one), at(two)]))
     np.testing.assert_allclose(at(side_by_side(one, two)), np.diag([at(one)[0, 0], at(two)[0, 0]]))
 
 

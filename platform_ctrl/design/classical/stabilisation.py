@@ -16,7 +16,7 @@ import numpy as np
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.design.classical.caging import Stage, flattened
 from platform_ctrl.design.loop import Designed, LoopProblem, completed
-from platform_ctrl.design.partition import Block, first_order, gain, series
+from platform_ctrl.design.partition import first_order, gain, low_pass, series
 from platform_ctrl.errors import DesignError
 from platform_ctrl.mechanics.linearisation import LinearModel
 
@@ -119,18 +119,3 @@ def _strength(options: dict[str, float], model: LinearModel) -> FloatArray:
 
 def _per_axis(name: str) -> tuple[str, str, str]:
     return f"{name}_1", f"{name}_2", f"{name}_3"
-
-
-def low_pass(frequency: float, damping: float, period: float) -> Block:
-    """Return f²/(s² + 2 damping f s + f²), sampled by Tustin's rule prewarped at f = `frequency` rad/s."""
-    two = frequency / np.tan(0.5 * frequency * period)
-    f2, middle = frequency**2, 2.0 * damping * frequency * two
-    a = np.array([two**2 + middle + f2, 2.0 * (f2 - two**2), two**2 - middle + f2])
-    b = np.array([f2, 2.0 * f2, f2]) / a[0]
-    a = a / a[0]
-    return (
-        np.array([[-a[1], -a[2]], [1.0, 0.0]]),
-        np.array([[1.0], [0.0]]),
-        np.array([[b[1] - b[0] * a[1], b[2] - b[0] * a[2]]]),
-        np.array([[b[0]]]),
-    )

@@ -179,4 +179,5 @@ def _request(data: dict[str, Any], time_limit: float, tolerance: float) -> dict[
 
 def solved(unknowns: StateArrays) -> StateArrays:
     """Return what the solver found for (transformed) controller matrices that are its unknowns."""
-    return StateArrays(*(np.asarray(getattr(part, "value", part)) for part in unknowns[:4]), dt=unknowns.dt)
+    A, B, C, D = (np.asarray(getattr(part, "value", part)) for part in unknowns[:4])
+    return StateArrays(A, B, C, D)

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from platform_ctrl.analysis.arrays import ComplexArray, StateArrays
+from platform_ctrl.analysis.sampled import from_w_plane
 from platform_ctrl.common.arguments import one_of
 from platform_ctrl.common.values import FloatArray
-from platform_ctrl.design.partition import first_order, gain, series, side_by_side, stacked
+from platform_ctrl.design.structured.structures import PID
 from platform_ctrl.errors import ArgumentError
 
 Pattern = Literal["full", "diagonal", "cross-axis"]
@@ -41,22 +42,10 @@ def controller_response(gains: FloatArray, actions: ComplexArray) -> ComplexArra
 def realisation(gains: FloatArray, filter_time: float, period: float) -> StateArrays:
     """Return the controller's state-space arrays: two states for each pick-off."""
     n = gains.shape[-1]
-    if period == 0.0:
-        integrator = (np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
-        # s/(τ s + 1) = 1/τ − (1/τ)/(τ s + 1)
-        rate = (
-            np.array([[-1.0 / filter_time]]),
-            np.array([[1.0 / filter_time]]),
-            np.array([[-1.0 / filter_time]]),
-            np.array([[1.0 / filter_time]]),
-        )
-    else:
-        integrator = first_order(0.0, 1.0, 1.0, 0.0, period)
-        rate = first_order(1.0, 0.0, filter_time, 1.0, period)
-    each = stacked(gain(1.0), integrator, rate)
-    # Outputs of all pick-offs: [y, ∫y, ẏ] one after another.
-    mix = np.concatenate([gains[:, :, k].T for k in range(n)], axis=1)
-    return StateArrays(*series(side_by_side(*[each] * n), gain(mix)), dt=period)
+    # The gains and the bandwidth of each pick-off's filter, as `PID` orders its parameters.
+    parameters = np.append(gains, np.full(n, 1.0 / filter_time))
+    A, B, C, D = (part.at for part in PID(filter_order=1, filtered="derivative").block(parameters, n, n))
+    return StateArrays(A, B, C, D) if period == 0.0 else StateArrays(*from_w_plane(A, B, C, D, period), dt=period)
 
 
 def masks(pattern: Pattern | ArrayLike, n: int) -> FloatArray:
