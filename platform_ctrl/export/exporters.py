@@ -132,13 +132,7 @@ _registered: dict[str, Exporter] = {}
 
 
 def register(exporter: Exporter) -> Exporter:
-    """Add an exporter to ``platform-ctrl export``, behind those that are there, and return it.
-
-    Raises
-    ------
-    ArgumentError
-        Another exporter or setting has one of its names.
-    """
+    """Add an exporter to ``platform-ctrl export``, behind those that are there, and return it."""
     taken = {flag for other in _registered.values() for flag in other.flags}
     for flag in exporter.flags:
         if flag in taken:

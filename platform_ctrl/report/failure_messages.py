@@ -43,17 +43,7 @@ def margin_text(one: CheckResult) -> str:
 
 
 def missed_text(requirements: Sequence[CheckResult], title: str, of: str = "requirement") -> str:
-    """Return a table of those `requirements` that are not met, the worst first; empty where all are.
-
-    Parameters
-    ----------
-    requirements
-        All of them, or goals.
-    title
-        What they are asked of.
-    of
-        What one of them is called.
-    """
+    """Return a table of those `requirements` that are not met, the worst first; empty where all are."""
     missed = sorted((one for one in requirements if not one.passed), key=lambda one: one.margin)
     if not missed:
         return ""

@@ -273,15 +273,7 @@ def _themed(colour: re.Match[str]) -> str:
 
 
 def svg(figure: Figure, description: str) -> str:
-    """Return `figure` as an SVG element for the page: theme variables for colours, the page's own font, no address.
-
-    Parameters
-    ----------
-    figure
-        Made within `settings`.
-    description
-        What it shows, in words, for readers who do not see it.
-    """
+    """Return `figure` as an SVG element for the page: theme variables for colours, the page's own font, no address."""
     out = StringIO()
     width, height = figure.get_size_inches() * 72.0
     nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))

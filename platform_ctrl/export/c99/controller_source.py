@@ -40,18 +40,7 @@ class Cost:
 
 
 def cost_of(scheme: Scheme) -> Cost:
-    """Return what a step of a scheme costs, limits and anti-windup included.
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-
-    Returns
-    -------
-    Cost
-        Counts of one step.
-    """
+    """Return what a step of a scheme costs, limits and anti-windup included."""
     rows = [row for section in scheme.sections for row in (*section.signals, *section.states)]
     limited = int(np.isfinite(scheme.torque_limits).sum())
     back = acting_excess(scheme)
@@ -97,46 +86,14 @@ class Unit:
 
 
 def literal(x: float, number: Number) -> str:
-    """Return a number as a C constant that is read back as it is (a float: the nearest one).
-
-    Parameters
-    ----------
-    x
-        Finite; in its own unit.
-    number
-        Its type.
-
-    Returns
-    -------
-    str
-        With a point or an exponent, and the suffix of its type.
-
-    References
-    ----------
-    ISO/IEC 9899:1999, 6.4.4.2.
-    """
+    """Return a number as a C constant that is read back as it is (a float: the nearest one)."""
     text = repr(float(x)) if number == "double" else str(np.float32(x))
     text = text if "." in text or "e" in text else f"{text}.0"
     return text if number == "double" else f"{text}F"
 
 
 def header(unit: Unit) -> str:
-    """Return the text of the header file.
-
-    Parameters
-    ----------
-    unit
-        The controller.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-
-    References
-    ----------
-    ISO/IEC 9899:1999.
-    """
+    """Return the text of the header file."""
     s, p, kind = unit.scheme, unit.prefix, unit.number
     names = _state_names(unit)
     inputs = [field(kind, unit.signals[name], what) for name, what in zip(s.inputs, s.input_units, strict=True)]
@@ -169,22 +126,7 @@ def header(unit: Unit) -> str:
 
 
 def source(unit: Unit) -> str:
-    """Return the text of the source file.
-
-    Parameters
-    ----------
-    unit
-        The controller.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-
-    References
-    ----------
-    ISO/IEC 9899:1999.
-    """
+    """Return the text of the source file."""
     return _Source(unit).text()
 
 

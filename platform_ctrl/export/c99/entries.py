@@ -63,11 +63,6 @@ def entries_of(job: Job, given: Sequence[Mapping[str, Any] | control.StateSpace]
     given
         Entries of ``controllers`` in ``result.json``, or `control.StateSpace` with ``dt`` and the names of their
         signals (that of `design.anti_windup` too, with its inputs ``excess_``), in order of evaluation.
-
-    Returns
-    -------
-    tuple of Entry
-        In the same order.
     """
     if isinstance(given, Mapping | str) or not isinstance(given, Sequence):
         raise ArgumentError(f"entries: given {short(given)}; expected a list of controllers")
@@ -168,11 +163,6 @@ def row(target: str, weights: FloatArray, sources: Sequence[str], names: Sequenc
         As many names.
     names
         What the coefficients are called; none: nothing.
-
-    Returns
-    -------
-    Row
-        With a term for every weight that is not zero.
     """
     labels = names or [""] * len(sources)
     return Row(
@@ -192,11 +182,6 @@ def sections_of(stages: Iterable[Stage]) -> tuple[Section, ...]:
     ----------
     stages
         In order of evaluation; those with states have one input and one output.
-
-    Returns
-    -------
-    tuple of Section
-        One for each, the states named after their stages.
     """
     return tuple(_section(stage) for stage in stages)
 

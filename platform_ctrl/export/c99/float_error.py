@@ -63,22 +63,7 @@ class FloatError:
 
 
 def float_scheme(scheme: Scheme) -> Scheme:
-    """Return the scheme with its coefficients and limits as floats hold them.
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-
-    Returns
-    -------
-    Scheme
-        With rounded numbers.
-
-    References
-    ----------
-    IEEE 754-2019, binary32.
-    """
+    """Return the scheme with its coefficients and limits as floats hold them."""
     least, most = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 
     def rounded(x: float, what: str) -> float:
@@ -110,26 +95,7 @@ def float_scheme(scheme: Scheme) -> Scheme:
 
 
 def float_error(scheme: Scheme, ranges: Mapping[str, float], steps: int | None = None) -> FloatError:
-    """Return what single precision does to a controller.
-
-    Parameters
-    ----------
-    scheme
-        The controller.
-    ranges
-        Largest magnitude of each input, in its unit.
-    steps
-        Number of samples; default those of a second.
-
-    Returns
-    -------
-    FloatError
-        To first order in the unit roundoff.
-
-    References
-    ----------
-    N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 3.
-    """
+    """Return what single precision does to a controller."""
     K = arrays(scheme)
     rounded = arrays(float_scheme(scheme))
     count = max(1, round(1.0 / scheme.period)) if steps is None else steps

@@ -32,23 +32,7 @@ _MOST = 400
 
 
 def scheme_of(job: Job, entry: Entry, provenance: Provenance | None = None) -> Scheme:
-    """Return a controller written out in sections.
-
-    Parameters
-    ----------
-    job
-        The job that it stands in.
-    entry
-        The controller, as from `entries_of`.
-    provenance
-        Where it comes from.
-
-    Returns
-    -------
-    Scheme
-        Multiplied out it is the controller: with the same matrices, or in other states with the same transfer function.
-        `Scheme.excess` is what the entry brings along.
-    """
+    """Return a controller written out in sections."""
     units = signal_units(job.platform)
     limits = {t.name: np.inf if t.limit is None else float(t.limit) for t in job.platform.torquers}
 
@@ -97,28 +81,12 @@ def with_excess(scheme: Scheme, gain: FloatArray) -> Scheme:
         The scheme.
     gain : (states, outputs)
         E of x⁺ = A x + B y + E (limited u − u), in its states per unit of its outputs.
-
-    Returns
-    -------
-    Scheme
-        The same controller where no limit acts.
     """
     return dataclasses.replace(scheme, excess=_excess_rows(scheme, gain))
 
 
 def same_matrices(one: StateArrays, other: StateArrays) -> bool:
-    """Return whether two controllers have the same matrices up to rounding.
-
-    Parameters
-    ----------
-    one, other
-        Of the same signals.
-
-    Returns
-    -------
-    bool
-        False also where they differ in their shapes.
-    """
+    """Return whether two controllers have the same matrices up to rounding."""
     for a, b in zip(one[:4], other[:4], strict=True):
         # What is not a number is not the same.
         if a.shape != b.shape or not np.all(np.abs(a - b) <= _SAME_MATRICES * np.abs(b).max(initial=0.0)):
@@ -127,18 +95,7 @@ def same_matrices(one: StateArrays, other: StateArrays) -> bool:
 
 
 def same_response(one: StateArrays, other: StateArrays) -> bool:
-    """Return whether two controllers have the same frequency response up to rounding.
-
-    Parameters
-    ----------
-    one, other
-        Of the same signals and period.
-
-    Returns
-    -------
-    bool
-        Relative to the largest singular value at each frequency, at those of the poles too.
-    """
+    """Return whether two controllers have the same frequency response up to rounding."""
     T = other.dt
     angles = np.abs(np.angle(np.linalg.eigvals(other.A)))
     # On the circle no grid misses a pole: near each it is finer.

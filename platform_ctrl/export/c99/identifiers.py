@@ -73,41 +73,13 @@ class Names:
 
 
 def field_names(signals: Iterable[str]) -> dict[str, str]:
-    """Return identifiers for the signals of a job, each of its own.
-
-    Parameters
-    ----------
-    signals
-        Names; one that occurs twice is one signal.
-
-    Returns
-    -------
-    dict
-        Identifier by name; with nothing at their ends that generated code appends to others.
-    """
+    """Return identifiers for the signals of a job, each of its own."""
     names = Names(40)
     return {name: names[f"{name} n" if identifier(name).endswith(_ENDINGS) else name] for name in signals}
 
 
 def identifier(name: str, longest: int = 48) -> str:
-    """Return a C and C++ identifier that resembles `name`: ASCII, no keyword, not reserved.
-
-    Parameters
-    ----------
-    name
-        Any text.
-    longest
-        Most characters.
-
-    Returns
-    -------
-    str
-        Letters, digits and single underscores; different names may give the same.
-
-    References
-    ----------
-    ISO/IEC 9899:1999, 6.4.2 and 7.1.3.
-    """
+    """Return a C and C++ identifier that resembles `name`: ASCII, no keyword, not reserved."""
     out = re.sub(r"[^A-Za-z0-9]+", "_", "".join(_ascii(c) for c in name)).strip("_")
     if len(out) > longest:
         # A word is not cut where enough stands before it.
@@ -122,22 +94,7 @@ def identifier(name: str, longest: int = 48) -> str:
 
 
 def comment(text: str) -> str:
-    """Return a text as it may stand in a comment: printable ASCII on one line that neither ends nor nests it.
-
-    Parameters
-    ----------
-    text
-        Any text.
-
-    Returns
-    -------
-    str
-        Letters of other scripts are spelled or given by number.
-
-    References
-    ----------
-    ISO/IEC 9899:1999, 5.2.1.1 (trigraphs) and 6.4.9.
-    """
+    """Return a text as it may stand in a comment: printable ASCII on one line that neither ends nor nests it."""
     out = " ".join("".join(_ascii(c) if ord(c) > 126 else c if c.isprintable() else " " for c in text).split())
     # A trigraph would end a line in a backslash; three marks in a row hold two trigraphs' heads.
     return out.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("??", "? ?").replace("\\", "/")

@@ -19,24 +19,7 @@ from platform_ctrl.export.c99.file_layout import (
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:
-    """Return the text of the header file.
-
-    Parameters
-    ----------
-    prefix
-        First part of all external names; the names of the files.
-    units
-        The controllers, in order of evaluation.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-
-    References
-    ----------
-    ISO/IEC 9899:1999.
-    """
+    """Return the text of the header file."""
     p, kind = prefix, units[0].number
     inputs, outputs = [], []
     for name, k in measured([unit.scheme for unit in units]).items():
@@ -73,22 +56,7 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
 
 
 def job_source(prefix: str, units: Sequence[Unit]) -> str:
-    """Return the text of the source file.
-
-    Parameters
-    ----------
-    prefix, units
-        As for `job_header`.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-
-    References
-    ----------
-    ISO/IEC 9899:1999.
-    """
+    """Return the text of the source file."""
     made: dict[str, str] = {}
     wired = []
     for number, unit in enumerate(units, 1):

@@ -44,22 +44,7 @@ class Modes:
 
 
 def modes(A: FloatArray) -> Modes:
-    """Return the block-diagonal form of a real matrix: blocks of one real pole, a pair, or a cluster.
-
-    Parameters
-    ----------
-    A : (n, n)
-        Balanced.
-
-    Returns
-    -------
-    Modes
-        A pair's block is [[a, w], [-w, a]].
-
-    References
-    ----------
-    C. A. Bavely, G. W. Stewart, SIAM J. Numerical Analysis 16, 1979.
-    """
+    """Return the block-diagonal form of a real matrix: blocks of one real pole, a pair, or a cluster."""
     from scipy.linalg import schur
     from scipy.linalg.lapack import dtrexc, dtrsyl
 
@@ -96,24 +81,7 @@ def modes(A: FloatArray) -> Modes:
 
 
 def modal_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
-    """Return the sections of a controller in its modes, slowest first, and T of x = T x_scheme.
-
-    Parameters
-    ----------
-    entry
-        The controller.
-
-    Returns
-    -------
-    sections
-        One for each mode, and the outputs; a mode's states are in the unit of the torque that they add to most.
-    T : (n, n)
-        From the scheme's states to the controller's.
-
-    References
-    ----------
-    C. A. Bavely, G. W. Stewart, SIAM J. Numerical Analysis 16, 1979.
-    """
+    """Return the sections of a controller in its modes, slowest first, and T of x = T x_scheme."""
     A, B, C, _, period = entry.arrays
     if not len(A):
         return plain_sections(entry)
@@ -153,20 +121,7 @@ def modal_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
 
 
 def plain_sections(entry: Entry) -> tuple[tuple[Section, ...], FloatArray]:
-    """Return a controller in balanced states, all in one section, and T of x = T x_scheme.
-
-    Parameters
-    ----------
-    entry
-        The controller.
-
-    Returns
-    -------
-    sections
-        The states, if there are any, and the outputs.
-    T : (n, n)
-        Diagonal, powers of two.
-    """
+    """Return a controller in balanced states, all in one section, and T of x = T x_scheme."""
     A, B, C, D, _ = entry.arrays
     balance = state_scaling(A, B, C)
     A, B, C = scaled(A, B, C)
@@ -228,11 +183,6 @@ def pid_sections(entry: Entry, channel: Channels, angles: tuple[str, ...]) -> tu
         Directions of the gyros.
     angles
         Inputs in the order of the outputs' gimbals.
-
-    Returns
-    -------
-    tuple of Section or None
-        To be held against the controller's matrices.
     """
     n, T = len(channel.basis), entry.arrays.dt
     A, B, C, D, _ = entry.arrays

@@ -159,18 +159,7 @@ class Scheme:
 
 
 def arrays(scheme: Scheme) -> StateArrays:
-    """Return the controller that a scheme multiplies out to, without limits.
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-
-    Returns
-    -------
-    StateArrays
-        States in the order of `Scheme.states`, inputs and outputs in theirs; ``dt`` is the period, s.
-    """
+    """Return the controller that a scheme multiplies out to, without limits."""
     states, inputs = scheme.states, scheme.inputs
     known = dict(zip((*states, *inputs), np.eye(len(states) + len(inputs)), strict=True))
     if len(known) != len(states) + len(inputs):
@@ -211,18 +200,7 @@ def arrays(scheme: Scheme) -> StateArrays:
 
 
 def excess_gain(scheme: Scheme) -> FloatArray:
-    """Return E of the anti-windup, x⁺ = A x + B y + E (limited u − u).
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-
-    Returns
-    -------
-    (states, outputs)
-        Zero where there is none, in units of the states per unit of the outputs.
-    """
+    """Return E of the anti-windup, x⁺ = A x + B y + E (limited u − u)."""
     states, outputs = scheme.states, scheme.outputs
     out = np.zeros((len(states), len(outputs)))
     for row in scheme.excess:
@@ -237,18 +215,7 @@ def excess_gain(scheme: Scheme) -> FloatArray:
 
 
 def acting_excess(scheme: Scheme) -> tuple[Row, ...]:
-    """Return the rows of `Scheme.excess` without the outputs that have no limit, and without rows of these alone.
-
-    Parameters
-    ----------
-    scheme
-        The scheme.
-
-    Returns
-    -------
-    tuple of Row
-        In their order.
-    """
+    """Return the rows of `Scheme.excess` without the outputs that have no limit, and without rows of these alone."""
     limited = {name for name, limit in zip(scheme.outputs, scheme.torque_limits, strict=True) if math.isfinite(limit)}
     rows = (
         Row(target=row.target, terms=tuple(term for term in row.terms if term.source in limited))

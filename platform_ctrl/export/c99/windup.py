@@ -51,20 +51,7 @@ class Windup:
 
 
 def integrating(K: StateArrays) -> tuple[FloatArray, FloatArray]:
-    """Return the states that integrate: V with A V = V Λ, and Λ.
-
-    Parameters
-    ----------
-    K
-        Sampled controller.
-
-    Returns
-    -------
-    V : (n, k)
-        A basis of them.
-    Lambda : (k, k)
-        How they go on by themselves, for each sample.
-    """
+    """Return the states that integrate: V with A V = V Λ, and Λ."""
     if not len(K.A):
         return np.zeros((0, 0)), np.zeros((0, 0))
     t, Z, k = _sorted(K)
@@ -73,22 +60,7 @@ def integrating(K: StateArrays) -> tuple[FloatArray, FloatArray]:
 
 
 def back_calculation(scheme: Scheme) -> Windup:
-    """Return the anti-windup by back-calculation.
-
-    Parameters
-    ----------
-    scheme
-        The controller.
-
-    Returns
-    -------
-    Windup
-        With no gain where no output is limited or nothing integrates.
-
-    References
-    ----------
-    K. J. Åström, T. Hägglund, Advanced PID Control, 2006, section 3.5.
-    """
+    """Return the anti-windup by back-calculation."""
     K = arrays(scheme)
     none = np.zeros((len(K.A), len(scheme.outputs)))
     limits = np.array(scheme.torque_limits)
@@ -124,20 +96,7 @@ def back_calculation(scheme: Scheme) -> Windup:
 
 
 def proved(job: Job, scheme: Scheme) -> Windup:
-    """Return the anti-windup gain of `design.anti_windup`, or back-calculation where that has none.
-
-    Parameters
-    ----------
-    job
-        The plant and its limits.
-    scheme
-        The controller of a caging loop.
-
-    Returns
-    -------
-    Windup
-        With the region of attraction in words, as torque impulses.
-    """
+    """Return the anti-windup gain of `design.anti_windup`, or back-calculation where that has none."""
     from platform_ctrl.design.antiwindup.compensator import anti_windup
     from platform_ctrl.design.antiwindup.job import caging_loop_limits
 

@@ -9,18 +9,7 @@ from platform_ctrl.export.fixed_point.values import FixedPoint, Format
 
 
 def format_lines(fixed: FixedPoint) -> tuple[str, ...]:
-    """Return a line for every input, output, signal, state and integral: format, unit, value of one bit, range.
-
-    Parameters
-    ----------
-    fixed
-        The controller in integers.
-
-    Returns
-    -------
-    tuple of str
-        The first lines say how to read the others.
-    """
+    """Return a line for every input, output, signal, state and integral: format, unit, value of one bit, range."""
     lines = [
         "Scaling: value = count * bit. Qm.n: m digits before the point and n behind it, beside the sign; a negative m "
         "leaves out digits that are always zero. Signals and states without a unit are in the controller's own, SI.",
@@ -46,20 +35,7 @@ def _line(form: Format) -> str:
 
 
 def proof_lines(fixed: FixedPoint, leaks: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the proof in words.
-
-    Parameters
-    ----------
-    fixed
-        The controller in integers, with its bounds.
-    leaks
-        How far the poles of integrals lay from 1.
-
-    Returns
-    -------
-    tuple of str
-        Paragraphs.
-    """
+    """Return the proof in words."""
     rows = [row for section in fixed.sections for row in (*section.signals, *section.states)]
     wide = max(rows, key=lambda row: row.largest / 2.0**row.accumulator)
     stored = [

@@ -54,18 +54,7 @@ class Unit:
 
 
 def header(unit: Unit) -> str:
-    """Return the text of the header file.
-
-    Parameters
-    ----------
-    unit
-        The controller.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-    """
+    """Return the text of the header file."""
     fixed, signals = unit.fixed, unit.signals
     p, s, upper = unit.prefix, fixed.scheme, unit.prefix.upper()
     states = _state_names(fixed)
@@ -111,18 +100,7 @@ def header(unit: Unit) -> str:
 
 
 def source(unit: Unit) -> str:
-    """Return the text of the source file.
-
-    Parameters
-    ----------
-    unit
-        The controller.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-    """
+    """Return the text of the source file."""
     return _Source(unit).text()
 
 

@@ -19,20 +19,7 @@ from platform_ctrl.export.fixed_point.values import Format
 
 
 def job_header(prefix: str, units: Sequence[Unit]) -> str:
-    """Return the text of the header file.
-
-    Parameters
-    ----------
-    prefix
-        First part of all external names; the names of the files.
-    units
-        The controllers, in order of evaluation.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-    """
+    """Return the text of the header file."""
     p = prefix
     inputs = [
         field(integer(form.bits), unit.signals[name], f"{name}, {counted(form)}")
@@ -65,18 +52,7 @@ def job_header(prefix: str, units: Sequence[Unit]) -> str:
 
 
 def job_source(prefix: str, units: Sequence[Unit]) -> str:
-    """Return the text of the source file.
-
-    Parameters
-    ----------
-    prefix, units
-        As for `job_header`.
-
-    Returns
-    -------
-    str
-        ASCII, ended by a newline.
-    """
+    """Return the text of the source file."""
     given = {name: (f"in->{unit.signals[name]}", form.fraction) for name, (unit, form) in _measured(units).items()}
     helpers: set[str] = set()
     wired = []

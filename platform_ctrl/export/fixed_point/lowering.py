@@ -77,11 +77,6 @@ def fixed_point(
         Largest bound of the error as a share of an output's limit.
     fractions
         Digits behind the point of some inputs, signals or states, where they are not to follow from the bounds.
-
-    Returns
-    -------
-    FixedPoint
-        The programme with formats, bounds and proof.
     """
     known_name("number", number, tuple(WIDTHS))
     accuracy = positive("accuracy", accuracy)

@@ -44,11 +44,6 @@ class Machine:
         ----------
         inputs
             Counts, in the order of the scheme; beyond their range they are cut off.
-
-        Returns
-        -------
-        tuple of int
-            Counts, within the limits.
         """
         fixed, formats = self.fixed, self.fixed.formats
         counts = {

@@ -199,11 +199,6 @@ def input_ranges(
         By name, in SI units: used as they are, without the margin.
     margin
         Share that is added to what plant and job state.
-
-    Returns
-    -------
-    dict
-        By name, rad, rad/s or N m.
     """
     given, margin = dict(ranges or {}), positive("margin", margin, zero=True)
     known = _known(job.platform) | {

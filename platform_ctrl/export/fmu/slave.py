@@ -159,22 +159,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         return put
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """Return modelDescription.xml: the library's, with exact numbers, without the time of writing.
-
-        Parameters
-        ----------
-        model_options
-            As the library has them.
-
-        Returns
-        -------
-        xml.etree.ElementTree.Element
-            The root.
-
-        References
-        ----------
-        Modelica Association, Functional Mock-up Interface Specification 3.0, 2022.
-        """
+        """Return modelDescription.xml: the library's, with exact numbers, without the time of writing."""
         root: Element = super().to_xml(model_options or {})
         del root.attrib["generationDateAndTime"]
         root.set("modelName", self._about["name"])
@@ -210,11 +195,6 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         ----------
         current_time, step_size
             Where the unit is, and how far it is to go: a whole number of sample periods; s.
-
-        Returns
-        -------
-        Fmi3StepResult
-            `discard` for a step of another length: nothing has happened then; `error` where the run cannot go on.
         """
         try:
             status = self._step(float(current_time), float(step_size))
@@ -275,13 +255,7 @@ class PlatformSlave(Fmi3Slave):  # type: ignore[misc]
         self._stepper, self._ended = None, True
 
     def fail(self, text: str) -> None:
-        """Log what goes wrong: the next step, if not this one, returns with an error.
-
-        Parameters
-        ----------
-        text
-            One line.
-        """
+        """Log what goes wrong: the next step, if not this one, returns with an error."""
         self._failure = text
         self.log(text, Fmi3Status.error)
 

@@ -50,13 +50,6 @@ def moved_figure(comparison: Comparison, title: str) -> Figure:
 
     Above, a bar for every figure, the worst first: its change over its tolerance, worse to the right. Below, for every
     loop whose plant or controller is another one, the largest singular value of its sensitivity before and now.
-
-    Parameters
-    ----------
-    comparison
-        From `baselines.compare`.
-    title
-        What stands above it.
     """
     bars = [change for change in comparison.changes if change.before is not None and change.now is not None]
     bars = sorted(bars, key=lambda change: -change.of_tolerance)

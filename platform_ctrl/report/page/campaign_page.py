@@ -34,24 +34,12 @@ def write_campaign_page(
 
 
 def campaign_page(summary: Summary, *, command: str | None = None, again: str | None = None) -> str:
-    """Return the page as HTML: self-contained, for light and dark screens and for paper.
-
-    Parameters
-    ----------
-    summary, command, again
-        As in `write_campaign_page`.
-    """
+    """Return the page as HTML: self-contained, for light and dark screens and for paper."""
     return html(campaign_document(summary, command=command, again=again))
 
 
 def campaign_document(summary: Summary, *, command: str | None = None, again: str | None = None) -> Document:
-    """Return what the page says.
-
-    Parameters
-    ----------
-    summary, command, again
-        As in `write_campaign_page`.
-    """
+    """Return what the page says."""
     from platform_ctrl.report import style
 
     job = summary.plan.job

@@ -101,15 +101,7 @@ class Margins:
 
 
 def channels(name: str, loop: DrawnSystem) -> tuple[DrawnSystem, ...]:
-    """Return the loop transfer of every channel with all others closed, 1/S_ii − 1, each as a system of its own.
-
-    Parameters
-    ----------
-    name
-        Begins every message: the plot's name.
-    loop
-        L with negative feedback, square.
-    """
+    """Return the loop transfer of every channel with all others closed, 1/S_ii − 1, each as a system of its own."""
     if loop.shape == (1, 1):
         return (loop,)
     return tuple(_channel(name, loop, k) for k in range(len(loop.inputs)))

@@ -58,21 +58,7 @@ def blocks(
     titles: bool = True,
     width: float = FULL_WIDTH,
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with blocks of panels that share their frequency axis, and its axes (rows × parts, columns).
-
-    Parameters
-    ----------
-    rows, columns
-        Blocks.
-    heights
-        Of the parts of a block, from the top, inches.
-    labels
-        What the legend above is going to say.
-    titles
-        Whether blocks have titles.
-    width
-        Inches.
-    """
+    """Return a figure with blocks of panels that share their frequency axis, and its axes (rows × parts, columns)."""
     parts = len(heights)
     over = _TITLE if titles else _NO_TITLE
     block = over + sum(heights) + (parts - 1) * _BETWEEN + _BOTTOM
