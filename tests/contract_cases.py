@@ -178,20 +178,6 @@ def precession() -> pc.Precession:
     return pc.precession(model(), gimbals=("9", "10"))
 
 
-@functools.cache
-def responses() -> Any:
-    from platform_ctrl.report.loop_responses import loop_responses
-
-    return loop_responses(model(), outcomes()[0])
-
-
-@functools.cache
-def locus() -> Any:
-    from platform_ctrl.report.loop_responses import root_locus
-
-    return root_locus(outcomes()[0].closed)
-
-
 def certificate() -> certificates.Certificate:
     return certificates.stability_certificate([[-1.0, 0.0], [0.0, -2.0]])
 
@@ -422,50 +408,6 @@ FUNCTIONS: dict[str, dict[str, Callable[[], Any]]] = {
     "report.prepared": {"result": result},
     "report.write_page": {"result": result, **NEW},
     "report.write_pdf": {"result": result, **NEW},
-    "figures.Omega_sensitivity": {"plant": pair},
-    "figures.bode": {"systems": one},
-    "figures.campaign_histograms": {"campaign": summary},
-    "figures.campbell": {"platform": platform, **of(gimbals=("9", "10"))},
-    "figures.coupled_pole_figure": {"result": result},
-    "figures.disk_margin_region": of(margins=0.5),
-    "figures.disturbance_figure": {"responses": responses, "spec": lambda: asked().loops[0]},
-    "figures.gang_of_four": {"plant": plant, "controllers": controller},
-    "figures.gimbal_tree": {"platform": platform},
-    "figures.loop_transfer_figure": {
-        "responses": responses,
-        "spec": lambda: asked().loops[0],
-        **of(torques=("Q9", "Q10"), nutation=100.0),
-    },
-    "figures.margin_bars_figure": {"check": lambda: result().coupled},
-    "figures.nichols": {"loops": one},
-    "figures.nutation_figure": {"result": result},
-    "figures.nyquist": {"loops": one},
-    "figures.platform_disturbance_figure": {"result": result},
-    "figures.pole_figure": {
-        "responses": responses,
-        "spec": lambda: asked().loops[0],
-        **of(nutation=100.0, period=PERIOD),
-    },
-    "figures.pole_map": {"systems": one},
-    "figures.root_locus": {"plant": plant, "controller": controller},
-    "figures.root_locus_figure": {
-        "locus": locus,
-        "spec": lambda: asked().loops[0],
-        **of(nutation=100.0, period=PERIOD),
-    },
-    "figures.root_locus_over_spin": {
-        "platform": platform,
-        "controller": controller,
-        **of(gimbals=("9", "10"), period=PERIOD),
-    },
-    "figures.run_figure": {"run": lambda: result().runs[0], "platform": platform},
-    "figures.sensitivity_figure": {"responses": responses, "spec": lambda: asked().loops[0]},
-    "figures.servo_figure": {"result": result},
-    "figures.simultaneous_margin_figure": {"check": lambda: result().coupled, **of(limit=0.4)},
-    "figures.singular_values": {"systems": one},
-    "figures.step_response": {"systems": one},
-    "figures.time_run": {"run": trajectory, "platform": platform},
-    "figures.two_sided_nyquist": {"curve": lambda: shaped().nyquist},
     "requirements.hard_and_soft": {"limits": lambda: asked().loops[0].limits, "soft": job.LoopLimits},
     "requirements.loop_requirements": {"limits": lambda: asked().loops[0].limits},
     "requirements.requirement": of(kind="disk margin", limit=0.4),

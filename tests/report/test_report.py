@@ -34,10 +34,12 @@ from platform_ctrl.job.requirements import CheckResult, Requirement, Sense, requ
 from platform_ctrl.mechanics.linearisation import linearise
 from platform_ctrl.plant.force_elements import Spring
 from platform_ctrl.plant.source import shipped_models
-from platform_ctrl.report import figures, modes, record, style
+from platform_ctrl.report import modes, record, style
 from platform_ctrl.report.failure_messages import value_and_limit
 from platform_ctrl.report.figures import coupled as coupled_figures
 from platform_ctrl.report.figures import limit_lines
+from platform_ctrl.report.figures.coupled import margin_bars_figure
+from platform_ctrl.report.figures.loop import disturbance_figure, sensitivity_figure
 from platform_ctrl.report.loop_responses import following_grid, loop_responses, root_locus
 from platform_ctrl.report.page import captions, comparison, tables
 from platform_ctrl.report.page import job_page as document
@@ -275,7 +277,7 @@ def test_the_page_is_small_enough_to_send(page: str) -> None:
 def test_drawing_leaves_the_callers_settings_alone(result: JobResult) -> None:
     before = dict(mpl.rcParams)
     with style.settings():
-        style.svg(figures.margin_bars_figure(result.coupled), "bars")
+        style.svg(margin_bars_figure(result.coupled), "bars")
     assert dict(mpl.rcParams) == before
 
 
@@ -725,8 +727,8 @@ def test_limits_and_goals_are_drawn_where_they_belong(compared_designs: JobResul
     responses = loop_responses(compared_designs.model, outcome)
     assert responses is not None
     with style.settings():
-        left, middle, right = figures.sensitivity_figure(responses, outcome.spec).axes
-        shares = figures.disturbance_figure(responses, outcome.spec).axes[-1]
+        left, middle, right = sensitivity_figure(responses, outcome.spec).axes
+        shares = disturbance_figure(responses, outcome.spec).axes[-1]
 
     def levels(axes: Any, colour: str) -> set[float]:
         drawn = [line for line in axes.lines if line.get_color() == colour]
@@ -760,7 +762,7 @@ def test_designs_differ_by_more_than_colour(compared_designs: JobResult) -> None
     responses = loop_responses(compared_designs.model, outcome)
     assert responses is not None
     with style.settings():
-        figure = figures.sensitivity_figure(responses, outcome.spec)
+        figure = sensitivity_figure(responses, outcome.spec)
     [legend] = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["simple, closed", "H-infinity", "quiet", "slow"]
     lines = figure.axes[1].lines[:4]

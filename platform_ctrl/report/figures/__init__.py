@@ -1,22 +1,10 @@
-"""Plots for scripts, and every figure of the report, by name.
+"""Plots for scripts by name, and, in the modules of this package, the figures of a job's report.
 
 Plots take plain values (systems, platforms, runs) and return a `control.ControlPlot` or a `matplotlib.figure.Figure`
 with the report's look: `show` opens windows for them, `.figure.savefig` writes a file; pyplot knows nothing of them
-before. What ends in ``_figure`` makes a figure of the report from a job's result; make and save those within
-`style.settings`.
+before. Figures of a report are made from a job's result, and saved, within `style.settings`.
 """
 
-from platform_ctrl.report.figures.coupled import (
-    coupled_pole_figure,
-    margin_bars_figure,
-    platform_disturbance_figure,
-    servo_figure,
-    simultaneous_margin_figure,
-)
-from platform_ctrl.report.figures.loop import disturbance_figure, loop_transfer_figure, sensitivity_figure
-from platform_ctrl.report.figures.plant import nutation_figure
-from platform_ctrl.report.figures.poles import pole_figure, root_locus_figure
-from platform_ctrl.report.figures.runs import run_figure
 from platform_ctrl.report.plots.bode import bode
 from platform_ctrl.report.plots.campaign_histograms import campaign_histograms
 from platform_ctrl.report.plots.campbell import campbell
@@ -38,27 +26,15 @@ __all__ = [
     "bode",
     "campaign_histograms",
     "campbell",
-    "coupled_pole_figure",
     "disk_margin_region",
-    "disturbance_figure",
     "gang_of_four",
     "gimbal_tree",
-    "loop_transfer_figure",
-    "margin_bars_figure",
     "nichols",
-    "nutation_figure",
     "nyquist",
-    "platform_disturbance_figure",
-    "pole_figure",
     "pole_map",
     "root_locus",
-    "root_locus_figure",
     "root_locus_over_spin",
-    "run_figure",
-    "sensitivity_figure",
-    "servo_figure",
     "show",
-    "simultaneous_margin_figure",
     "singular_values",
     "step_response",
     "time_run",

@@ -13,7 +13,6 @@ from platform_ctrl.analysis.poles import continuous_poles
 from platform_ctrl.analysis.response import frequency_response_arrays
 from platform_ctrl.analysis.sampled import sampled
 from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.common.text import at_least
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.mechanics.state_space import state_space as linear_state_space
@@ -42,25 +41,8 @@ if TYPE_CHECKING:
     import control
 
 
-@check_arguments
 def coupled_pole_figure(result: JobResult) -> Figure:
-    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below.
-
-    Parameters
-    ----------
-    result
-        From `check.checked`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-    """
+    """Poles of the coupled closed loop: all of them, and those around the nutation frequencies and below."""
     check, period = result.coupled, result.job.sampling.period
     figure, [[wide, close]] = panels(1, 2, 3.5)
     s = upper(continuous_poles(check.poles, period))
@@ -87,29 +69,8 @@ def coupled_pole_figure(result: JobResult) -> Figure:
     return figure
 
 
-@check_arguments
 def margin_bars_figure(check: CoupledCheck) -> Figure:
-    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system.
-
-    Parameters
-    ----------
-    check
-        Of a job's result.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-    """
+    """Loop-by-loop disk margins, a pair of bars for each torquer: in its design model and in the coupled system."""
     figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     x = np.arange(len(check.channels), dtype=np.float64)
     decoupled = np.nan_to_num(check.decoupled, nan=0.0, posinf=0.0)
@@ -133,31 +94,8 @@ def margin_bars_figure(check: CoupledCheck) -> Figure:
     return figure
 
 
-@check_arguments
 def simultaneous_margin_figure(check: CoupledCheck, limit: float | None) -> Figure:
-    """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded.
-
-    Parameters
-    ----------
-    check
-        Of a job's result.
-    limit
-        What is asked, dimensionless; None: nothing.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-    """
+    """Disk margin in all channels at once over frequency: guaranteed, and known to be exceeded."""
     figure, [[axes]] = panels(1, 1, 2.7, legend=1, titles=False)
     margin = check.simultaneous
     kept = margin.frequencies > 0.0
@@ -196,29 +134,8 @@ def coupled_grid(result: JobResult) -> FloatArray:
     return following_grid(s, low, 0.999 * nyquist)
 
 
-@check_arguments
 def servo_figure(result: JobResult) -> Figure | None:
-    """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer.
-
-    Parameters
-    ----------
-    result
-        From `check.checked`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        A column for each root torquer.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
-    """
+    """Bode diagram of each root torquer's loop in the coupled system, others closed; None without such a torquer."""
     check = result.coupled
     roots = {t.name for t in result.job.platform.torquers if t.root_axis is not None}
     channels = [k for k, name in enumerate(check.channels) if name in roots]
@@ -246,25 +163,8 @@ def servo_figure(result: JobResult) -> Figure | None:
     return figure
 
 
-@check_arguments
 def platform_disturbance_figure(result: JobResult) -> Figure:
-    """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all.
-
-    Parameters
-    ----------
-    result
-        From `check.checked`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels; one where there are no gimbals.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-    """
+    """Platform angle and largest gimbal angle per torque on the platform, loops closed against no controller at all."""
     w = coupled_grid(result)
     opened, closed = platform_compliance(result, w)
     carried = len(result.model.angle_names) > 0

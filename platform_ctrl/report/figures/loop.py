@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
-from platform_ctrl.common.signatures import check_arguments, short
+from platform_ctrl.common.signatures import short
 from platform_ctrl.common.values import FloatArray
 from platform_ctrl.errors import ArgumentError
 from platform_ctrl.job.job import LoopSpec
@@ -37,31 +37,8 @@ _ALL_LINES = 2
 _ONE_ROW = 4
 
 
-@check_arguments
 def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin.
-
-    Parameters
-    ----------
-    responses
-        Of the loop's designs.
-    spec
-        The loop as the job asks for it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Panels side by side.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    P. Seiler, A. Packard, P. Gahinet, IEEE Control Systems Magazine 40(5), 2020.
-    """
+    """Singular values of S, T and (S − T)/2 over frequency, with what is asked of bandwidth, peaks and disk margin."""
     names = design_names(responses)
     figure, [[left, middle, right]] = panels(1, 3, 3.1, legend=legend_rows(names))
     f = responses.frequency * HZ
@@ -98,35 +75,8 @@ def sensitivity_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
     return figure
 
 
-@check_arguments
 def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tuple[str, ...], nutation: float) -> Figure:
-    """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel.
-
-    Parameters
-    ----------
-    responses
-        Of the loop's designs.
-    spec
-        The loop as the job asks for it.
-    torques
-        Names of the channels.
-    nutation
-        Nutation frequency, rad/s.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Singular values above the channels.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    K. J. Åström, R. M. Murray, Feedback Systems, 2008, ch. 9.
-    """
+    """Singular values of the loop transfer and of the controller, and the Bode diagram of each channel."""
     require_each_channel(responses, torques)
     names = design_names(responses)
     figure, rows = panels(2, 1 + len(torques), 4.4, legend=legend_rows(names))
@@ -164,27 +114,8 @@ def loop_transfer_figure(responses: LoopResponses, spec: LoopSpec, torques: tupl
     return figure
 
 
-@check_arguments
 def disturbance_figure(responses: LoopResponses, spec: LoopSpec) -> Figure:
-    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for.
-
-    Parameters
-    ----------
-    responses
-        Of the loop's designs.
-    spec
-        The loop as the job asks for it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Panels side by side.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-    """
+    """From platform rate and torque disturbance to the gimbal angles, and the torque that the rate asks for."""
     acting = [a for a in range(3) if np.nanmax(responses.open_angle_per_rate[a], initial=0.0) > 1e-12]
     shares = [one.torque_share for one in responses.designs]
     limited = bool(np.nanmax(shares, initial=0.0) > 0.0)

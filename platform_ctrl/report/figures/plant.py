@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.report.modes import nutation_over_speed
 from platform_ctrl.report.page.summary import bandwidth_hz
 from platform_ctrl.report.plots.campbell import campbell
@@ -19,26 +18,10 @@ _SPINS = (0.0, 1.5)
 _APART = 0.05
 
 
-@check_arguments
 def nutation_figure(result: JobResult) -> Figure | None:
     """Natural frequencies at rest over the rotors' speed (all alike); None for a plant without nutation.
 
     To the Campbell chart come the spread of the rotors' speed and the bandwidths of the loops.
-
-    Parameters
-    ----------
-    result
-        From `check.checked`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        One panel.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
     """
     if not nutation_over_speed(result, np.array(_SPINS)):
         return None

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from platform_ctrl.analysis.arrays import ComplexArray
 from platform_ctrl.common.arguments import positive
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.job.job import LoopSpec
 from platform_ctrl.report.figures.limit_lines import damping_lines, fastest_pole_line
 from platform_ctrl.report.figures.loop import design_names
@@ -30,31 +29,8 @@ from platform_ctrl.report.style import (
 _LABELLED_GAINS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
-@check_arguments
 def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses).
-
-    Parameters
-    ----------
-    responses
-        Of the loop's designs.
-    spec
-        The loop as the job asks for it.
-    nutation
-        Nutation frequency, rad/s.
-    period
-        Sample period, s.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The upper half plane.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-    """
+    """Closed-loop poles of the nominal plant (strong), of the spread (faint) and with faults (crosses)."""
     names = design_names(responses)
     figure, [[wide, close]] = panels(1, 2, 3.7, legend=legend_rows(names))
     nyquist = np.pi / period
@@ -79,35 +55,8 @@ def pole_figure(responses: LoopResponses, spec: LoopSpec, nutation: float, perio
     return figure
 
 
-@check_arguments
 def root_locus_figure(locus: RootLocus, spec: LoopSpec, nutation: float, period: float) -> Figure:
-    """Poles of the closed design while its gain goes from 0 to twice its value.
-
-    Parameters
-    ----------
-    locus
-        Of the closed design.
-    spec
-        The loop as the job asks for it.
-    nutation
-        Nutation frequency, rad/s.
-    period
-        Sample period, s.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The upper half plane.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-
-    References
-    ----------
-    W. R. Evans, Trans. AIEE 67, 1948.
-    """
+    """Poles of the closed design while its gain goes from 0 to twice its value."""
     figure, [[wide, close]] = panels(1, 2, 3.9, legend=1)
     nyquist = np.pi / period
     handles: list[Any] = []

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from platform_ctrl.common.files import write_whole
-from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.plant.platform import Platform
 from platform_ctrl.report.plots.time_run import trajectory_figure
 from platform_ctrl.report.quantities import signal_series
@@ -24,27 +23,8 @@ if TYPE_CHECKING:
     from platform_ctrl.verification import Run
 
 
-@check_arguments
 def run_figure(run: Run, platform: Platform) -> Figure:
-    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude.
-
-    Parameters
-    ----------
-    run
-        From `check.fly`.
-    platform
-        The plant that was run.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Panels above each other.
-
-    Raises
-    ------
-    ArgumentError
-        An argument of another kind than annotated.
-    """
+    """Everything that a run recorded: gimbal angles, torques, platform rate, and with a free platform its attitude."""
     limits, duration = run.manoeuvre.limits, run.manoeuvre.duration
     return trajectory_figure(run.trajectory, platform.torquers, signal_series(platform), limits, duration)
 

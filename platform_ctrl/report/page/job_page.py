@@ -13,6 +13,17 @@ from platform_ctrl.common.files import write_whole
 from platform_ctrl.common.signatures import check_arguments
 from platform_ctrl.design.jobs import LoopOutcome, survived_name
 from platform_ctrl.job.job import LoopSpec
+from platform_ctrl.report.figures.coupled import (
+    coupled_pole_figure,
+    margin_bars_figure,
+    platform_disturbance_figure,
+    servo_figure,
+    simultaneous_margin_figure,
+)
+from platform_ctrl.report.figures.loop import disturbance_figure, loop_transfer_figure, sensitivity_figure
+from platform_ctrl.report.figures.plant import nutation_figure
+from platform_ctrl.report.figures.poles import pole_figure, root_locus_figure
+from platform_ctrl.report.figures.runs import run_figure
 from platform_ctrl.report.loop_responses import LoopResponses
 from platform_ctrl.report.page import block_tables as made
 from platform_ctrl.report.page import captions, comparison, tables
@@ -252,9 +263,8 @@ def _axes_plate(result: JobResult) -> Plate:
 
 
 def _plant_plates(result: JobResult) -> list[Plate]:
-    from platform_ctrl.report import figures
 
-    nutation = figures.nutation_figure(result)
+    nutation = nutation_figure(result)
     if nutation is None:
         return []
     return [_plate(nutation, "Campbell chart", captions.nutation(result))]
@@ -284,7 +294,6 @@ def _unproved(result: JobResult, outcome: LoopOutcome) -> list[str]:
 
 
 def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
-    from platform_ctrl.report import figures
     from platform_ctrl.report.loop_responses import loop_responses, root_locus
 
     responses = loop_responses(result.model, outcome)
@@ -293,23 +302,23 @@ def _caging_plates(result: JobResult, outcome: LoopOutcome) -> list[Plate]:
         return []
     spec = outcome.spec
     plates = [
-        _plate(figures.sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
+        _plate(sensitivity_figure(responses, spec), "Sensitivities", captions.sensitivity(outcome, responses)),
         _plate(
-            figures.loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
+            loop_transfer_figure(responses, spec, plants.torques, plants.nutation),
             "Loop transfer",
             captions.loop_transfer(outcome, captions.spins(result.job.platform)),
         ),
         *_nichols_plate(responses, outcome, plants.torques),
-        _plate(figures.disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
+        _plate(disturbance_figure(responses, spec), "Disturbances", captions.disturbance(outcome, responses)),
         _plate(
-            figures.pole_figure(responses, spec, plants.nutation, plants.period),
+            pole_figure(responses, spec, plants.nutation, plants.period),
             "Closed-loop poles",
             captions.poles(outcome, plants),
         ),
     ]
     if outcome.closed.plants is not None:
         locus = root_locus(outcome.closed)
-        figure = figures.root_locus_figure(locus, spec, plants.nutation, plants.period)
+        figure = root_locus_figure(locus, spec, plants.nutation, plants.period)
         plates.append(_plate(figure, "Root locus over the loop gain", captions.root_locus(outcome, locus)))
     return plates
 
@@ -322,36 +331,33 @@ def _nichols_plate(responses: LoopResponses, outcome: LoopOutcome, torques: tupl
 
 
 def _servo_plates(result: JobResult) -> list[Plate]:
-    from platform_ctrl.report import figures
 
-    figure = figures.servo_figure(result)
+    figure = servo_figure(result)
     return [] if figure is None else [_plate(figure, "The servo's loops in the coupled system", captions.servo())]
 
 
 def _coupled(result: JobResult) -> tuple[Block, ...]:
-    from platform_ctrl.report import figures
 
     check = result.coupled
     blocks: list[Block] = [
         Paragraph(text=captions.coupled_summary(result)),
-        _plate(figures.coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result)),
+        _plate(coupled_pole_figure(result), "Poles of the coupled system", captions.coupled_poles(result)),
     ]
     if check.channels:
         blocks.append(
-            _plate(figures.margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
+            _plate(margin_bars_figure(check), "Disk margins channel by channel", captions.margin_bars(result))
         )
     if check.stable and check.simultaneous.frequencies.size:
-        figure = figures.simultaneous_margin_figure(check, result.job.coupled.disk_margin)
+        figure = simultaneous_margin_figure(check, result.job.coupled.disk_margin)
         blocks.append(_plate(figure, "Disk margin in all channels at once", captions.simultaneous(result)))
     # Who carries the platform takes every torque on it.
     if check.stable and check.free:
-        figure = figures.platform_disturbance_figure(result)
+        figure = platform_disturbance_figure(result)
         blocks.append(_plate(figure, "Torque on the platform", captions.platform_disturbance()))
     return tuple(blocks)
 
 
 def _runs(result: JobResult) -> list[Section]:
-    from platform_ctrl.report import figures
 
     if not result.runs:
         return []
@@ -365,7 +371,7 @@ def _runs(result: JobResult) -> list[Section]:
         name = run.manoeuvre.name
         if run.trajectory.t.size:
             caption = " ".join(filter(None, [captions.run(run, spinning), survival(run, result.loops)]))
-            blocks.append(_plate(figures.run_figure(run, result.job.platform), name, caption))
+            blocks.append(_plate(run_figure(run, result.job.platform), name, caption))
         else:
             nothing = Paragraph(text=f"The run {run.trajectory.ended}: nothing was recorded.")
             blocks.append(Part(title=name, blocks=(nothing,)))
